@@ -7,12 +7,13 @@ PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
-.PHONY: help demo test test-slow test-docs check fuzz chaos simulate simulate-curves bench scale results results-page lock clean
+.PHONY: help demo test test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
-	@echo "make check   formatter, linter, types, imports between rooms"
+	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
+	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
 	@echo "make simulate-curves   how busy 10 to 10 000 workers are kept: table and figure in docs/simulation"
@@ -21,18 +22,18 @@ help:
 	@echo "make scale   how far a coordinator goes, with workers that only answer; ten minutes (runs/scale.json)"
 	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
 	@echo "make lock    write the lock files that images are built from (deploy/container)"
-	@echo "make clean   remove the environment and the caches of the tools"
+	@echo "make clean   remove the environment, the site and the caches of the tools"
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -m qdgrasp_coordinator.cli.demo
+	@$(BIN)/python -m examples.demo
 
 test: $(VENV)/.ready
-	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" --ignore=tests/benchmarks
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
 
 test-slow: $(VENV)/.ready
-	$(BIN)/python -m pytest -m slow --ignore=tests/benchmarks
+	$(BIN)/python -m pytest -m slow
 
-test-docs: $(VENV)/.ready
+test-docs: $(VENV)/.ready $(VENV)/.docs
 	$(BIN)/python -m pytest tests/docs tests/examples
 
 check: $(VENV)/.ready
@@ -40,6 +41,10 @@ check: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.conventions
+
+docs: $(VENV)/.docs
+	@$(BIN)/python docs/website/build.py --out .site
 
 fuzz: $(VENV)/.ready
 	@$(BIN)/python -m tests.fuzz --messages $(or $(MESSAGES),1000000) --seed $(or $(SEED),0)
@@ -57,16 +62,16 @@ simulate-curves: $(VENV)/.ready
 	@$(BIN)/python -m tests.simulation --curves docs/simulation
 
 bench: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks --out runs/bench
+	@$(BIN)/python -m benchmarks --out runs/bench
 
 scale: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.scale --out runs/scale.json
+	@$(BIN)/python -m benchmarks.scale --out runs/scale.json
 
 results: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.results run $(addprefix --accept ,$(ACCEPT))
+	@$(BIN)/python -m benchmarks.results run $(addprefix --accept ,$(ACCEPT))
 
 results-page: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.results page
+	@$(BIN)/python -m benchmarks.results page
 
 # Versions that are locked stay unless they must change; UPGRADE=--upgrade takes the latest.
 LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \
@@ -78,7 +83,7 @@ lock: $(VENV)/.ready
 	$(LOCK) deploy/container/build.in --output-file deploy/container/build.txt
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) .site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
 define install
 	@echo "Installing into $(VENV) (once; a minute or two) ..." >&2
@@ -92,6 +97,10 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 
 $(VENV)/.ready: pyproject.toml | $(BIN)/python
 	$(call install,.[dev])
+	@touch $(VENV)/.installed
+
+$(VENV)/.docs: pyproject.toml | $(BIN)/python
+	$(call install,.[docs])
 	@touch $(VENV)/.installed
 
 $(BIN)/python:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests import patience
+from tests import common
 
 PLACES = (Path("/usr/bin/chromium"), Path("/usr/bin/chromium-browser"))
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-PATIENCE = 1000 * patience.PATIENCE  # ms
+PATIENCE = 1000 * common.PATIENCE  # ms
 KNOWN = ("net::ERR_CONNECTION", "net::ERR_INCOMPLETE", "status of 401", "status of 503", "GPU stall")
 """What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
 
@@ -38,6 +38,13 @@ def launched() -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=str(program), args=FLAGS)
         yield browser
         browser.close()
+
+
+def expect(what: Any) -> Any:
+    """Playwright's assertions about a part of a page, imported where there is a browser."""
+    from playwright.sync_api import expect as expected
+
+    return expected(what)
 
 
 class Visit:

@@ -4,48 +4,42 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.files import A_FOLDER, NOT_THERE, amiss, named_path, searched
-from qdgrasp_assets.gripper import Gripper, read_gripper
-from qdgrasp_assets.gripper_file import read_gripper_file
-from qdgrasp_assets.mesh_file import check_file
-from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
-from qdgrasp_assets.scene import Scene
-from qdgrasp_assets.surface import SURFACES
-from qdgrasp_assets.target import Target, read_target
-from qdgrasp_assets.vectors import vector
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets.geometry.mesh_io import check_file
+from qdgrasp_assets.geometry.surface_points import SURFACES
+from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
+from qdgrasp_assets.grippers.gripper_file import read_gripper_file
+from qdgrasp_assets.object_model import ObjectModel, read_object
+from qdgrasp_assets.scene import Scene, vector
+from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
 ABSENT = "absent"
-REFERENCE = "ref_"
-"""What the names of the reference hands begin with."""
+REFERENCE = "ref_"  # Prefix of the names of the reference hands
 
 
 @dataclass(frozen=True)
-class Listing:
+class CatalogEntry:
     """One line of the catalog."""
 
     name: str
     source: str
-    """Where it is: "built in", "asset path", "fetched" or "absent"."""
+    """Source: "built in", "asset path", "fetched" or "absent"."""
     licence: str
 
     @property
     def is_there(self) -> bool:
-        """Whether it can be used."""
+        """True if it can be used here."""
         return self.source != ABSENT
 
 
 def build_scene(spec: RunSpec) -> Scene:
-    """The scene that a run's spec names; the same spec and files give the same scene, bit for bit.
+    """Build the scene of a run's spec; the same spec and files give the same bits.
 
-    Raises
-    ------
-    UnknownName
-        A gripper or object that is neither known nor a file.
-    AssetError
-        One of its files cannot be used.
+    Raises `UnknownName` for a gripper or object that is neither known nor a file, and `AssetError` where one
+    of its files cannot be used.
     """
     gripper = find_gripper(spec.gripper)
     target = find_object(spec)
@@ -55,7 +49,7 @@ def build_scene(spec: RunSpec) -> Scene:
     return Scene(
         protocol=spec.protocol,
         gripper=gripper.on_carrier(spec.protocol),
-        object=target.packed(),
+        object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),
         finder_low=vector(surface.finder_low),
@@ -66,15 +60,7 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """The gripper of the catalog with this name, or the one whose TOML file this is.
-
-    Reference hands keep the masses that their authors left to the simulator.
-
-    Raises
-    ------
-    UnknownName, UnknownKey, AssetError
-        As in `build_scene`.
-    """
+    """Return the gripper of this name or file; errors of `build_scene`; masses as published."""
     path = gripper_path(name)
     if path.parent == GRIPPERS:
         return read_gripper(path, name, _gripper_source(name))
@@ -84,13 +70,7 @@ def find_gripper(name: str) -> Gripper:
 
 
 def gripper_path(name: str) -> Path:
-    """The TOML file of the gripper of the catalog with this name, or the one that the name is the path of.
-
-    Raises
-    ------
-    UnknownName
-        It is neither.
-    """
+    """Return the path of a gripper's TOML file, from its name in the catalog or its path."""
     built_in = GRIPPERS / f"{name}.toml"
     if built_in in _gripper_files():
         return built_in
@@ -101,14 +81,8 @@ def gripper_path(name: str) -> Path:
     return path
 
 
-def find_object(spec: RunSpec) -> Target:
-    """The object that a spec names, with the spec's mass and friction.
-
-    Raises
-    ------
-    UnknownName, AssetError
-        As in `build_scene`.
-    """
+def find_object(spec: RunSpec) -> ObjectModel:
+    """Return the object of a spec, with its mass and friction; errors of `build_scene`."""
     target = _find_target(spec)
     if spec.mass is not None:
         target = replace(target, mass=spec.mass)
@@ -117,35 +91,27 @@ def find_object(spec: RunSpec) -> Target:
     return target
 
 
-def _find_target(spec: RunSpec) -> Target:
+def _find_target(spec: RunSpec) -> ObjectModel:
     name = spec.object
-    if spec.scale is not None and (name in STAND_INS or name in ycb.SCANS):
+    if spec.scale is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
         raise AssetError(
             f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
             "for mesh files."
         )
     if name in STAND_INS:
         return stand_in(name)
-    if name in ycb.SCANS:
+    if name in ycb.SCAN_NAMES:
         return ycb.read_scan(name, spec.protocol)
     check_object(name)
-    return read_target(named_path(name), spec.mass, spec.scale)
+    return read_object(named_path(name), spec.mass, spec.scale)
 
 
 def check_object(name: str) -> None:
-    """Check that a name is an object's: a stand-in, a scan that is there, or a file.
-
-    Raises
-    ------
-    UnknownName
-        It is none of these.
-    AssetError
-        It is a scan's, which is not there, or a folder.
-    """
+    """Check that a name is a stand-in, a scan or file that is there; errors of `build_scene`."""
     path = named_path(name)
-    if name in ycb.SCANS:
+    if name in ycb.SCAN_NAMES:
         ycb.check_there(name)
-    elif name not in STAND_INS and amiss(path) == A_FOLDER:
+    elif name not in STAND_INS and path_problem(path) == A_FOLDER:
         check_file(path)
     elif name not in STAND_INS and not _is_file(path):
         hint = f"Or name a mesh file, with its mass. Scans lie on the asset path ({searched()})."
@@ -153,40 +119,29 @@ def check_object(name: str) -> None:
 
 
 def gripper_names() -> tuple[str, ...]:
-    """The grippers that can be used here."""
-    return tuple(listing.name for listing in grippers())
+    """Return the names of the grippers whose files are there."""
+    return tuple(listing.name for listing in every_gripper() if listing.is_there)
 
 
 def object_names() -> tuple[str, ...]:
-    """The objects that can be used here, mesh files apart."""
-    return tuple(listing.name for listing in objects())
+    """Return the names of the stand-ins, and of the scans that are there."""
+    return tuple(listing.name for listing in every_object() if listing.is_there)
 
 
-def grippers() -> tuple[Listing, ...]:
-    """The grippers whose files are there."""
-    return tuple(listing for listing in every_gripper() if listing.is_there)
+def every_gripper() -> tuple[CatalogEntry, ...]:
+    """Return all grippers that this package knows, also those whose files are absent."""
+    found = []
+    for path in _gripper_files():
+        file = read_gripper_file(path)
+        source = ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem)
+        found.append(CatalogEntry(path.stem, source, file.licence))
+    return tuple(found)
 
 
-def objects() -> tuple[Listing, ...]:
-    """The stand-ins, and the scans that are there."""
-    return tuple(listing for listing in every_object() if listing.is_there)
-
-
-def every_gripper() -> tuple[Listing, ...]:
-    """All grippers that this package knows, also those whose files are absent."""
-    files = {path: read_gripper_file(path) for path in _gripper_files()}
-    return tuple(
-        Listing(
-            path.stem, ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem), file.licence
-        )
-        for path, file in files.items()
-    )
-
-
-def every_object() -> tuple[Listing, ...]:
-    """All stand-ins and scans, also absent ones."""
-    own = tuple(Listing(name, "built in", LICENCE) for name in STAND_INS)
-    return own + tuple(Listing(name, ycb.source(name), ycb.LICENCE) for name in ycb.SCANS)
+def every_object() -> tuple[CatalogEntry, ...]:
+    """Return all stand-ins and scans, also absent ones."""
+    own = tuple(CatalogEntry(name, "built in", LICENCE) for name in STAND_INS)
+    return own + tuple(CatalogEntry(name, ycb.scan_source(name), ycb.LICENCE) for name in ycb.SCAN_NAMES)
 
 
 def _gripper_files() -> tuple[Path, ...]:
@@ -198,5 +153,5 @@ def _gripper_source(name: str) -> str:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether a name means a file rather than an entry of the catalog."""
-    return bool(path.suffix) or len(path.parts) > 1 or amiss(path) != NOT_THERE
+    """Return whether a name means a file rather than an entry of the catalog."""
+    return bool(path.suffix) or len(path.parts) > 1 or path_problem(path) != NOT_THERE

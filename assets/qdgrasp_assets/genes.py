@@ -1,4 +1,4 @@
-"""Genes: which of them a prior has with a scene, and the box of positions that they can bring the hand to."""
+"""Genes: the layout of a prior's genomes for a scene, and the box of hand positions."""
 
 from collections.abc import Callable
 
@@ -7,55 +7,53 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import JawNeeded
-from qdgrasp_protocol.genome import GIVEN, Gene, Layout
+from qdgrasp_protocol.rows import GIVEN, Gene, Layout
 
 Genes = tuple[Gene, ...]
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 
-NU_A = np.pi / 4
-"""Half-aperture of the approach cone (Huber et al. 2024, section III-A)."""
-
-
-ANTIPODAL = "antipodal"
-"""The prior that needs a two-finger hand."""
-AIMED = "aimed"
-"""The prior that aims at a cell and chooses among candidates."""
+NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
+ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
+AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates
 FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
-"""What `AIMED` ranks candidates by, and tells of the pose that it took (docs/methods.md)."""
+"""Features by which `AIMED` ranks candidates, also reported with a pose (docs/methods.md)."""
 MOST_CANDIDATES = 32
-STEEPEST = 8.0
-"""The greatest weight of a feature."""
+STEEPEST = 8.0  # Largest absolute weight of a feature
 
 
 def layout(scene: Scene, prior: str) -> Layout:
-    """The genes that a prior has with this scene: the prior's own, then the synergy, then the free joints.
+    """Return the genes of a prior with this scene: its own, then synergy and free joints.
 
-    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label
-    (-1: none) and the free joints' positions [rad] as they are.
-
-    Raises
-    ------
-    JawNeeded
-        The prior is for two-finger hands, and this hand is none.
+    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label (-1:
+    none) and the free joints' positions [rad] as they are. Raises `JawNeeded` where a prior for two-finger
+    hands meets another hand.
     """
     gripper = scene.gripper
     synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()
     free = tuple(Gene(joint.name, joint.low, joint.high) for joint in gripper.free_joints)
-    return Layout(prior, OWN[prior](scene) + synergy + free)
+    return Layout(prior, PRIOR_GENES[prior](scene) + synergy + free)
 
 
 def descriptors(prior: str) -> int:
-    """How many numbers describe the pose of a genome: its position, and what its prior tells beside it."""
+    """Return how many numbers describe a genome's pose: position and the prior's features."""
     return 3 + (len(FEATURES) if prior == AIMED else 0)
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
-    """Low and high corner (3,) [m] of the box that hand positions are kept in, CoM frame."""
-    return BOXES.get(prior, _around_object)(scene)
+    """Return low and high corner (3,) [m] of the box of hand positions, CoM frame.
+
+    It is the object's box, enlarged by the largest distance of a hand from the surface; for spherical
+    positions, which are not bound to the surface, the box of the ball that they fill.
+    """
+    if prior == "spherical":
+        corner = np.full(3, spherical_radius(scene))
+        return -corner, corner
+    reach = scene.gripper.reach
+    return np.array(scene.object_low) - reach, np.array(scene.object_high) + reach
 
 
 def spherical_radius(scene: Scene) -> float:
-    """L_ss: the largest side of the hand, joints at zero, and that of the object, together [m].
+    """Return L_ss [m]: the sum of the largest sides of hand (joints at zero) and object.
 
     The released code of the paper takes the same sum of Bullet's boxes, which are 4 to 11 mm larger.
     """
@@ -83,15 +81,6 @@ def _cone(scene: Scene, aperture: float) -> Genes:
     )
 
 
-def _contact(scene: Scene) -> Genes:
-    """Contact is approach with nu_a = pi (Huber et al. 2024, section III-A)."""
-    return _cone(scene, np.pi)
-
-
-def _approach(scene: Scene) -> Genes:
-    return _cone(scene, NU_A)
-
-
 def _antipodal(scene: Scene) -> Genes:
     """The genes theta = (x_r1, y_r1, z_r1, Omega), Huber et al. 2024, eq. 4."""
     if scene.gripper.jaw is None:
@@ -108,7 +97,7 @@ def _spherical(scene: Scene) -> Genes:
 
 
 def _aimed(scene: Scene) -> Genes:
-    """The cell to aim at, the contact point and roll to take, how freely to draw, and how to rank."""
+    """Return the genes of `AIMED`: target cell, contact point, roll, looseness, ranking weights."""
     target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, AIMED)), strict=True)
     contact = zip("xyz", scene.object_low, scene.object_high, strict=True)
     return (
@@ -121,28 +110,11 @@ def _aimed(scene: Scene) -> Genes:
     )
 
 
-OWN: dict[str, Callable[[Scene], Genes]] = {
+PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
     AIMED: _aimed,
     GIVEN: _given,
     ANTIPODAL: _antipodal,
-    "approach": _approach,
-    "contact": _contact,
+    "approach": lambda scene: _cone(scene, NU_A),
+    "contact": lambda scene: _cone(scene, np.pi),  # approach with nu_a = pi (Huber et al. 2024, III-A)
     "spherical": _spherical,
 }
-"""The prior's own genes, by its name."""
-
-
-def _around_object(scene: Scene) -> Box:
-    """The object's box, enlarged by how far a hand can be from the surface that it looks at."""
-    reach = scene.gripper.reach
-    return np.array(scene.object_low) - reach, np.array(scene.object_high) + reach
-
-
-def _around_ball(scene: Scene) -> Box:
-    """The ball about the centre of mass that spherical positions fill."""
-    corner = np.full(3, spherical_radius(scene))
-    return -corner, corner
-
-
-BOXES: dict[str, Callable[[Scene], Box]] = {"spherical": _around_ball}
-"""The priors whose positions are not bound to the surface."""

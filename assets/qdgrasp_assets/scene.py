@@ -1,4 +1,4 @@
-"""The scene: one gripper, one object and one evaluation protocol, with all that a worker needs of them.
+"""The scene: one gripper, one object, one evaluation protocol; all that a worker needs.
 
 A scene is frozen and content-addressed: its canonical MessagePack bytes are the bundle that workers fetch
 over the bus, and their sha256 is its name. Lengths are metres, masses kg, angles rad, quaternions xyzw.
@@ -13,12 +13,12 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
 
-FORMAT = 2
-"""The version of the bundle: it grows whenever a field of a scene comes, goes or changes its meaning."""
+FORMAT = 2  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -34,7 +34,7 @@ class Joint(Struct, frozen=True, kw_only=True):
     velocity: float
     """Motor velocity limit [m/s or rad/s]."""
     driven: bool = True
-    """Closes with the hand, in the synergies that name it; False: never commanded, held by Bullet's motor."""
+    """True: closes in the synergies that name it; False: held by Bullet's own motor."""
 
 
 class Synergy(Struct, frozen=True, kw_only=True):
@@ -57,21 +57,21 @@ class CarrierJoint(Struct, frozen=True, kw_only=True):
 
     name: str
     force: float
-    """What holds it in place [N or Nm]."""
+    """Force that holds it in place [N or Nm]."""
     max_velocity: float
     shake_force: float = 0.0
-    """What moves it in its shake [N or Nm]."""
+    """Force that moves it in its shake [N or Nm]."""
     shake: str = ""
     """"z" or "x" for the joint that the translation or rotation shake moves, else empty."""
 
 
 class Jaw(Struct, frozen=True, kw_only=True):
-    """How the two opposing fingers of a two-finger hand close."""
+    """The two opposing fingers of a two-finger hand."""
 
     axis: Vector
-    """Unit vector in the base frame from one finger to the other, at right angles to the approach axis."""
+    """Unit vector from one finger to the other, normal to the approach axis, base frame."""
     opening: float
-    """Between the open fingers [m]."""
+    """Distance between the open fingers [m]."""
 
 
 class SceneGripper(Struct, frozen=True, kw_only=True):
@@ -79,10 +79,10 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
 
     name: str
     source: str
-    """Where it came from: "built in", "asset path" or a file's name."""
+    """Source: "built in", "asset path" or a file's name."""
     licence: str
     urdf: str
-    """The URDF, carrier in front; at carrier zero its root link coincides with the hand's base link."""
+    """URDF with the carrier; at carrier zero its root coincides with the hand's base link."""
     meshes: dict[str, bytes]
     """Mesh files by the name that the URDF uses."""
     base_link: str
@@ -103,22 +103,22 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     jaw: Jaw | None = None
     """None: not a two-finger hand."""
     extent: float
-    """The largest side of the bounding box of its collision shapes, joints at zero, base frame [m]."""
+    """Largest side of the box around its collision shapes, joints at zero, base frame [m]."""
 
     @property
     def reach(self) -> float:
-        """The farthest that the base frame can be from the surface point that the palm looks at [m]."""
+        """Largest distance of the base frame from the surface point that the palm looks at [m]."""
         return self.palm_offset + self.standoff[1]
 
 
 class SceneObject(Struct, frozen=True, kw_only=True):
-    """A rigid object. Geometry is in the centre-of-mass frame: origin at the CoM, axes of the mesh."""
+    """A rigid object in its centre-of-mass frame: origin at the CoM, axes of the mesh."""
 
     name: str
     source: str
     licence: str
     collision_source: str
-    """Where the convex parts came from: "own parts", "own hull", "asset path" or "coacd"."""
+    """Source of the parts: "own parts", "own hull", "asset path" or "coacd"."""
     mass: float
     lateral_friction: float
     rolling_friction: float
@@ -141,7 +141,7 @@ class SceneObject(Struct, frozen=True, kw_only=True):
 
 
 class Scene(Struct, frozen=True, kw_only=True):
-    """What a worker needs to evaluate genomes."""
+    """All that a worker needs to evaluate genomes."""
 
     format: int = FORMAT
     protocol: str
@@ -171,27 +171,21 @@ class Scene(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Bundle:
-    """A scene as bytes, with its name."""
+    """A scene as bytes, with the sha256 that is its name."""
 
     payload: bytes
     digest: str
 
 
 def pack_scene(scene: Scene) -> Bundle:
-    """The canonical bytes of a scene and their sha256."""
+    """Return the canonical bytes of a scene and their sha256."""
     values = msgspec.to_builtins(scene, builtin_types=(bytes,), order="sorted")
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 
 
 def unpack_scene(payload: bytes) -> Scene:
-    """The scene in a bundle.
-
-    Raises
-    ------
-    MessageError
-        These bytes are not a scene of this format.
-    """
+    """Return the scene in a bundle; `MessageError` if the bytes are not a scene of this format."""
     try:
         values = msgpack.unpackb(payload, max_ext_len=0)
         came = values.get("format") if isinstance(values, dict) else None
@@ -200,3 +194,14 @@ def unpack_scene(payload: bytes) -> Scene:
         return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None
+
+
+def vector(values: Floats) -> Vector:
+    """Return three numbers as plain floats."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def unit_vector(axis: Vector) -> Vector:
+    """Return a direction scaled to length 1."""
+    return vector(np.array(axis) / np.linalg.norm(axis))

@@ -13,42 +13,39 @@ What a program needs of it (docs/python.md):
 
 TYPE_CHECKING = False  # that of `typing`, which takes longer to load than all that is here
 if TYPE_CHECKING:
-    from qdgrasp.evaluations import Evaluations
-    from qdgrasp.optimising import Search, optimise
-    from qdgrasp.places import Place
+    from qdgrasp.backend import Place
+    from qdgrasp.evaluations import Evaluations, evaluate
+    from qdgrasp.evaluator_worker import serve
+    from qdgrasp.optimisation import Search, optimise
     from qdgrasp.runs import Run, open  # noqa: A004  # said as qdgrasp.open
-    from qdgrasp.scoring import evaluate
-    from qdgrasp.serving import serve
     from qdgrasp_assets.scene import Scene
-    from qdgrasp_coordinator.exchange.grasps import Grasp, Grasps
+    from qdgrasp_coordinator.export.grasp_set import Grasp, Grasps
     from qdgrasp_protocol.errors import InputError, QdgraspError
-    from qdgrasp_protocol.genome import Genomes, Layout
-    from qdgrasp_protocol.outcome import Outcome
-    from qdgrasp_protocol.rows import Rows
+    from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
     from qdgrasp_protocol.spec import RunSpec
-    from qdgrasp_worker.serving.judge import Hands, Verdicts
+    from qdgrasp_worker.runtime.evaluator_api import Hands, Verdicts
 
 HOMES = {
     "Evaluations": "qdgrasp.evaluations",
-    "Genomes": "qdgrasp_protocol.genome",
-    "Grasp": "qdgrasp_coordinator.exchange.grasps",
-    "Grasps": "qdgrasp_coordinator.exchange.grasps",
-    "Hands": "qdgrasp_worker.serving.judge",
+    "Genomes": "qdgrasp_protocol.rows",
+    "Grasp": "qdgrasp_coordinator.export.grasp_set",
+    "Grasps": "qdgrasp_coordinator.export.grasp_set",
+    "Hands": "qdgrasp_worker.runtime.evaluator_api",
     "InputError": "qdgrasp_protocol.errors",
-    "Layout": "qdgrasp_protocol.genome",
-    "Outcome": "qdgrasp_protocol.outcome",
-    "Place": "qdgrasp.places",
+    "Layout": "qdgrasp_protocol.rows",
+    "Outcome": "qdgrasp_protocol.rows",
+    "Place": "qdgrasp.backend",
     "QdgraspError": "qdgrasp_protocol.errors",
     "Rows": "qdgrasp_protocol.rows",
     "Run": "qdgrasp.runs",
     "RunSpec": "qdgrasp_protocol.spec",
     "Scene": "qdgrasp_assets.scene",
-    "Search": "qdgrasp.optimising",
-    "Verdicts": "qdgrasp_worker.serving.judge",
-    "evaluate": "qdgrasp.scoring",
+    "Search": "qdgrasp.optimisation",
+    "Verdicts": "qdgrasp_worker.runtime.evaluator_api",
+    "evaluate": "qdgrasp.evaluations",
     "open": "qdgrasp.runs",
-    "optimise": "qdgrasp.optimising",
-    "serve": "qdgrasp.serving",
+    "optimise": "qdgrasp.optimisation",
+    "serve": "qdgrasp.evaluator_worker",
 }
 """The module of each name, loaded when the name is used first."""
 

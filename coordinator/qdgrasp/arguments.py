@@ -1,25 +1,31 @@
-"""Arguments: what a program hands in, looked at before anything is started or written."""
+"""Checks what a program hands in before anything is started or written.
+
+Paths, numbers and texts; a gripper, an object and a protocol as keyword arguments; and arrays of genomes.
+"""
 
 import os
 from collections.abc import Callable, Iterable
 from math import inf
 from pathlib import Path
 from sys import maxsize
-from typing import TypeVar
+from typing import Any, Required, TypedDict, TypeVar
 
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qdgrasp_assets.genes import PRIOR_GENES, layout
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
+from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
+from qdgrasp_protocol.spec import ProtocolName, RunSpec, run_spec
 
 Made = TypeVar("Made")
 
 
 def path_of(name: str, value: str | os.PathLike[str]) -> Path:
-    """A path.
-
-    Raises
-    ------
-    ImpossibleValue
-        It is none.
-    """
+    """Return a path; raises ImpossibleValue for another type."""
     try:
         return Path(value)
     except TypeError:
@@ -27,20 +33,20 @@ def path_of(name: str, value: str | os.PathLike[str]) -> Path:
 
 
 def check_text(name: str, value: object) -> None:
-    """Check a text that may be left out; raises ImpossibleValue where it is none, or empty."""
+    """Check a text that may be None; raises ImpossibleValue for an empty one or another type."""
     if value is not None and not (isinstance(value, str) and value):
         raise ImpossibleValue(name, value, "text")
 
 
 def check_whole(name: str, value: object, least: int, most: float = inf) -> None:
-    """Check a whole number that may be left out; raises ImpossibleValue where it is none or out of bounds."""
+    """Check an integer that may be None; raises ImpossibleValue outside its bounds."""
     if value is not None and not (isinstance(value, int) and _is_within(value, least, most)):
         bounds = f"at least {least}" if most == inf else f"from {least} to {most}"
         raise ImpossibleValue(name, value, f"a whole number, {bounds}")
 
 
 def check_seconds(name: str, value: object, least: float) -> None:
-    """Check a time [s]; raises ImpossibleValue where it is none, or out of bounds."""
+    """Check a time [s]; raises ImpossibleValue below `least` or for another type."""
     if not (isinstance(value, int | float) and _is_within(value, least, maxsize)):
         raise ImpossibleValue(name, value, f"seconds, at least {least:g}")
 
@@ -49,22 +55,103 @@ def _is_within(value: float, least: float, most: float) -> bool:
     return not isinstance(value, bool) and least <= value <= most
 
 
-def made_by(name: str, make: Callable[..., Made], of: object, verbs: Iterable[str]) -> Made:
-    """What a program's function makes of something.
-
-    Parameters
-    ----------
-    verbs
-        The methods that what it makes must have.
-
-    Raises
-    ------
-    InputError
-        It is no function, or makes something else. What it raises itself goes through.
-    """
+def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterable[str]) -> Made:
+    """Call a program's factory, and check that the result has these methods; else InputError."""
     if not callable(make):
         raise ImpossibleValue(name, make, "a class or function that is called with the genes")
     made = make(of)
     if missing := [verb for verb in verbs if not callable(getattr(made, verb, None))]:
         raise InputError(f"What {name} makes, {made!r}, has no {' and no '.join(missing)}.")
     return made
+
+
+class SceneArguments(TypedDict, total=False):
+    """Gripper, object and evaluation protocol; keys left out are as in `qdgrasp run`."""
+
+    gripper: Required[str | os.PathLike[str]]
+    """A built-in gripper, one on the asset path, or a gripper's TOML file."""
+    object: Required[str | os.PathLike[str]]
+    """A built-in object, one on the asset path, or a mesh file."""
+    mass: float | None
+    """Of the object [kg]; needed for a mesh file."""
+    scale: float | None
+    """Metres to a unit of the mesh file: 0.001 where it is in millimetres; 1."""
+    friction: float | None
+    """The object's lateral friction coefficient; 0.5."""
+    protocol: ProtocolName
+    """"paper", "released" or "robust" (docs/protocols.md)."""
+    surface_seed: int
+    """Seed of the surface points; 0."""
+
+
+def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec:
+    """Return the spec of keyword arguments, files as absolute paths; InputError for wrong ones."""
+    for name in scene_arguments:
+        if name not in SceneArguments.__annotations__:
+            raise UnknownName("keyword", name, SceneArguments.__annotations__)
+    for name in sorted(SceneArguments.__required_keys__):
+        if scene_arguments.get(name) is None:
+            raise InputError(f"qdgrasp: '{name}' is missing; say {name}=... with a name or a file.")
+    values = {name: value for name, value in ({**scene_arguments, **more}).items() if value is not None}
+    for name in ("gripper", "object"):
+        if isinstance(values.get(name), os.PathLike):
+            values[name] = os.fspath(values[name])
+        if name in values:
+            values[name] = absolute_asset(values[name])
+    return run_spec(values, "qdgrasp")
+
+
+POSE_COLUMNS = PoseNames(
+    "genomes (x y z)", "genomes (qx qy qz qw)", "genomes (synergy)", "genomes (free joints)"
+)
+"""Names of the columns of genomes of the prior `given`, for error messages."""
+
+
+def layout_of(scene: Scene, prior: str) -> Layout:
+    """Return the genes of a prior with a scene.
+
+    Raises
+    ------
+    UnknownName
+        There is no such prior.
+    JawNeeded
+        It is for two-finger hands, and this is another one.
+    """
+    if prior not in PRIOR_GENES:
+        raise UnknownName("prior", prior, PRIOR_GENES)
+    return layout(scene, prior)
+
+
+def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
+    """Return genomes (n, d) as float32.
+
+    Raises
+    ------
+    ImpossibleValue
+        Another shape, or a number that is not finite or, but for the prior `given`, outside [-1, 1].
+    """
+    expected = f"numbers of shape (n, {len(layout)}): {', '.join(layout.names)}"
+    try:
+        genomes: Genomes = np.array(values, dtype=np.float32, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"genomes must be {expected}; {error}.") from None
+    if genomes.ndim != 2 or genomes.shape[1] != len(layout):
+        raise ImpossibleValue("genomes", genomes.shape, expected)
+    limit = np.inf if layout.prior == GIVEN else 1.0
+    wrong = genomes[~(np.isfinite(genomes) & (np.abs(genomes) <= limit))]
+    if len(wrong):
+        bounds = "finite" if layout.prior == GIVEN else "in [-1, 1]"
+        raise ImpossibleValue("genomes", float(wrong[0]), f"{bounds} ({len(wrong)} numbers are not)")
+    return genomes
+
+
+def check_fixed_poses(genomes: Genomes, hand: SceneGripper) -> None:
+    """Check that genomes (n, d) of the prior `given` are poses, and synergies that a hand has.
+
+    Raises
+    ------
+    InputError
+        A quaternion is of length zero, a position is beyond all measure, or there is no such synergy.
+    """
+    labels = genomes[:, 7] if hand.synergies else None
+    HandPoses.of(POSE_COLUMNS, genomes[:, :3], genomes[:, 3:7], labels).check(hand)

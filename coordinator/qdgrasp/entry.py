@@ -1,6 +1,7 @@
-"""Where the commands begin: before anything else is loaded, so that a signal ends them without a trace.
+"""Entry points of the commands.
 
-Loading takes a part of a second. From then on `run_command` and `lifetime` hear the signals.
+Signals are handled before anything else is loaded, so that they end a command without a traceback. Loading
+takes a part of a second; from then on `run_command` and `lifetime` handle them.
 """
 
 import os
@@ -16,22 +17,22 @@ def qdgrasp() -> None:
 
 def coordinator() -> None:
     """Entry point of `qdgrasp-coordinator`."""
-    _enter("qdgrasp_coordinator.cli.coordinator")
+    _enter("qdgrasp_coordinator.cli.coordinator_process")
 
 
 def monitor() -> None:
     """Entry point of `qdgrasp-monitor`."""
-    _enter("qdgrasp_coordinator.cli.monitor")
+    _enter("qdgrasp_coordinator.cli.monitor_process")
 
 
 def recorder() -> None:
     """Entry point of `qdgrasp-recorder`."""
-    _enter("qdgrasp_coordinator.cli.recorder")
+    _enter("qdgrasp_coordinator.cli.recorder_process")
 
 
 def router() -> None:
     """Entry point of `qdgrasp-router`."""
-    _enter("qdgrasp_coordinator.cli.router")
+    _enter("qdgrasp_coordinator.cli.router_process")
 
 
 def worker() -> None:

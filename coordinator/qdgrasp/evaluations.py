@@ -1,38 +1,79 @@
-"""Evaluations: rows of genomes, whenever a program wants some."""
+"""Evaluates genomes and hand poses whenever a program wants that."""
 
 import signal
 import tempfile
 import threading
+from concurrent.futures import Future
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Self, Unpack
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp.genomes import check_given, checked, layout_of
-from qdgrasp.lots import Lot, Lots
-from qdgrasp.places import HERE, Place, Quiet, check_place, opened
-from qdgrasp.scenery import Scenery, spec_of
+from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
+from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.counts.scores import sums
-from qdgrasp_coordinator.runs.assignment import Assignment
-from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.runs.preparation import scene_shape
-from qdgrasp_coordinator.searches.given import Given
-from qdgrasp_coordinator.serving.record import Memory
-from qdgrasp_coordinator.watching.stage import Stage
+from qdgrasp_coordinator.local.session import LocalSession
+from qdgrasp_coordinator.metrics.scores import trial_sums
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, row_shape
+from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, HandPoses, PoseNames, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
-from qdgrasp_protocol.genome import GIVEN, Genomes
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.phrases import counted
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import GIVEN, Genomes, Rows, trial_count
 from qdgrasp_protocol.spec import to_toml
-from qdgrasp_protocol.trials import trials
+from qdgrasp_protocol.text import counted
 
-GENERATION = 4096
-"""Genomes that are handed out before the first result is waited for."""
+
+class GenomeRequest:
+    """Genomes that were asked for together, and their rows."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.plan = plan
+        self.memory = MemorySink(plan.shape)
+        self.rows: Future[Rows] = Future()
+        """Rows as in a journal, trials too."""
+
+    def settle(self) -> None:
+        """Set the result once all rows are there."""
+        if self.plan.pipeline.finished is not None and not self.rows.done():
+            self.rows.set_result(self.memory.rows)
+
+    def fail(self, why: BaseException) -> None:
+        """Pass an error to the thread that waits for the rows."""
+        if not self.rows.done():
+            self.rows.set_exception(why)
+
+
+class GenomeRequests:
+    """A run queue that is filled while it is being worked off, until it is closed."""
+
+    def __init__(self) -> None:
+        self.extent = JobExtent.of({})
+        self._waiting: SimpleQueue[RunPlan | None] = SimpleQueue()
+
+    def put(self, plan: RunPlan) -> None:
+        """Add a run."""
+        self._waiting.put(plan)
+
+    def close(self) -> None:
+        """End the queue."""
+        self._waiting.put(None)
+
+    def next(self) -> RunPlan | None:
+        """Wait for the next run; None when the queue is closed."""
+        return self._waiting.get()
+
+    def put_back(self, run: str) -> None:
+        """Do nothing: rows in memory are not lost."""
+
+
+GENERATION = 4096  # genomes handed out before the first result is awaited
 
 
 class Evaluations:
@@ -45,7 +86,7 @@ class Evaluations:
     Parameters
     ----------
     prior
-        How genomes are decoded: "contact", "approach", "antipodal", "spherical", "aimed" or "given"
+        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed" or "given"
         (docs/methods.md).
     place
         Where it is done.
@@ -66,43 +107,45 @@ class Evaluations:
     (2.0, (100, 7))
     """
 
-    def __init__(self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[Scenery]) -> None:
+    def __init__(
+        self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[SceneArguments]
+    ) -> None:
         check_place(place)
-        self.spec = spec_of(scenery)
+        self.spec = spec_from_arguments(scenery)
         self.scene = build_scene(self.spec)
         """The gripper and the object as they are simulated."""
         self.prior = prior
         self.layout = layout_of(self.scene, prior)
         """The genes: names, and what -1 and 1 stand for."""
         self._bundle = pack_scene(self.scene)
-        self._shape = scene_shape(self.scene, prior)
+        self._shape = row_shape(self.scene, prior)
         self.endpoint = ""
-        """Where its bus is, within the with-block: other workers may join there, and `qdgrasp jobs` looks."""
+        """Endpoint of its bus within the with-block; other workers and `qdgrasp jobs` may connect."""
         self._place = place
-        self._lots = Lots()
-        self._pending: list[Lot] = []  # asked for by this thread or that, looked after by the coordinator's
+        self._queue = GenomeRequests()
+        self._pending: list[GenomeRequest] = []
         self._count = count(1)
         self._stop = Stop()
-        self._doors: ExitStack | None = None
+        self._open: ExitStack | None = None
         self._end: BaseException | None = None
 
     def __enter__(self) -> Self:
-        with ExitStack() as doors:
-            logs = Path(doors.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
-            stage = doors.enter_context(opened(self._place, logs, Quiet()))
-            stage.hire_workers(self._place.hands)
-            self.endpoint = stage.endpoint
-            thread = threading.Thread(target=self._serve, args=(stage,), name="evaluations", daemon=True)
+        with ExitStack() as stack:
+            logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
+            session = stack.enter_context(open_place(self._place, logs, SilentProgress()))
+            session.start_workers(self._place.hands)
+            self.endpoint = session.endpoint
+            thread = threading.Thread(target=self._serve, args=(session,), name="evaluations", daemon=True)
             thread.start()
-            doors.callback(thread.join)
-            doors.callback(self._leave)
-            self._doors = doors.pop_all()
+            stack.callback(thread.join)
+            stack.callback(self._leave)
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._doors is not None:
-            self._doors.close()
-            self._doors = None
+        if self._open is not None:
+            self._open.close()
+            self._open = None
 
     def evaluate(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
         """Evaluate genomes, in the order that they have.
@@ -126,72 +169,128 @@ class Evaluations:
         ImpossibleValue
             They have another shape, or hold what a genome, a pose or the hand cannot.
         TimeoutError
-            The time is over. What was asked is evaluated all the same, and nobody gets its rows.
+            The time is over. The genomes are evaluated all the same, and their rows are dropped.
         EndedEarly
-            Somebody cancelled the job, or workers die again and again.
+            The job was cancelled, or workers die again and again.
         """
         rows = self.journal(genomes, timeout)
         nominal: Rows = rows[rows["trial"] == 0]
-        nominal["fitness"] = sums(rows, trials(self.spec.protocol))
+        nominal["fitness"] = trial_sums(rows, trial_count(self.spec.protocol))
         return nominal
 
     def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
-        """The same with every row that a journal would have, trials too, and nominal fitness."""
-        if self._doors is None:
+        """Return every row that a journal would have, trials too, with nominal fitness."""
+        if self._open is None:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
-        asked = checked(genomes, self.layout)
+        asked = check_genomes(genomes, self.layout)
         if not len(asked):
             return self._shape.empty(0)
         if self.prior == GIVEN:
-            check_given(asked, self.scene.gripper)
-        lot = Lot(self._assignment(asked))
-        self._pending.append(lot)
-        self._lots.put(lot.assignment)
+            check_fixed_poses(asked, self.scene.gripper)
+        request = GenomeRequest(self._plan(asked))
+        self._pending.append(request)
+        self._queue.put(request.plan)
         if self._end is not None:
             raise self._end
         try:
-            return lot.rows.result(timeout)
+            return request.rows.result(timeout)
         except TimeoutError:
             genomes = counted(len(asked), "genome")
             raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
 
-    def _assignment(self, genomes: Genomes) -> Assignment:
+    def _plan(self, genomes: Genomes) -> RunPlan:
         pipeline = Pipeline(
-            Given(genomes, GENERATION),
+            FixedPoseSearch(genomes, GENERATION),
             self._shape,
             evaluations=len(genomes),
             overlaps="count",
             generations_in_flight=2,
-            trials=trials(self.spec.protocol),
+            trials=trial_count(self.spec.protocol),
         )
         spec = to_toml(self.spec).encode()
-        return Assignment(
+        return RunPlan(
             f"lot-{next(self._count)}", spec, self._bundle, self.prior, self._shape, pipeline, len(genomes)
         )
 
-    # What follows runs in a thread of its own.
+    # The thread of the coordinator.
 
-    def _serve(self, stage: Stage) -> None:
-        """Be the coordinator until the with-block is left."""
+    def _serve(self, session: LocalSession) -> None:
+        """Coordinate the job until the with-block is left."""
         try:
-            stage.coordinate(self._lots, self._record, self._stop, self._place.batch_size, self._look)
-        except BaseException as error:  # noqa: BLE001  # it is raised where somebody waits
+            session.coordinate(self._queue, self._record, self._stop, self._place.batch_size, self._settle)
+        except BaseException as error:  # noqa: BLE001  # it is raised in the threads that wait
             self._end = error
         else:
             self._end = EndedEarly("The job has ended.")
-        for lot in self._pending:
-            lot.fail(self._end)
+        for request in self._pending:
+            request.fail(self._end)
 
-    def _look(self) -> None:
-        for lot in list(self._pending):
-            lot.look()
-            if lot.rows.done():
-                self._pending.remove(lot)
+    def _settle(self) -> None:
+        for request in list(self._pending):
+            request.settle()
+            if request.rows.done():
+                self._pending.remove(request)
 
-    def _record(self, assignment: Assignment) -> Memory:
-        """Where the rows of a lot go."""
-        return next(lot.memory for lot in self._pending if lot.assignment is assignment)
+    def _record(self, plan: RunPlan) -> MemorySink:
+        """Return the sink for the rows of a request."""
+        return next(request.memory for request in self._pending if request.plan is plan)
 
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)
-        self._lots.close()
+        self._queue.close()
+
+
+POSE_KEYWORDS = PoseNames("positions", "quaternions_xyzw", "synergies", "spreads")
+
+
+def evaluate(
+    positions: ArrayLike,
+    quaternions_xyzw: ArrayLike,
+    *,
+    synergies: ArrayLike | None = None,
+    spreads: ArrayLike | None = None,
+    place: Place = HERE,
+    **scenery: Unpack[SceneArguments],
+) -> dict[str, NDArray[np.generic]]:
+    """Score arrays of hand poses, as `qdgrasp evaluate` does for files.
+
+    Parameters
+    ----------
+    positions
+        (n, 3) [m]: of the hand's root link, in the object's centre-of-mass frame.
+    quaternions_xyzw
+        (n, 4): of the same; brought to length one.
+    synergies
+        (n,): labels of the synergies that close, -1 for none; None: none.
+    spreads
+        (n, k): positions of the free joints [rad], NaN for open; None: open.
+    place
+        Where it is done.
+    **scenery
+        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
+
+    Returns
+    -------
+    scores
+        Arrays of n by name: `valid`, `touched`, `success` (bool), `fitness` (0 to 2), `outcome` (`Outcome`),
+        `base_position`, `base_quaternion_xyzw`, `joints` (n, j), `contacts`, `penetration` [m]; with a
+        protocol that has trials also `eta`.
+
+    Raises
+    ------
+    InputError
+        A name that is not known, a value that cannot be, or a file that cannot be used.
+
+    Examples
+    --------
+    >>> scores = qdgrasp.evaluate([[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]], gripper="panda", object="mug")
+    >>> scores["success"], scores["fitness"]
+    (array([ True]), array([2], dtype=uint8))
+    """
+    poses = HandPoses.of(POSE_KEYWORDS, positions, quaternions_xyzw, synergies, spreads)
+    evaluations = Evaluations(prior=GIVEN, place=place, **scenery)
+    genomes = poses.genomes(evaluations.scene)
+    place.check_hands()
+    with evaluations:
+        rows = evaluations.journal(genomes)
+    return scores(rows, trial_count(evaluations.spec.protocol))

@@ -1,4 +1,4 @@
-"""A run to read: its folder, its grasps, and every row of its journal."""
+"""Reads a run: its folder, its grasps, and every row of its journal."""
 
 import os
 from collections.abc import Iterator
@@ -9,19 +9,16 @@ import numpy as np
 from qdgrasp.arguments import path_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.campaigns.summary import Summary, summary
-from qdgrasp_coordinator.exchange.choosing import choose
-from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.taking import read_grasps
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.searches.search import method
-from qdgrasp_protocol.genome import Layout
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
+from qdgrasp_coordinator.export.grasp_set import Grasps, read_run, select_grasps
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 
 class Run:
-    """A run's folder, to read, also while the run goes on: each call tells what is recorded by then.
+    """A run's folder, for reading; each call returns what is recorded by then.
 
     Parameters
     ----------
@@ -45,7 +42,7 @@ class Run:
 
     @property
     def spec(self) -> RunSpec:
-        """What was asked for: gripper, object, method, protocol, seed, budget."""
+        """Its spec: gripper, object, method, protocol, seed, budget."""
         return self._folder.spec
 
     @cached_property
@@ -59,21 +56,21 @@ class Run:
         return layout(self.scene, method(self.spec.method).prior)
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> RunSummary:
         """The figures that `qdgrasp info` prints, counted from the journal."""
-        return summary(self._folder)
+        return run_summary(self._folder)
 
     def grasps(self, *, min_fitness: float = 1, top: int | None = None, diverse: int | None = None) -> Grasps:
-        """The grasps that it has found, as arrays.
+        """Return the grasps found so far, as arrays.
 
         Parameters
         ----------
         min_fitness
-            Shakes survived, at least: 1 for grasps, 2 for robust ones, 0 for all successes.
+            Least number of shakes survived: 1 for grasps, 2 for robust ones, 0 for all successes.
         top
-            So many at most, best first.
+            At most so many, best first.
         diverse
-            So many at most, well spread over positions and orientations, the best one first.
+            At most so many, well spread over positions and orientations, the best one first.
 
         Returns
         -------
@@ -88,24 +85,23 @@ class Run:
         >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
         ...     print(grasp.number, grasp.position, grasp.quaternion_xyzw, grasp.joints)
         """
-        return choose(read_grasps(self._folder), min_fitness, top, diverse)
+        return select_grasps(read_run(self._folder), min_fitness, top, diverse)
 
     def rows(self) -> Rows:
-        """Every row of the journal (n,), failures and trials too, as one structured array.
+        """Return every row of the journal (n,), failures and trials too, as a structured array.
 
         The columns stand in docs/run-folder.md. A folder that was pruned or merged has the successes alone.
         """
         parts = list(self.blocks())
-        return np.concatenate(parts) if parts else self._empty()
-
-    def blocks(self) -> Iterator[Rows]:
-        """The same some thousands at a time, for runs that do not fit into memory."""
-        with self._folder.journal() as journal:
-            yield from journal.kept()
-
-    def _empty(self) -> Rows:
+        if parts:
+            return np.concatenate(parts)
         with self._folder.journal() as journal:
             return journal.shape.empty(0)
+
+    def blocks(self) -> Iterator[Rows]:
+        """Yield the same rows some thousands at a time, for runs that do not fit into memory."""
+        with self._folder.journal() as journal:
+            yield from journal.kept()
 
 
 def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.open

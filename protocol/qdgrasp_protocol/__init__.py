@@ -1,1 +1,1 @@
-"""The contract of qdgrasp: words, specs, messages and the bus they travel on."""
+"""The contract between processes: specs, rows, messages and the bus they travel on."""

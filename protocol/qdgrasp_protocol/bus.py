@@ -1,7 +1,7 @@
-"""The one interface to the outside: what qdgrasp needs of a message bus, and no more.
+"""The interface of the message bus: all that qdgrasp needs of one, and no more.
 
-`zenoh_bus` carries it over Eclipse Zenoh, `local_bus` is its in-memory twin; one contract test class
-runs over both. Callbacks come from threads of the bus: they put what they got on a queue and return.
+`zenoh_bus` carries it over Eclipse Zenoh, `memory_bus` is its in-memory twin; one contract test class runs
+over both. Callbacks come from threads of the bus: they put what they got on a queue and return.
 """
 
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ log = structlog.get_logger()
 
 
 class Channel(Enum):
-    """How a message travels (docs/bus.md, keys)."""
+    """Delivery class of a message (docs/bus.md, keys)."""
 
     DATA = "data"
     """Reliable, blocks when the link is full."""
@@ -40,11 +40,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class Query:
-    """A question that arrived."""
+    """A query that arrived."""
 
     key: str
     parameters: str
-    """What stands behind the `?`: `"i=3"`."""
+    """The part of the selector after the `?`: `"i=3"`."""
     payload: bytes
 
 
@@ -53,27 +53,24 @@ QueryHandler = Callable[[Query], bytes]
 """Answers a query.
 
 Raising `Refused` becomes an error reply that carries the reason, `NoReply` leaves the asker without an
-answer; anything else is a fault of ours: it is logged, and the asker hears the error's name as `Faulty`.
+answer; any other exception is an internal error: it is logged, and the asker gets its name as `Faulty`.
 """
 ValuesHandler = Callable[[Query], Mapping[str, bytes]]
-"""Answers a query that may be a pattern, with values by their concrete keys; raises as a `QueryHandler`."""
+"""Answers a query, possibly a pattern, with values by key; raises as a `QueryHandler`."""
 TokenHandler = Callable[[str, bool], None]
-"""Told a key and whether its token is alive (True) or gone (False)."""
+"""Takes a key, and True if its token is alive, False if it is gone."""
 
 
 class Declaration(AbstractContextManager[Any]):
     """Something a session declared: it holds from the call that made it until its context ends.
 
-    Parameters
-    ----------
-    undo
-        Takes it back; called once.
+    `undo` takes it back; it is called once.
     """
 
     def __init__(self, undo: Callable[[], object] = lambda: None) -> None:
         self.undo = undo
         self.holds = True
-        """False from the moment the context ends: what still arrives then is not handed on."""
+        """False once the context has ended: what arrives later is not delivered."""
 
     def __exit__(self, *_: object) -> None:
         if self.holds:
@@ -81,22 +78,19 @@ class Declaration(AbstractContextManager[Any]):
             self.undo()
 
 
-class Ring(Declaration, ABC):
-    """What was heard lately and is not taken yet: so many messages at most, the newest.
-
-    Nobody waits for whoever reads it: where it is full, the eldest message gives way to the next.
-    """
+class RingBuffer(Declaration, ABC):
+    """The newest messages that are not taken yet: when it is full, the oldest gives way."""
 
     def __enter__(self) -> Self:
         return self
 
     @abstractmethod
     def take(self) -> list[Sample]:
-        """Take all that is there, eldest first, without waiting; nothing once the context has ended."""
+        """Take all messages, oldest first, without waiting; empty once the context has ended."""
 
 
-def failure(error: Exception, key: str) -> BusError:
-    """What the asker is told of an error in a query handler; `NoReply`: nothing."""
+def reply_error(error: Exception, key: str) -> BusError:
+    """Return the error that the asker gets for an exception in a query handler."""
     if isinstance(error, Refused | NoReply):
         return error
     log.error("a query was not answered", key=key, exc_info=error)
@@ -104,11 +98,12 @@ def failure(error: Exception, key: str) -> BusError:
 
 
 class Bus(ABC):
-    """One session on the bus. A context manager: leaving it closes the session and all it declared.
+    """One session on the bus.
 
-    Keys are concrete; patterns may hold `*` (one chunk) and `**` (any number of chunks), which never match
-    a chunk that begins with `@`. Messages of one session on one channel arrive in the order they were put.
-    What a handler raises is logged. Every call on a closed session raises `BusError`.
+    A context manager: leaving it closes the session and all it declared. Keys are concrete; patterns may
+    hold `*` (one chunk) and `**` (any number of chunks), which never match a chunk that begins with `@`.
+    Messages of one session on one channel arrive in the order they were put. Exceptions of handlers are
+    logged. Every call on a closed session raises `BusError`.
     """
 
     @abstractmethod
@@ -117,61 +112,55 @@ class Bus(ABC):
 
     @abstractmethod
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear every message whose key matches `pattern` until the context ends."""
+        """Call `handler` with every message whose key matches `pattern` until the context ends."""
 
     @abstractmethod
-    def ring(self, pattern: str, capacity: int) -> Ring:
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
         """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
 
-        For whoever only watches: no code of ours runs when a message comes, and a reader that stops reading
-        holds nobody up.
+        For processes that only watch: no code of ours runs when a message comes, and a reader that stops
+        reading holds up no other.
         """
 
-    @abstractmethod
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
+        return self.answer_values(pattern, lambda query: {query.key: handler(query)})
 
     @abstractmethod
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
-        """Query `key` and return the first answer; where nobody answers on `key` it fails at once.
+        """Query `key` and return the first answer; it fails at once if there is no queryable.
 
-        Raises
-        ------
-        Refused
-            The other side answered with a reason why not.
-        NoReply
-            Nobody answers there, or not within `timeout` seconds.
-        Faulty
-            The other side failed.
+        Refused if the other side gives a reason why not, NoReply if there is no answer within `timeout`
+        seconds, and Faulty if the other side failed.
         """
 
     @abstractmethod
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
-        """Answer queries on `pattern`, which may be patterns too, with any number of values, each by its key.
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries on `pattern`, which may be patterns too, with any number of values by key.
 
         Values whose keys do not match what was asked are left out.
         """
 
     @abstractmethod
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query whatever matches `pattern`; gives all values that came within `timeout` seconds, by key."""
+        """Query all keys that match `pattern`; returns the values that came in time, by key."""
 
     @abstractmethod
     def token(self, key: str) -> AbstractContextManager[None]:
-        """Show that this session is alive under `key`, until the context ends or the session dies."""
+        """Declare a liveliness token on `key`, until the context ends or the session dies."""
 
     @abstractmethod
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of every token that matches `pattern`: those alive now, and then each change.
+        """Call `handler` for every token that matches `pattern`: those alive now, then each change.
 
         While the session is cut off, every token of others counts as gone.
         """
 
     @abstractmethod
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear when this session is cut off from the bus (False) and when it is back (True).
+        """Call `handler` when this session loses its router (False) and when it is back (True).
 
-        A session that is itself the router is never cut off: a client that leaves it is no news here.
+        A session that is itself the router never loses it; clients that leave are not reported.
         """
 
     @abstractmethod
@@ -183,3 +172,19 @@ class Bus(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class DropCounter:
+    """Counter of dropped messages; the first, second, fourth, eighth ... is logged."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def note(self, key: str, reason: object) -> None:
+        """Count a dropped message, with the reason for the log."""
+        self.count += 1
+        if self.count & (self.count - 1) == 0:
+            log.warning("dropped a message", key=key[:MAX_SHOWN_KEY], reason=str(reason), dropped=self.count)
+
+
+MAX_SHOWN_KEY = 200  # The most characters of a key that are told

@@ -6,11 +6,11 @@
         * UnknownKey             a key that no field of a spec has
         * ImpossibleValue        a value outside what a field allows
         * EndsTooSoon            a run that is to end before what is recorded of it
-        * JawNeeded              a prior for two-finger hands, and a hand that is none
+        * JawNeeded              a prior for two-finger hands with another hand
         * AssetError             a file, mesh, URDF or gripper that cannot be used
-            * WrongScan              what was fetched is not what it must be
+            * WrongScan              a fetched file is not the one expected
             * UnusableMeshes         mesh files of which no objects can be made
-            * TookTooLong            a mesh that is not decomposed in time
+            * DecompositionTimeout   a mesh that is not decomposed in time
         * FolderError            a run folder that cannot be used
             * NoFolder               a path where no folder is
             * DiskFull               there is no room to write in it
@@ -19,7 +19,7 @@
         * NoSuchRow              a number that no row of a journal has
         * NoSuchTrial            a trial that is not recorded of a row
         * NoPose                 a row without a pose that could be shown
-        * Unusable               a file that no grasps can be read from
+        * UnreadableGrasps       a file that no grasps can be read from
         * ReplayError            a journal that its own spec does not replay to
         * RunFailed              a run of a job that cannot be carried out
         * RunsFailed             runs of a job that could not be, when the others are
@@ -27,22 +27,22 @@
             * NotListening           a router cannot listen there
             * Unreachable            no router answers there
         * SecurityError          certificates or keys that cannot be used
-        * Trouble                something that a run needs is not on this machine
+        * MissingRequirement     something that a run needs is not on this machine
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
             * PlatformDiffers        a worker's platform is not the job's
             * RefusedByJob           the only job of a worker does not take it: exit code 2
-        * NoReply                nobody answered
+        * NoReply                no answer came
         * Faulty                 the other side failed by a fault of its own
     * MessageError           a message that is not of the protocol; counted and dropped
         * TooLarge               a scene that is larger than one can be
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * NoSimulator            a simulator that ends before it has evaluated the probes
     * OtherPlatform          the package was changed while a worker ran
-    * NotReplayed            the process that replays ended without an answer
-    * BadVerdict             what an evaluator gave is no verdict on what it was given
+    * ReplayFailed           the process that replays ended without an answer
+    * BadVerdict             a verdict that is not one on the hands that were given
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
-        * Cancelled              somebody told the coordinator to end: its exit code is 0
+        * Cancelled              an admin told the coordinator to end: its exit code is 0
         * TookOver               another coordinator goes on with it: exit code 3
 """
 
@@ -50,11 +50,11 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
-from qdgrasp_protocol.phrases import few, quoted
+from qdgrasp_protocol.text import first_few, quoted
 
 
 class QdgraspError(Exception):
-    """The root of the family. `exit_code` is what a command that ends with it returns."""
+    """Base class of all errors; `exit_code` is that of a command that ends with it."""
 
     exit_code = 1
 
@@ -66,19 +66,7 @@ class InputError(QdgraspError):
 
 
 class UnknownName(InputError):
-    """A name that no table has.
-
-    Parameters
-    ----------
-    kind
-        What was named: "gripper", "object", "method" ...
-    name
-        The name that came.
-    known
-        The names that exist.
-    hint
-        What to do besides choosing one of them.
-    """
+    """A name of some kind ("gripper", "object" ...) that no table has; `hint` is further advice."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         names = sorted(known)
@@ -95,7 +83,7 @@ class UnknownKey(InputError):
 
 
 def _guess(name: str, names: Sequence[str]) -> str:
-    """Which of the names may have been meant, in a sentence; empty: none is near."""
+    """Suggest the name that may have been meant, in a sentence; empty if no name is near."""
     close = get_close_matches(name, names, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 
@@ -112,22 +100,14 @@ class AssetError(InputError):
 
 
 class WrongScan(AssetError):
-    """What was fetched is not what it must be; it was thrown away."""
+    """Fetched data that is not the expected scan; it was deleted."""
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
 
 
 class UnusableMeshes(AssetError):
-    """Mesh files of which no objects can be made; nothing was begun with the others.
-
-    Parameters
-    ----------
-    total
-        How many mesh files there are.
-    faults
-        What is wrong, by file.
-    """
+    """Mesh files of which no objects can be made, with the fault of each; nothing was begun."""
 
     def __init__(self, total: int, faults: Mapping[str, str]) -> None:
         told = "".join(f"\n  {name}: {why}" for name, why in faults.items())
@@ -142,15 +122,7 @@ class FolderError(InputError):
 
 
 class NoFolder(FolderError):
-    """A path where the folder of a run or of a job is to be, and none is.
-
-    Parameters
-    ----------
-    path
-        What was named.
-    is_there
-        Whether something else is there.
-    """
+    """A path that is no folder of a run or job; `is_there`: it is something else."""
 
     def __init__(self, path: object, *, is_there: bool) -> None:
         super().__init__(
@@ -161,22 +133,14 @@ class NoFolder(FolderError):
 
 
 class DiskFull(FolderError):
-    """There is no room to write in a run folder; what was written before is whole."""
+    """No disk space to write in a run folder; earlier content is intact."""
 
 
 class OutputError(FolderError):
     """A path where something cannot be written; what is there was left as it was.
 
-    Parameters
-    ----------
-    path
-        Where it was to be written.
-    why
-        What is there, or what went wrong.
-    instead
-        What to do; empty: that is plain.
-    forces
-        Whether `--force` helps too.
+    `why` completes the sentence that the path begins, `instead` is advice, empty where there is none, and
+    `forces` says that `--force` helps too.
     """
 
     def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
@@ -185,17 +149,7 @@ class OutputError(FolderError):
 
 
 class OtherRun(FolderError):
-    """A journal in a folder whose other files are of another run: one of them is in the wrong place.
-
-    Parameters
-    ----------
-    journal
-        The journal.
-    file
-        What is of another run.
-    of, than
-        What each is of, in words; of the same kind.
-    """
+    """A journal in a folder where a file is of another run; `of` and `than` tell them in words."""
 
     def __init__(self, journal: object, file: object, of: str, than: str) -> None:
         super().__init__(
@@ -204,30 +158,14 @@ class OtherRun(FolderError):
 
 
 class EndsTooSoon(InputError):
-    """A run that is to end before what is recorded of it.
-
-    Parameters
-    ----------
-    folder
-        The run's.
-    reason
-        What is asked for, and what is recorded.
-    """
+    """A run that is to end before what is recorded of it."""
 
     def __init__(self, folder: object, reason: ImpossibleValue) -> None:
         super().__init__(f"{folder} cannot end as is asked: {reason}")
 
 
 class JawNeeded(InputError):
-    """A prior for two-finger hands, and a hand that is none.
-
-    Parameters
-    ----------
-    prior
-        The prior.
-    gripper
-        The hand.
-    """
+    """A prior for two-finger hands was asked for with another hand."""
 
     def __init__(self, prior: str, gripper: str) -> None:
         super().__init__(
@@ -245,19 +183,19 @@ class SecurityError(InputError):
 
 
 class BusError(QdgraspError):
-    """The bus did not do what was asked."""
+    """Failure of an operation on the bus."""
 
 
 class Refused(BusError):
-    """The other side answered a query with a reason why not."""
+    """Refusal of a query by the other side, with its reason."""
 
 
 class NoReply(BusError):
-    """Nobody answered a query in time."""
+    """Query without an answer in time."""
 
 
 class Faulty(BusError):
-    """Whoever was asked failed by a fault of its own, of which its log tells; next time it may not."""
+    """Internal error of the side that was queried, logged there; a retry may succeed."""
 
 
 class MessageError(QdgraspError):
@@ -269,15 +207,7 @@ class ReplayError(InputError):
 
 
 class RunFailed(InputError):
-    """A run of a job that cannot be carried out.
-
-    Parameters
-    ----------
-    run
-        Its name.
-    reason
-        A sentence.
-    """
+    """A run of a job that cannot be carried out, with the reason as a sentence."""
 
     def __init__(self, run: str, reason: str) -> None:
         super().__init__(reason)
@@ -285,25 +215,17 @@ class RunFailed(InputError):
 
 
 class RunsFailed(InputError):
-    """Runs of a job that could not be carried out, when the others are.
-
-    Parameters
-    ----------
-    failures
-        One or more.
-    total
-        How many runs the job has.
-    """
+    """Runs of a job, one or more of a total, that could not be carried out, when the others are."""
 
     NAMED = 10
-    """So many are named besides the first."""
+    """Number of runs that are named besides the first."""
 
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
         first, *others = failures
         if total == 1:
             super().__init__(str(first))
             return
-        names = few(quoted(other.run for other in others), self.NAMED)
+        names = first_few(quoted(other.run for other in others), self.NAMED)
         super().__init__(
             f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
             + (f" The others: {names}." if others else "")
@@ -311,17 +233,7 @@ class RunsFailed(InputError):
 
 
 class RecorderFellBack(QdgraspError):
-    """A recorder that no longer has the rows it reported durable, or has rows that were never sent.
-
-    Parameters
-    ----------
-    reported
-        How many rows it now reports durable.
-    durable
-        How many it reported before.
-    sent
-        How many rows there are at all.
-    """
+    """A recorder lost rows that it reported durable, or has rows that were never sent."""
 
     def __init__(self, reported: int, durable: int, sent: int) -> None:
         super().__init__(
@@ -329,28 +241,23 @@ class RecorderFellBack(QdgraspError):
             "restored or it serves another coordinator; the run is to be replayed from its journal."
         )
         self.run = ""
-        """Whose rows they are; empty where there is one run only."""
+        """Run of the rows; empty where there is one run only."""
 
     def of(self, run: str) -> "RecorderFellBack":
-        """The same, told of a run."""
+        """The same, for a run."""
         self.run = run
         return self
 
 
 class EndedEarly(QdgraspError):
-    """The job stopped before its budget; `qdgrasp resume` goes on."""
+    """End of a job before its budget; `qdgrasp resume` continues it."""
 
 
 class Cancelled(EndedEarly):
-    """Whoever administers the job told its coordinator to end, which it does as asked.
+    """The job's coordinator was told by an admin to end, which it does as asked.
 
-    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job,
+    To the coordinator this is no failure, and it is not to be started again. To those who wait for the job,
     such as `qdgrasp run`, it is an `EndedEarly` like any other.
-
-    Parameters
-    ----------
-    job
-        Its name.
     """
 
     exit_code = 0
@@ -360,15 +267,7 @@ class Cancelled(EndedEarly):
 
 
 class TookOver(EndedEarly):
-    """Another coordinator goes on with the job; this one ends, and is not to be started again.
-
-    Parameters
-    ----------
-    job
-        Its name.
-    epoch
-        The other's.
-    """
+    """Another coordinator goes on with the job; this one ends, and is not to be started again."""
 
     exit_code = 3
 
@@ -377,11 +276,11 @@ class TookOver(EndedEarly):
 
     @staticmethod
     def refusal(own: int, other: int) -> Refused:
-        """What a recorder answers a coordinator of an epoch that is over."""
+        """Return a recorder's refusal of a coordinator whose epoch is over."""
         return Refused(f"epoch {own} is over: another coordinator took over with {other}")
 
     @classmethod
     def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
-        """What a recorder's refusal means where it is such an answer; None where it is another one."""
+        """Return the error if a recorder's refusal is one of `refusal`, else None."""
         found = re.search(r"another coordinator took over with (\d+)", str(refusal))
         return cls(job, found[1]) if found else None

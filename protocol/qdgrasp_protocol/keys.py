@@ -20,19 +20,33 @@ def job_name(text: str) -> str:
 
 
 class Keys:
-    """The keys of one job.
+    """The keys of one job; an ImpossibleValue if its name is not of the allowed characters."""
 
-    Raises
-    ------
-    ImpossibleValue
-        The job's name is not of the allowed characters.
-    """
+    _allowed = NAME
 
     def __init__(self, job: str) -> None:
-        if not NAME.fullmatch(job):
+        if not self._allowed.fullmatch(job):
             raise ImpossibleValue("job", job, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
         self.job = job
         self.root = f"{ROOT}/{job}"
+        self.join = f"{self.root}/rpc/join"
+        """Worker to coordinator, query: join, rejoin."""
+        self.control = f"{self.root}/rpc/control"
+        """Administrator to coordinator, query: pause, continue, cancel, drain."""
+        self.recorded = f"{self.root}/@recorded"
+        """Recorder to coordinator: the highest durable number."""
+        self.open = f"{self.root}/rec/open"
+        """Coordinator to recorder, query: opens a job."""
+        self.log = f"{self.root}/rec/log"
+        """Anyone to recorder, query: recorded rows from a number on."""
+        self.entries = f"{self.root}/rec/runs"
+        """Monitors to recorder, query: all runs in the folder, finished ones too, or one; JSON."""
+        self.finds = f"{self.root}/rec/finds"
+        """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
+        self.recent = f"{self.root}/event/recent"
+        """Monitors to coordinator, query: the latest events, JSON."""
+        self.meta = f"{self.root}/meta"
+        """To monitors: description of a job, JSON, at a coordinator's start; also on query."""
 
     def work(self, wid: str) -> str:
         """Coordinator to worker: a leased batch."""
@@ -43,18 +57,8 @@ class Keys:
         return f"{self.root}/@result/{wid}"
 
     def ctl(self, wid: str) -> str:
-        """Coordinator to worker: batches to drop, or that it is to leave."""
+        """Coordinator to worker: batches to drop, or an order to leave."""
         return f"{self.root}/@ctl/{wid}"
-
-    @property
-    def join(self) -> str:
-        """Worker to coordinator, query: join, rejoin."""
-        return f"{self.root}/rpc/join"
-
-    @property
-    def control(self) -> str:
-        """Whoever administers a job to its coordinator, query: pause, continue, cancel, drain."""
-        return f"{self.root}/rpc/control"
 
     def asset(self, digest: str = "*") -> str:
         """Worker to coordinator, query per chunk: a scene bundle by its digest."""
@@ -63,21 +67,6 @@ class Keys:
     def outcome(self, epoch: int | None = None) -> str:
         """Coordinator to recorder: settled rows."""
         return f"{self.root}/@outcome/{'*' if epoch is None else epoch}"
-
-    @property
-    def recorded(self) -> str:
-        """Recorder to coordinator: the highest durable number."""
-        return f"{self.root}/@recorded"
-
-    @property
-    def open(self) -> str:
-        """Coordinator to recorder, query: opens a job."""
-        return f"{self.root}/rec/open"
-
-    @property
-    def log(self) -> str:
-        """Anyone to recorder, query: recorded rows from a number on."""
-        return f"{self.root}/rec/log"
 
     def coordinator_token(self, epoch: int | None = None) -> str:
         """Liveliness of a coordinator."""
@@ -91,16 +80,6 @@ class Keys:
         """Liveliness of a recorder."""
         return f"{self.root}/live/recorder/{rid}"
 
-    @property
-    def entries(self) -> str:
-        """Monitors to recorder, query: the runs in the folder, finished ones too, or one of them; JSON."""
-        return f"{self.root}/rec/runs"
-
-    @property
-    def finds(self) -> str:
-        """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
-        return f"{self.root}/rec/finds"
-
     def recorded_asset(self, digest: str = "*") -> str:
         """Monitors to recorder, query per chunk: a scene bundle by its digest."""
         return f"{self.root}/rec/asset/{digest}"
@@ -108,36 +87,27 @@ class Keys:
     def stat(self, what: str = "**") -> str:
         """To monitors: `job`, `run/<run>` or `team/<page>`, JSON, about once a second.
 
-        The coordinator answers queries on it, also with patterns, with how it is now; `curve/<run>` is
-        answered where it is asked for, and never sent. On `worker/<wid>` a worker shows its own progress.
+        The coordinator also answers queries on it, patterns too, with the present state; `curve/<run>` is
+        only answered, never sent. On `worker/<wid>` a worker publishes its own progress.
         """
         return f"{self.root}/stat/{what}"
 
     def event(self, kind: str = "*") -> str:
-        """To monitors: what happened, JSON, when it does."""
+        """To monitors: an event, JSON, when it happens."""
         return f"{self.root}/event/{kind}"
-
-    @property
-    def recent(self) -> str:
-        """Monitors to coordinator, query: the latest events, JSON."""
-        return f"{self.root}/event/recent"
-
-    @property
-    def meta(self) -> str:
-        """To monitors: what a job is, JSON, when a coordinator begins; it answers queries on it too."""
-        return f"{self.root}/meta"
 
 
 class AnyJob(Keys):
-    """Patterns over the keys of all jobs, for workers that serve whatever job there is."""
+    """Patterns over the keys of all jobs, for workers that serve any job."""
+
+    _allowed = re.compile(r"\*")
 
     def __init__(self) -> None:
-        self.job = "*"
-        self.root = f"{ROOT}/*"
+        super().__init__("*")
 
 
 def job_of(key: str) -> str | None:
-    """The job that a key belongs to; None where the key is not one of ours."""
+    """Return the job that a key belongs to; None where the key is not one of ours."""
     parts = key.split("/")
     if len(parts) < 4 or "/".join(parts[:2]) != ROOT or not NAME.fullmatch(parts[2]):
         return None
@@ -145,24 +115,24 @@ def job_of(key: str) -> str | None:
 
 
 def last_chunk(key: str) -> str:
-    """The chunk behind the last slash: a worker's id, an epoch, a digest."""
+    """Return the chunk after the last slash: a worker's id, an epoch, a digest."""
     return key.rsplit("/", 1)[-1]
 
 
-def number(text: str) -> int | None:
-    """The number that a chunk of a key or a parameter stands for; None where it is none, or has 19 digits."""
+def parse_number(text: str) -> int | None:
+    """Parse a number of at most 18 digits in a key or parameter; None if it is not one."""
     is_one = text.isascii() and text.isdigit() and len(text) <= 18
     return int(text) if is_one else None
 
 
 def matches(pattern: str, key: str) -> bool:
-    """Whether a key matches a pattern: `*` is one chunk, `**` any number, neither matches one with `@`."""
+    """Return whether a key matches a pattern: `*` one chunk, `**` any number, neither `@...`."""
     return _matches(pattern.split("/"), key.split("/"))
 
 
-def meet(one: str, other: str) -> bool:
-    """Whether there is a key that both patterns match."""
-    return _meet(one.split("/"), other.split("/"))
+def patterns_intersect(one: str, other: str) -> bool:
+    """Return whether a key exists that both patterns match."""
+    return _intersect(one.split("/"), other.split("/"))
 
 
 def _matches(pattern: list[str], key: list[str]) -> bool:
@@ -178,12 +148,12 @@ def _matches(pattern: list[str], key: list[str]) -> bool:
     return _matches(rest, key[1:])
 
 
-def _meet(one: list[str], other: list[str]) -> bool:
+def _intersect(one: list[str], other: list[str]) -> bool:
     if not one or not other:
         return all(chunk == "**" for chunk in one or other)
     for first, second in ((one, other), (other, one)):
         if first[0] == "**":
-            is_passed = not second[0].startswith("@") and _meet(first, second[1:])
-            return is_passed or _meet(first[1:], second)
+            is_passed = not second[0].startswith("@") and _intersect(first, second[1:])
+            return is_passed or _intersect(first[1:], second)
     is_any = "*" in (one[0], other[0]) and not (one[0] + other[0]).strip("*").startswith("@")
-    return (one[0] == other[0] or is_any) and _meet(one[1:], other[1:])
+    return (one[0] == other[0] or is_any) and _intersect(one[1:], other[1:])

@@ -1,18 +1,30 @@
-"""What travels on the bus: flat frozen structs, one per kind of message.
+"""Messages on the bus: flat frozen structs, and how they become bytes and messages again.
 
-Field names are the wire's names. Arrays travel as one little-endian blob each (`rows`): messages that
+Field names are the wire's names (docs/bus.md). Arrays travel as one little-endian blob each: messages that
 carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
+
+Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, or prints, what has not
+passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
 """
 
-from typing import Annotated, ClassVar, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
+import msgpack
+import msgspec
 from msgspec import Meta, Struct
 
-VERSION = 1
-"""The version of the protocol that this package speaks."""
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.text import printable
+
+if TYPE_CHECKING:
+    from qdgrasp_protocol.bus import Sample
+
+
+VERSION = 1  # The version of the protocol that this package speaks
 
 Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
-"""A worker process: 128 random bits, new at every start."""
+"""Id of a worker process: 128 random bits, new at every start."""
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
@@ -23,21 +35,21 @@ Number = Annotated[float, Meta(ge=0, le=1e12)]
 """Finite and not negative."""
 
 JobId = Annotated[str, Meta(max_length=32)]
-"""What tells a job from another one of its name: random, made with its folder; empty: not known."""
+"""Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
-"""Words for a person; made with `short`."""
+"""Text for a person; made with `shorten`."""
 
 
-def short(text: str) -> str:
+def shorten(text: str) -> str:
     """Text cut to what a message may carry: 200 bytes of UTF-8."""
     return text.encode(errors="replace")[:200].decode(errors="ignore")
 
 
 class Message(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The root of all messages. Each kind has a name on the wire, which stays when the class gets another."""
+    """The root of all messages."""
 
     wire_name: ClassVar[str]
-    """What the encoding of this kind of message is called by."""
+    """Name of this kind of message in its encoding."""
 
     v: Annotated[int, Meta(ge=1, le=VERSION)] = VERSION
 
@@ -66,12 +78,12 @@ class Failure(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A row of a batch on which the simulator failed."""
 
     row: Count
-    """Its place in the batch."""
+    """Its position in the batch."""
     reason: Text
 
 
 class Result(Message, frozen=True, kw_only=True):
-    """Worker to coordinator: what a batch found."""
+    """Worker to coordinator: the results of a batch."""
 
     wire_name = "result"
 
@@ -98,15 +110,15 @@ class Join(Message, frozen=True, kw_only=True):
     versions: list[Count]
     wid: Wid
     number: Count
-    """Counts this worker's joins; the coordinator forgets what older ones were leased."""
+    """Counter of this worker's joins; the coordinator drops leases of older ones."""
     credit: Annotated[int, Meta(ge=0, le=64)]
-    """How many batches may be outstanding; 0: nothing more is to come, as the worker is about to leave."""
+    """Most batches that may be outstanding; 0: no more, as the worker is about to leave."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]
     pid: Count
     platform: dict[str, str]
-    """What decides the bits of a result: versions, evaluation code, digest of the probe set."""
+    """All that decides the bits of a result: versions, evaluation code, probe digest."""
 
 
 class Joined(Message, frozen=True, kw_only=True):
@@ -130,24 +142,24 @@ class Control(Message, frozen=True, kw_only=True):
 
 
 class Order(Message, frozen=True, kw_only=True):
-    """Whoever administers a job to its coordinator, query: what to do with it."""
+    """Administrator to coordinator, query: an order for the job."""
 
     wire_name = "order"
 
     act: Literal["pause", "continue", "cancel", "drain"]
     worker: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
-    """Whom to drain: a worker's id, or how it begins; empty: by `host`."""
+    """Worker to drain, by its id or a prefix of it; empty: by `host`."""
     host: Text = ""
-    """Whose workers to drain."""
+    """Host whose workers are drained."""
 
 
-class Done(Message, frozen=True, kw_only=True):
+class OrderReply(Message, frozen=True, kw_only=True):
     """The answer to an order."""
 
     wire_name = "done"
 
     words: Text
-    """What happened, in a sentence for a person."""
+    """Result in a sentence for a person."""
 
 
 class Chunk(Message, frozen=True, kw_only=True):
@@ -156,7 +168,7 @@ class Chunk(Message, frozen=True, kw_only=True):
     wire_name = "chunk"
 
     total: Annotated[int, Meta(ge=1, le=4096)]
-    """How many chunks the bundle has."""
+    """Number of chunks of the bundle."""
     data: bytes
 
 
@@ -176,9 +188,9 @@ class Recordable(Message, frozen=True, kw_only=True):
     columns: dict[str, bytes]
     """All of `rows.COLUMNS`."""
     cpu_seconds: Number = 0.0
-    """What these rows cost on their workers, outside the digest."""
+    """CPU time of these rows on their workers [s], outside the digest."""
     failures: list[Failure] = []
-    """Why rows with `Outcome.ERROR` failed."""
+    """Reasons of the failures in rows with `Outcome.ERROR`."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):
@@ -190,7 +202,7 @@ class Recorded(Message, frozen=True, kw_only=True):
     run: Name
     durable: Count
     trouble: Text = ""
-    """Why the recorder cannot write now, in words; empty when it can."""
+    """Reason why the recorder cannot write now, in words; empty when it can."""
 
 
 class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -213,24 +225,24 @@ class Open(Message, frozen=True, kw_only=True):
     job: Name
     runs: list[OpenRun]
     epoch: Count = 0
-    """The turn that these runs join, where the coordinator has one already; 0: it begins one."""
+    """Epoch that these runs join; 0: a new one begins."""
 
 
 class Opened(Message, frozen=True, kw_only=True):
-    """The answer: the coordinator's epoch and the durable number of each run, in the order asked."""
+    """The answer to `Open`: epoch, and the durable number of each run in the order asked."""
 
     wire_name = "opened"
 
     epoch: Count
     durable: list[Count]
     platform: dict[str, str]
-    """The platform that the recorded rows were made on; empty when there are none."""
+    """Platform of the recorded rows; empty without rows."""
     identity: JobId = ""
-    """Of the job."""
+    """Id of the job."""
 
 
 class Platform(Message, frozen=True, kw_only=True):
-    """Coordinator to recorder: the platform of this job's rows, known once the first worker joined."""
+    """Coordinator to recorder: the platform of this job's rows, known from the first join on."""
 
     wire_name = "platform"
 
@@ -248,7 +260,7 @@ class Log(Message, frozen=True, kw_only=True):
     limit: RowCount
 
 
-class Finds(Message, frozen=True, kw_only=True):
+class SuccessPage(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
 
     wire_name = "finds"
@@ -275,3 +287,96 @@ class Finds(Message, frozen=True, kw_only=True):
     columns: Annotated[
         dict[str, bytes], Meta(description="Each of `finds.COLUMNS` by its name, little-endian.")
     ]
+
+
+class Heartbeat(Struct, frozen=True, kw_only=True):
+    """State of a worker, sent about once a second."""
+
+    wid: Annotated[Wid, Meta(description="Its id.")]
+    host: Annotated[Text, Meta(description="Where it runs.")]
+    run: Annotated[Text, Meta(description="Of the batch in work; empty: there is none.")] = ""
+    rows: Annotated[Count, Meta(description="Of that batch; 0: there is none.")] = 0
+    progressed: Annotated[
+        bool, Meta(description="Whether its simulator did anything since the last sign.")
+    ] = True
+    memory: Annotated[
+        Count, Meta(description="What it and its simulator have of the memory [bytes]; 0: unknown.")
+    ] = 0
+    restarts: Annotated[Count, Meta(description="How often it has started its simulator again.")] = 0
+
+
+M = TypeVar("M", bound=Message)
+
+MAX_PAYLOAD = 16 << 20  # The largest payload that is looked at [bytes]
+MAX_CONTAINERS = 8192  # The most lists and maps in one message: a result with 4096 failures has half of them
+MAX_REASON = 200  # The most characters that a refusal repeats of what came
+MESSAGE_LIMITS = {
+    "max_array_len": 4096,
+    "max_map_len": 32,
+    "max_str_len": 256,
+    "max_bin_len": 1 << 20,
+    "max_ext_len": 0,
+    "strict_map_key": True,
+    "raw": False,
+}
+MAX_BUNDLE = 128 << 20
+"""Largest scene bundle that is fetched [bytes]; the built-in ones have 0.2 MB."""
+MAX_BUNDLE_CONTAINERS = 1 << 16  # The most lists and maps in one; those have 50
+BUNDLE_LIMITS = {
+    "max_array_len": 1 << 16,
+    "max_map_len": 256,
+    "max_str_len": MAX_PAYLOAD,
+    "max_bin_len": MAX_BUNDLE,
+    "max_ext_len": 0,
+}
+
+
+@cache
+def encoding(kind: type[Message]) -> str:
+    """Return the encoding that a message of this kind travels with."""
+    return f"application/msgpack;qdgrasp.{kind.wire_name}.v1"
+
+
+def encode(message: Message) -> bytes:
+    """Return a message as MessagePack."""
+    return msgspec.msgpack.encode(message)
+
+
+def decode(payload: bytes, kind: type[M]) -> M:
+    """The message of `kind` in `payload`; a MessageError if it is not MessagePack of the schema."""
+    if len(payload) > MAX_PAYLOAD:
+        raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
+    values = _unpack(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
+    try:
+        return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
+    except msgspec.ValidationError as error:
+        raise MessageError(f"not a {kind.wire_name}: {printable(str(error), MAX_REASON)}") from None
+
+
+def decode_sample(sample: "Sample", kind: type[M]) -> M:
+    """The message of `kind` in a sample; a MessageError if its encoding or content is another."""
+    if sample.encoding != encoding(kind):
+        raise MessageError(f"expected {encoding(kind)}, got {printable(sample.encoding, MAX_REASON)}")
+    return decode(sample.payload, kind)
+
+
+def check_bundle(payload: bytes) -> None:
+    """Check that the bytes of a scene are MessagePack of limited size, or raise a MessageError."""
+    _unpack(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
+
+
+def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
+    """Unpack a payload, up to a number of lists and maps."""
+    left = containers
+
+    def count(container: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise ValueError("too many lists and maps")
+        return container
+
+    try:
+        return msgpack.unpackb(payload, list_hook=count, object_hook=count, **limits)
+    except (ValueError, msgpack.UnpackException) as error:
+        raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None

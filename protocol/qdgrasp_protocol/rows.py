@@ -1,12 +1,19 @@
-"""Rows: the unit of evaluation and of the journal, as numpy structured arrays.
+"""Rows: genome in, outcome out; the unit of evaluation and of the journal.
 
-A row is (generation, index, trial) with the genome and everything its evaluation found. The same
-array of rows is what a worker fills, what the search is told, and what the journal stores; on the
-bus each column travels as one little-endian blob (`pack`, `unpack`).
+A genome is a float32 vector. The search sees only numbers in [-1, 1]; decoding maps them linearly to the
+intervals of its genes (Huber et al. 2024, section III-B, "each component is projected in its own interval").
+
+Trial 0 is the nominal evaluation of a genome; trials 1 to `trial_count(protocol)` repeat it, disturbed each
+time (docs/protocols.md).
+
+A row is (generation, index, trial) with the genome and everything its evaluation found, in a numpy
+structured array. The same array of rows is what a worker fills, what the search is told, and what the
+journal stores; on the bus each column travels as one little-endian blob (`pack`, `unpack`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import TypeAlias
 
@@ -15,59 +22,177 @@ from numpy.typing import NDArray
 
 from qdgrasp_protocol.errors import MessageError
 
-Rows: TypeAlias = NDArray[np.void]
-"""A structured array with the dtype of `Shape.dtype`."""
+
+class Outcome(IntEnum):
+    """Outcome of an evaluation; a greater one got further.
+
+    Stored as uint8 in messages and journal, so the numbers are part of the format.
+    """
+
+    ERROR = 0
+    """The simulator failed on this row three times; the journal holds the reason."""
+    DEAD_END = 1
+    """No pose to simulate: decoding found no free pose that promises enough."""
+    OVERLAP = 2
+    """The open hand overlaps the object at the commanded pose."""
+    MISSED = 3
+    """No finger touched the object while the hand closed."""
+    BRUSHED = 4
+    """A finger touched the object while closing, but none does after it."""
+    DROPPED = 5
+    """A finger touches the object after closing; no shake was survived (fitness 0)."""
+    SHAKEN = 6
+    """One of the two shakes was survived (fitness 1)."""
+    HELD = 7
+    """Both shakes were survived (fitness 2): robust."""
+
+    @property
+    def is_simulated(self) -> bool:
+        """True if the pose was free, so that the hand closed ("valid" in the paper's code)."""
+        return self >= Outcome.MISSED
+
+    @property
+    def is_touched(self) -> bool:
+        """True if a finger touched the object at some time while closing."""
+        return self >= Outcome.BRUSHED
+
+    @property
+    def is_success(self) -> bool:
+        """True if a finger touches the object after closing: for S_G and coverage."""
+        return self >= Outcome.DROPPED
+
+    @property
+    def is_grasp(self) -> bool:
+        """True if at least one shake was survived: a grasp for users and exports."""
+        return self >= Outcome.SHAKEN
+
+    @property
+    def is_robust(self) -> bool:
+        """True if both shakes were survived."""
+        return self >= Outcome.HELD
+
+
+TRIALS = 100
+"""Trials of two shakes (Huber et al. 2024); the sum of their fitness is at most 200."""
+TRIAL_COUNTS = {"robust": TRIALS}
+
+
+def trial_count(protocol: str) -> int:
+    """Return the number of trials besides the nominal evaluation; 0 for most protocols."""
+    return TRIAL_COUNTS.get(protocol, 0)
+
+
+Genomes: TypeAlias = NDArray[np.float32]
+"""(n, d): n genomes of d genes each, in [-1, 1]."""
+
+GIVEN = "given"
+"""Prior of poses scored as they are: genes are the pose, not numbers in [-1, 1]."""
+
+
+NO_SYNERGY = -1  # The label of a pose without a synergy: all driven fingers close
 
 
 @dataclass(frozen=True)
-class Column:
+class Gene:
+    """One component of a genome."""
+
+    name: str
+    low: float
+    """Value at -1, in the gene's own unit (m or rad)."""
+    high: float
+    """Value at +1."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The genes of a genome, in order."""
+
+    prior: str
+    genes: tuple[Gene, ...]
+
+    def __len__(self) -> int:
+        return len(self.genes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The genes' names, in order."""
+        return tuple(gene.name for gene in self.genes)
+
+    def values(self, genomes: Genomes) -> NDArray[np.float64]:
+        """Map genomes (n, d) in [-1, 1] to their intervals; (n, d) in m and rad, float64."""
+        low, high = self.intervals
+        values: NDArray[np.float64] = low + (genomes.astype(np.float64) + 1.0) / 2.0 * (high - low)
+        return values
+
+    def genomes(self, values: NDArray[np.float64]) -> Genomes:
+        """Map values (n, d) in m and rad to genomes (n, d), the inverse of `values`.
+
+        Values outside their interval are clipped; the gene of an interval without width is 0.
+        """
+        low, high = self.intervals
+        width = high - low
+        shares = np.divide(values - low, width, out=np.full(values.shape, 0.5), where=width > 0)
+        genomes: Genomes = np.clip(2.0 * shares - 1.0, -1.0, 1.0).astype(np.float32)
+        return genomes
+
+    @property
+    def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Values at -1 and at +1, (d,) each."""
+        return np.array([gene.low for gene in self.genes]), np.array([gene.high for gene in self.genes])
+
+
+Rows: TypeAlias = NDArray[np.void]
+"""A structured array with the dtype of `RowShape.dtype`."""
+
+
+@dataclass(frozen=True)
+class RowColumn:
     """One column of a row."""
 
     name: str
     item: str
     """The numpy item type, little-endian."""
     width: str
-    """How many items: "1", "7", or the letter of a `Shape` field."""
+    """Number of items: "1", "7", or the name of a `RowShape` field."""
     meaning: str
 
 
 KEY = (
-    Column("generation", "<u4", "1", "the generation of the search"),
-    Column("index", "<u4", "1", "the genome's place in its generation"),
-    Column("trial", "<u2", "1", "0 is the nominal evaluation, 1 and up are domain-randomised"),
+    RowColumn("generation", "<u4", "1", "the generation of the search"),
+    RowColumn("index", "<u4", "1", "the genome's place in its generation"),
+    RowColumn("trial", "<u2", "1", "0 is the nominal evaluation, 1 and up are domain-randomised"),
 )
-GENOME = (Column("genome", "<f4", "genes", "the genome, in [-1, 1]"),)
+GENOME = (RowColumn("genome", "<f4", "genes", "the genome, in [-1, 1]"),)
 RESULT = (
-    Column("outcome", "<u1", "1", "`Outcome`"),
-    Column("fitness", "<f4", "1", "shakes survived: 0, 1 or 2"),
-    Column("proposals", "<u2", "1", "poses that decoding screened for this row; 1 where it draws none"),
-    Column(
+    RowColumn("outcome", "<u1", "1", "`Outcome`"),
+    RowColumn("fitness", "<f4", "1", "shakes survived: 0, 1 or 2"),
+    RowColumn("proposals", "<u2", "1", "poses that decoding screened for this row; 1 where it draws none"),
+    RowColumn(
         "descriptor",
         "<f4",
         "descriptors",
         "behaviour descriptor: the hand's commanded position [m], CoM frame; then the prior's features of it",
     ),
-    Column(
+    RowColumn(
         "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"
     ),
-    Column(
+    RowColumn(
         "joints", "<f4", "joints", "finger joint positions at the grasp [rad or m], the gripper's joint order"
     ),
-    Column(
+    RowColumn(
         "surface_point", "<f4", "3", "the surface point aimed at [m], CoM frame; zeros where there is none"
     ),
-    Column("nu", "<f4", "1", "angle between its normal and the direction to the hand [rad]"),
-    Column("contacts", "<u1", "1", "finger links that touch the object after closing"),
-    Column("penetration", "<f4", "1", "deepest penetration after closing [m], 0 or positive"),
+    RowColumn("nu", "<f4", "1", "angle between its normal and the direction to the hand [rad]"),
+    RowColumn("contacts", "<u1", "1", "finger links that touch the object after closing"),
+    RowColumn("penetration", "<f4", "1", "deepest penetration after closing [m], 0 or positive"),
 )
 COLUMNS = KEY + GENOME + RESULT
-FLOAT = "<f4"
-"""The item type of all columns that do not hold integers."""
+FLOAT_ITEM = "<f4"  # The item type of all columns that do not hold integers
 
 
 @dataclass(frozen=True)
-class Shape:
-    """How wide the columns of one run's rows are."""
+class RowShape:
+    """Widths of the columns of one run's rows."""
 
     genes: int
     joints: int
@@ -78,32 +203,29 @@ class Shape:
         """The packed structured dtype; its bytes, row after row, are what the digest hashes."""
         return np.dtype([self._field(column) for column in COLUMNS])
 
-    def width(self, column: Column) -> int:
-        """How many items `column` has in each row."""
+    def width(self, column: RowColumn) -> int:
+        """Return the number of items of `column` in each row."""
         return int(column.width) if column.width.isdigit() else int(getattr(self, column.width))
 
-    def _field(self, column: Column) -> tuple[str, str] | tuple[str, str, tuple[int]]:
+    def _field(self, column: RowColumn) -> tuple[str, str] | tuple[str, str, tuple[int]]:
         if column.width == "1":
             return (column.name, column.item)
         return (column.name, column.item, (self.width(column),))
 
     def empty(self, n: int) -> Rows:
-        """`n` rows of zeros."""
+        """Return `n` rows of zeros."""
         return np.zeros(n, dtype=self.dtype)
 
 
-def pack(rows: Rows, columns: Sequence[Column]) -> dict[str, bytes]:
-    """Each of `columns` as one little-endian blob, by name."""
+def pack(rows: Rows, columns: Sequence[RowColumn]) -> dict[str, bytes]:
+    """Return each of `columns` as one little-endian blob, by name."""
     return {column.name: np.ascontiguousarray(rows[column.name]).tobytes() for column in columns}
 
 
-def unpack(rows: Rows, columns: Sequence[Column], blobs: Mapping[str, bytes], shape: Shape) -> Rows:
-    """Fill `columns` of `rows` from blobs; their lengths and that floats are finite are checked.
+def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes], shape: RowShape) -> Rows:
+    """Fill `columns` of `rows` from blobs.
 
-    Raises
-    ------
-    MessageError
-        A blob is missing, of the wrong length, or holds a number that is not finite.
+    A MessageError if a blob is missing, of the wrong length, or holds a number that is not finite.
     """
     for column in columns:
         blob, expected = blobs.get(column.name), len(rows) * shape.dtype[column.name].itemsize
@@ -113,13 +235,15 @@ def unpack(rows: Rows, columns: Sequence[Column], blobs: Mapping[str, bytes], sh
             raise MessageError(f"column '{column.name}' has {len(blob)} bytes, expected {expected}")
         target = rows[column.name]
         target[...] = np.frombuffer(blob, dtype=column.item).reshape(target.shape)
-    _check_finite({column.name: blobs[column.name] for column in columns if column.item == FLOAT})
+    _check_finite({column.name: blobs[column.name] for column in columns if column.item == FLOAT_ITEM})
     return rows
 
 
 def _check_finite(blobs: Mapping[str, bytes]) -> None:
-    """Check that blobs of floats hold numbers; all of them at once, as nearly all of them do."""
-    if np.isfinite(np.frombuffer(b"".join(blobs.values()), dtype=FLOAT)).all():
+    """Check that blobs of floats are finite, all at once for speed."""
+    if np.isfinite(np.frombuffer(b"".join(blobs.values()), dtype=FLOAT_ITEM)).all():
         return
-    name = next(name for name, blob in blobs.items() if not np.isfinite(np.frombuffer(blob, FLOAT)).all())
+    name = next(
+        name for name, blob in blobs.items() if not np.isfinite(np.frombuffer(blob, FLOAT_ITEM)).all()
+    )
     raise MessageError(f"column '{name}' holds a number that is not finite")

@@ -1,75 +1,257 @@
-"""How every session on the bus is opened: one builder, for our own processes and for zenoh's tools."""
+"""Sessions on the bus: endpoints, certificates, settings, and reasons of failed openings.
 
+An endpoint is where a session listens or connects. A session proves its role with the files of a folder that
+`qdgrasp security init` wrote. One builder makes the settings of every session, for our own processes and for
+zenoh's tools. Why no session could be opened is found out by one more try with nothing but a socket.
+"""
+
+import ipaddress
 import json
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+import os
+import re
+import socket
+import stat
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-from qdgrasp_protocol.credentials import Credentials
-from qdgrasp_protocol.endpoint import Endpoint
-from qdgrasp_protocol.errors import EndpointError
+import structlog
+
+from qdgrasp_protocol.errors import EndpointError, SecurityError
+
+if TYPE_CHECKING:
+    import ssl
+
+
+log = structlog.get_logger()
+
+LOOPBACK, PORT = "127.0.0.1", 7447
+HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls|quic|udp|ws)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
+SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
+ENCRYPTED = frozenset({"tls", "quic"})
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A place on the network, such as `tls/head:7447`."""
+
+    text: str
+    protocol: str
+    host: str = ""
+    port: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> "Endpoint":
+        """Read one endpoint; an EndpointError if the text is not one."""
+        if match := HOST_AND_PORT.fullmatch(text):
+            host = match["host"].removeprefix("[").removesuffix("]")
+            if (port := int(match["port"])) < 1 << 16:
+                return cls(text, match["protocol"], host, port)
+        elif match := SOCKET_FILE.fullmatch(text):
+            return cls(text, match["protocol"])
+        raise EndpointError(f"'{text}' is not an endpoint; write it as tcp/HOST:PORT or tls/HOST:PORT.")
+
+    @property
+    def is_encrypted(self) -> bool:
+        """True if it needs certificates and is protected by them."""
+        return self.protocol in ENCRYPTED
+
+    @property
+    def is_local(self) -> bool:
+        """Only this machine gets there."""
+        if not self.host:
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+    @property
+    def from_here(self) -> str:
+        """Address for sessions on this machine: loopback, if it listens on all interfaces."""
+        try:
+            address = ipaddress.ip_address(self.host)
+        except ValueError:
+            return self.text
+        if not address.is_unspecified:
+            return self.text
+        return f"{self.protocol}/{LOOPBACK if address.version == 4 else '[::1]'}:{self.port}"
+
+
+def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
+    """Read endpoints that are separated by commas, one or more."""
+    return tuple(Endpoint.parse(part) for part in text.split(","))
+
+
+def default_endpoint(*, encrypted: bool) -> Endpoint:
+    """Return the default endpoint: on loopback."""
+    protocol = "tls" if encrypted else "tcp"
+    return Endpoint(f"{protocol}/{LOOPBACK}:{PORT}", protocol, LOOPBACK, PORT)
+
+
+def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
+    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
+    if endpoint.is_local or endpoint.is_encrypted:
+        return
+    if not insecure:
+        raise EndpointError(
+            f"Whoever reaches {endpoint.text} could read everything and forge results; listen on "
+            f"tls/{endpoint.host}:{endpoint.port} with --security DIR (`qdgrasp security init` writes one), "
+            "or, on a network that you trust, add --insecure."
+        )
+    log.warning("not encrypted: whoever gets here can read and forge everything", endpoint=endpoint.text)
+
+
+SECURITY_VARIABLE = "QDGRASP_SECURITY"
+"""Names the folder for commands that users start; their child processes get a flag instead."""
+OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of everybody but a key's owner
+
+
+class Role(StrEnum):
+    """Role that a certificate is for; each has one common name, and all workers share one."""
+
+    ROUTER = "router"
+    """Relays for all: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
+    COORDINATOR = "coordinator"
+    RECORDER = "recorder"
+    WORKER = "worker"
+    MONITOR = "monitor"
+    """Watches, and sends nothing."""
+    ADMIN = "admin"
+    """Asks for the state and figures of jobs, and tells a job to pause, go on or end."""
+
+    @property
+    def common_name(self) -> str:
+        """Common name of its certificates, which the routers' access list uses."""
+        return f"qdgrasp-{self.value}"
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """The certificate of a role, its key, and the authority of the other side's certificate."""
+
+    folder: Path
+    role: Role
+
+    @classmethod
+    def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
+        """The files of a role in a folder, checked; None where no folder was named.
+
+        A SecurityError if one is missing or cannot be read, or others on this machine can read the key.
+        """
+        if folder is None:
+            return None
+        found = cls(folder.absolute(), role)
+        found.check()
+        return found
+
+    @property
+    def authority(self) -> Path:
+        """The certificate of the authority."""
+        return self.folder / "ca.pem"
+
+    @property
+    def certificate(self) -> Path:
+        """The certificate of the role."""
+        return self.folder / f"{self.role}.pem"
+
+    @property
+    def key(self) -> Path:
+        """The private key of the role."""
+        return self.folder / f"{self.role}.key"
+
+    @property
+    def configuration(self) -> Path:
+        """A zenoh configuration of the role; the router's holds the access list."""
+        return self.folder / f"{self.role}.json5"
+
+    def check(self) -> None:
+        """Check that all files are readable, and that other users cannot read the key."""
+        needed = [self.authority, self.certificate, self.key]
+        if self.role is Role.ROUTER:
+            needed.append(self.configuration)
+        try:
+            missing = [path.name for path in needed if not path.is_file()]
+            if missing:
+                raise SecurityError(
+                    f"{self.folder} lacks {' and '.join(missing)}, which the {self.role} needs; "
+                    "copy them from the folder that `qdgrasp security init` wrote."
+                )
+            for path in needed:
+                path.open("rb").close()
+            forbidden = stat.S_IMODE(self.key.stat().st_mode) & _forbidden_permissions(self.key)
+        except OSError as error:
+            raise SecurityError(
+                f"{error.filename} cannot be read ({error.strerror}): the files of a {self.role} are to be "
+                "those of the user who runs it."
+            ) from None
+        if forbidden:
+            raise SecurityError(
+                f"Others on this machine can read or change {self.key}; `chmod 600 {self.key}` mends it."
+            )
+
+
+def _forbidden_permissions(key: Path) -> int:
+    """Return the permissions that a key must not have.
+
+    Kubernetes and systemd hand a key to a service so: it stays root's, and a group of one may read it.
+    """
+    is_handed_over = key.stat().st_uid == 0 and os.geteuid() != 0
+    return OTHERS_PERMISSIONS & ~stat.S_IRGRP if is_handed_over else OTHERS_PERMISSIONS
+
 
 Mode = Literal["client", "router"]
-"""Routers relay; everybody else is a client of them."""
-Settings = dict[str, object]
+"""Routers relay; all others are clients of them."""
+ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
-SETTINGS: Settings = {
+BASE_SETTINGS: ZenohSettings = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
     "transport/unicast/open_timeout": 3000,  # ms of one try; then another router has its turn
-    "transport/link/rx/max_message_size": 17 << 20,  # codec.MAX_PAYLOAD and what stands around it
+    "transport/link/rx/max_message_size": 17 << 20,  # messages.MAX_PAYLOAD and what stands around it
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
-"""What every session is opened with (docs/decisions/sessions-on-the-bus.md)."""
+"""Settings common to all sessions (docs/decisions/0003-bus-sessions-and-access.md)."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 FOREVER = -1
 
 
-def settings(
+def session_settings(
     mode: Mode,
     *,
     listen: Iterable[Endpoint] = (),
     connect: Iterable[Endpoint] = (),
     credentials: Credentials | None = None,
     seconds: float = 0.0,
-) -> Settings:
-    """The settings of a session.
+) -> ZenohSettings:
+    """The settings of a session, whose endpoints are encrypted where there are credentials.
 
-    Parameters
-    ----------
-    listen
-        Where a router listens.
-    connect
-        Routers: a client connects to the first that answers, and to another one when that is lost;
-        a router connects to each, now or later.
-    credentials
-        What the session proves its role with; None: nothing, on links without encryption.
-    seconds
-        How long opening a client may take; a connection lost later is sought for ever.
-
-    Raises
-    ------
-    EndpointError
-        An encrypted endpoint without credentials, or credentials that an endpoint cannot show.
+    A client connects to the first router in `connect` that answers, and to another one when that is lost; a
+    router connects to each, now or later. Opening a client may take so many `seconds`; a connection lost
+    later is sought for ever.
     """
     listening, connecting = tuple(listen), tuple(connect)
     for endpoint in (*listening, *connecting):
-        check(endpoint, credentials)
-    chosen = SETTINGS | {"mode": mode}
+        check_encryption(endpoint, credentials)
+    chosen = BASE_SETTINGS | {"mode": mode}
     if listening:
-        chosen |= _places("listen", listening, 0, fails=True)
+        chosen |= _endpoint_settings("listen", listening, 0, fails=True)
     if connecting:
         patience = int(1000 * seconds) if mode == "client" else FOREVER
-        chosen |= _places("connect", connecting, patience, fails=mode == "client")
-    return chosen | (_tls(mode, credentials) if credentials else {})
+        chosen |= _endpoint_settings("connect", connecting, patience, fails=mode == "client")
+    return chosen | (_tls_settings(mode, credentials) if credentials else {})
 
 
-def check(endpoint: Endpoint, credentials: Credentials | None) -> None:
-    """See that an endpoint is encrypted where, and only where, there are certificates."""
+def check_encryption(endpoint: Endpoint, credentials: Credentials | None) -> None:
+    """Check that an endpoint is encrypted where, and only where, there are certificates."""
     if endpoint.is_encrypted and credentials is None:
         raise EndpointError(
             f"{endpoint.text} is encrypted and needs certificates: name their folder with --security "
@@ -82,8 +264,8 @@ def check(endpoint: Endpoint, credentials: Credentials | None) -> None:
         )
 
 
-def nested(values: Mapping[str, object]) -> dict[str, Any]:
-    """Settings as the tree that a configuration file holds."""
+def nest_settings(values: Mapping[str, object]) -> dict[str, Any]:
+    """Return settings as the tree that a configuration file holds."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         *branches, leaf = path.split("/")
@@ -95,12 +277,14 @@ def nested(values: Mapping[str, object]) -> dict[str, Any]:
 
 
 def to_json5(values: Mapping[str, object], comment: str) -> str:
-    """A zenoh configuration file with these settings, under a comment."""
+    """Return a zenoh configuration file with these settings, under a comment."""
     head = "".join(f"// {line}\n" for line in comment.splitlines())
-    return f"{head}{json.dumps(nested(values), indent=2)}\n"
+    return f"{head}{json.dumps(nest_settings(values), indent=2)}\n"
 
 
-def _places(verb: str, endpoints: tuple[Endpoint, ...], timeout_ms: int, *, fails: bool) -> Settings:
+def _endpoint_settings(
+    verb: str, endpoints: tuple[Endpoint, ...], timeout_ms: int, *, fails: bool
+) -> ZenohSettings:
     return {
         f"{verb}/endpoints": [endpoint.text for endpoint in endpoints],
         f"{verb}/timeout_ms": timeout_ms,
@@ -109,16 +293,98 @@ def _places(verb: str, endpoints: tuple[Endpoint, ...], timeout_ms: int, *, fail
     }
 
 
-def _tls(mode: Mode, credentials: Credentials) -> Settings:
-    """Both sides show a certificate, and a link ends with the certificate it was opened by."""
+def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
+    """Return the TLS settings: both sides show a certificate, and links end when it expires."""
     certificate, key = str(credentials.certificate), str(credentials.key)
-    shown: Settings = {"connect_certificate": certificate, "connect_private_key": key}
+    shown: ZenohSettings = {"connect_certificate": certificate, "connect_private_key": key}
     if mode == "router":
         shown |= {"listen_certificate": certificate, "listen_private_key": key}
-    always: Settings = {
+    always: ZenohSettings = {
         "root_ca_certificate": str(credentials.authority),
         "enable_mtls": True,
         "verify_name_on_connect": True,
         "close_link_on_expiration": True,
     }
     return {f"transport/link/tls/{name}": value for name, value in (always | shown).items()}
+
+
+CONNECT_HINT = (
+    "; is the coordinator or router running there, and the port reachable? Name another with --connect."
+)
+SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
+SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
+MAX_ZENOH_ERROR = 300  # The most characters that are repeated of what zenoh says
+HANDSHAKE_SECONDS = 2.0  # seconds that the other side may take for one step
+REFUSAL_SECONDS = 0.5
+"""Seconds in which it says whether it takes our certificate; it waits for us to speak first."""
+
+
+class Unreachable(EndpointError):
+    """No router answers, with the reason for encrypted endpoints."""
+
+    def __init__(
+        self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
+    ) -> None:
+        names = ", ".join(endpoint.text for endpoint in endpoints)
+        reasons = [handshake_error(endpoint, credentials) for endpoint in endpoints] if credentials else []
+        known = " ".join(filter(None, reasons))
+        silent = f"Nothing answers at {names} after {seconds:g} s{CONNECT_HINT}"
+        super().__init__(f"No session at {names}: {known}" if known else silent)
+
+
+class NotListening(EndpointError):
+    """A router cannot listen on an endpoint, by an error of zenoh."""
+
+    def __init__(self, endpoint: str, error: str) -> None:
+        why = SYSTEM_ERROR.search(error)
+        if why:
+            super().__init__(
+                f"Cannot listen on {endpoint}: {why[1].lower()}; name another endpoint with --listen."
+            )
+        else:
+            super().__init__(f"Cannot listen on {endpoint}: zenoh says '{clean_zenoh_error(error)}'.")
+
+
+def clean_zenoh_error(error: str) -> str:
+    """Return zenoh's message on one line, without places in its source."""
+    return " ".join(SOURCE_PLACE.sub("", error).split())[:MAX_ZENOH_ERROR].rstrip(".")
+
+
+def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
+    """Return why a TLS handshake fails; empty if it succeeds, or the port is closed."""
+    import ssl  # a worker that is welcome need not load it
+
+    context = ssl.create_default_context(cafile=str(credentials.authority))
+    try:
+        context.load_cert_chain(credentials.certificate, credentials.key)
+    except (OSError, ssl.SSLError) as error:
+        return f"{credentials.certificate} and its key cannot be used ({_ssl_reason(error)})."
+    try:
+        shake_hands(endpoint, context)
+    except ssl.SSLCertVerificationError as error:
+        return f"the certificate it shows is not good ({error.verify_message})."
+    except ssl.SSLError as error:
+        return f"it does not take {credentials.certificate} ({_ssl_reason(error)})."
+    except OSError:
+        return ""
+    return ""
+
+
+def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
+    """Shake hands with a router, and leave; True if it would have kept the link.
+
+    An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
+    """
+    with (
+        socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,
+        context.wrap_socket(plain, server_hostname=endpoint.host) as link,
+    ):
+        link.settimeout(REFUSAL_SECONDS)
+        with suppress(TimeoutError):
+            return bool(link.recv(1))  # a router that does not take our certificate says so only now
+        return True
+
+
+def _ssl_reason(error: OSError) -> str:
+    reason = getattr(error, "reason", None) or error.strerror or type(error).__name__
+    return str(reason).lower().replace("_", " ")

@@ -1,9 +1,15 @@
-"""What is asked for: run and job specs, as frozen structs, read from TOML or from flags, strictly.
+"""Specs of runs: frozen structs, read strictly from TOML or from flags.
 
 Flags and TOML say the same things; a run folder holds the full spec, so that `qdgrasp run DIR/spec.toml`
 repeats it. Workers and batch size are not part of a spec: no result depends on them.
+
+TOML that may come from a stranger is read with limits. The standard library's reader recurses into lists,
+takes numbers of any length, and remembers every beginning of a dotted key: 200 KB of `a.a.a` take all memory
+there is.
 """
 
+import re
+import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -11,22 +17,45 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
-from qdgrasp_protocol import toml
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+
+MAX_TOML_SIZE = 4 << 20
+"""Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
+MAX_DOTS = 64  # The most dots between two separators of a line
+SEPARATORS = re.compile(r"[,={\[]")
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """The values in a TOML text; an InputError if it is not TOML, or larger than a spec can be."""
+    if len(text) > MAX_TOML_SIZE:
+        raise InputError(f"{where} has {len(text)} characters, and none may have more than {MAX_TOML_SIZE}.")
+    if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
+        raise InputError(f"{where} has a key of more than {MAX_DOTS} parts.")
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        raise InputError(f"{where} is not TOML: {error}.") from None
+    except RecursionError:
+        raise InputError(f"{where} has lists in lists in lists without end.") from None
+
+
+def _dots_in_key(line: str) -> int:
+    """Return the largest number of dots in a possible key."""
+    return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
+
 
 ProtocolName = Literal["paper", "released", "robust"]
 """The evaluation protocols (docs/protocols.md)."""
 Overlaps = Literal["count", "redraw"]
-"""Whether a pose whose open hand overlaps the object counts as an evaluation."""
+"""Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
 DEFAULT_METHOD = "aimed"
-MOST = 4096
-"""Genomes in a generation, at most, and poses in a spec."""
+MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
-SAID_OF = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
-"""What is said of a key's value where it is wrong, besides its bounds."""
-GOALS = ("evaluations", "successes", "no_new_cell")
-"""The keys of a spec that say when a run ends: what may change when it goes on."""
+VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
+"""Unit of a key's value, for errors."""
+STOP_KEYS = ("evaluations", "successes", "no_new_cell")
+"""Keys of a spec's stop criteria, which may change when a run goes on."""
 
 
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
@@ -39,22 +68,25 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Metres to a unit of the object's mesh file, which its coordinates are multiplied by; None: 1."""
+    """Metres to a unit of the object's mesh file; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
     method: str = DEFAULT_METHOD
-    """A search with its prior. Where a run is asked for, it says what `overlaps`, `population` and
-    `generations_in_flight` are unless they are given; their defaults here are the paper's."""
+    """A search with its prior.
+
+    When a run is requested it decides `overlaps`, `population` and `generations_in_flight` unless they are
+    given; their defaults here are the paper's.
+    """
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """So many successes end the run before its budget is spent; None: they do not."""
+    """Successes that end the run before its budget is spent; None: no such criterion."""
     no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """So many counted evaluations without a success in a new cell end it; None: they do not."""
+    """Counted evaluations without a new success cell that end the run; None: no criterion."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
-    population: Annotated[int, Meta(ge=1, le=MOST)] = 500
+    population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500
     """Genomes in a generation (the paper's mu = lambda)."""
     mutation_sigma: Annotated[float, Meta(gt=0, le=2)] = 0.1
     """Standard deviation of the Gaussian mutation, in genes."""
@@ -64,23 +96,18 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Generation g is asked when generation g minus this has been told."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
-    poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MOST)] | None = None
-    """The hand poses that the method `given` scores, and no other has: x y z [m], qx qy qz qw, then synergy
-    label and free joints [rad] where the hand has them; decimals that float32 gives back."""
+    poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (
+        None
+    )
+    """The hand poses that the method `given` scores, and no other method has.
+
+    x y z [m], qx qy qz qw, then synergy label and free joints [rad] where the hand has them; decimals that
+    float32 gives back.
+    """
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """Make a spec of plain values.
-
-    Raises
-    ------
-    UnknownKey
-        A key that no field has; the known ones are named.
-    ImpossibleValue
-        A value of the wrong type or outside what the field allows.
-    InputError
-        `gripper` or `object` is missing.
-    """
+    """Make a spec of plain values; an InputError that names the key if one is unknown or wrong."""
     fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
     for key in values:
         if key not in fields:
@@ -94,60 +121,50 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         try:
             msgspec.convert(value, fields[key].type)
         except msgspec.ValidationError:
-            expected = _expected(fields[key].type) + SAID_OF.get(key, "")
+            expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
             raise ImpossibleValue(f"{where}: {key}", value, expected) from None
     return msgspec.convert(values, RunSpec)
 
 
 def read_run_spec(path: Path) -> dict[str, Any]:
-    """The values in a TOML file, not yet checked.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is not TOML.
-    """
+    """The values in a TOML file, not yet checked; an InputError if it cannot be read as TOML."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not TOML: {error}.") from None
-    return toml.loads(text, str(path))
+    return parse_toml(text, str(path))
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
-    """The spec in a TOML text; the inverse of `to_toml`.
-
-    Raises
-    ------
-    InputError
-        The text is not TOML, or not a spec; see `run_spec`.
-    """
-    return run_spec(toml.loads(text, where), where)
+    """The spec in a TOML text; the inverse of `to_toml`. Errors are those of `run_spec`."""
+    return run_spec(parse_toml(text, where), where)
 
 
 def differences(one: RunSpec, other: RunSpec) -> list[str]:
-    """The keys in which two specs differ, besides those that say when a run ends."""
+    """Return the keys in which two specs differ, without the stop criteria."""
     return [
-        key for key in one.__struct_fields__ if key not in GOALS and getattr(one, key) != getattr(other, key)
+        key
+        for key in one.__struct_fields__
+        if key not in STOP_KEYS and getattr(one, key) != getattr(other, key)
     ]
 
 
 def to_values(spec: RunSpec) -> dict[str, Any]:
-    """The full spec as plain values; fields that are None are left out."""
+    """Return the full spec as plain values, without fields that have no value."""
     return {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
 
 
 def to_toml(spec: RunSpec) -> str:
-    """The full spec as TOML; fields that are None are left out, and each pose has a line."""
+    """Return the full spec as TOML, without fields that have no value; each pose on a line."""
     values = to_values(spec)
     poses = values.pop("poses", ())
     lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)
     return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "")
 
 
-def _expected(kind: Any) -> str:
+def _expected_value(kind: Any) -> str:
     """A field's type in words."""
     info = msgspec.inspect.type_info(kind)
     if isinstance(info, msgspec.inspect.UnionType):
@@ -157,12 +174,9 @@ def _expected(kind: Any) -> str:
     if isinstance(info, msgspec.inspect.StrType):
         return "text"
     if isinstance(info, msgspec.inspect.VarTupleType):
-        return f"1 to {MOST} lists of numbers"
+        return f"1 to {MAX_POPULATION} lists of numbers"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
-    bounds = [
-        f"{word} {getattr(info, name)}"
-        for name, word in words.items()
-        if getattr(info, name, None) is not None
-    ]
+    limits = {word: getattr(info, name, None) for name, word in words.items()}
+    bounds = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]
     noun = "a whole number" if isinstance(info, msgspec.inspect.IntType) else "a number"
     return f"{noun} {' and '.join(bounds)}".strip()

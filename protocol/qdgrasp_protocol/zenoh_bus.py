@@ -15,50 +15,55 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    QueryHandler,
-    Ring,
+    RingBuffer,
     Sample,
     SampleHandler,
     TokenHandler,
     ValuesHandler,
-    failure,
+    reply_error,
 )
-from qdgrasp_protocol.credentials import Credentials
-from qdgrasp_protocol.endpoint import check_open, home, parse_all
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused, SecurityError
-from qdgrasp_protocol.handshake import NotListening, Unreachable, plain
 from qdgrasp_protocol.keys import matches
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.printable import printable
-from qdgrasp_protocol.session import Mode, Settings, settings
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.session import (
+    Credentials,
+    Mode,
+    NotListening,
+    Unreachable,
+    ZenohSettings,
+    check_open,
+    clean_zenoh_error,
+    default_endpoint,
+    parse_endpoints,
+    session_settings,
+)
+from qdgrasp_protocol.text import printable
 
 log = structlog.get_logger()
 
 T = TypeVar("T")
 
-PORT_TRIES = 3
-"""How many free ports are tried where somebody else is quicker."""
-SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
-TOLD: dict[type[BusError], str] = {
+PORT_TRIES = 3  # How many free ports are tried where somebody else is quicker
+CONNECT_SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
+ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
 }
-"""The encodings of error replies by what they tell; one without either is zenoh's own (a time-out)."""
+"""Encodings of error replies by error; a reply without either is zenoh's own (time-out)."""
 
-MAX_REASON = 1000
-"""The most bytes that are shown of a refusal."""
+MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
 QOS = {
     Channel.DATA: (zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA),
     Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
     Channel.MONITOR: (zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW),
 }
-"""Congestion control and priority by channel. Links are streams: what is not dropped before is reliable."""
+"""Congestion control and priority by channel; links are streams: only drops lose messages."""
 
 
 def free_endpoint(credentials: Credentials | None = None) -> str:
-    """The default endpoint on loopback if its port is free, else one on a port that is free now."""
-    default = home(encrypted=credentials is not None)
+    """Return the default loopback endpoint if its port is free, else one on a free port."""
+    default = default_endpoint(encrypted=credentials is not None)
     for port in (default.port, 0):
         try:
             with socket.create_server((default.host, port)) as server:
@@ -86,30 +91,21 @@ class ZenohBus(Bus):
     ) -> "ZenohBus":
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
 
-        Parameters
-        ----------
-        endpoint
-            One, or several separated by commas: the first that answers serves, and when it is lost
-            another one; None: the default one.
-        credentials
-            What the session proves its role with.
-
-        Raises
-        ------
-        EndpointError
-            Nothing answers there in time, or the text is not an endpoint.
-        SystemExit
-            `stop` was set while trying.
+        Of several endpoints, separated by commas, the first that answers serves, and when it is lost another
+        one; None is the default one. An EndpointError if no router answers in time, or the text is not an
+        endpoint; a SystemExit if `stop` was set while trying.
         """
         endpoints = (
-            parse_all(endpoint) if endpoint is not None else (home(encrypted=credentials is not None),)
+            parse_endpoints(endpoint)
+            if endpoint is not None
+            else (default_endpoint(encrypted=credentials is not None),)
         )
         deadline = time.monotonic() + deadline_seconds
         while True:
             if stop is not None and stop.is_set:
                 raise SystemExit(stop.exit_code)
-            left = min(SLICE, max(0.0, deadline - time.monotonic()))
-            chosen = settings("client", connect=endpoints, credentials=credentials, seconds=left)
+            left = min(CONNECT_SLICE, max(0.0, deadline - time.monotonic()))
+            chosen = session_settings("client", connect=endpoints, credentials=credentials, seconds=left)
             try:
                 return cls(zenoh.open(_config(chosen, zenoh.Config())), "client")
             except zenoh.ZError:
@@ -125,33 +121,19 @@ class ZenohBus(Bus):
         credentials: Credentials | None = None,
         insecure: bool = False,
     ) -> "ZenohBus":
-        """Open a session that is the router itself and listens on `endpoint`.
+        """Open a session that is the router itself and listens on `endpoint`, or several.
 
-        Parameters
-        ----------
-        endpoint
-            Where; several are separated by commas.
-        connect
-            Other routers to relay with, now or as soon as they answer.
-        credentials
-            The router's; their folder holds its access list.
-        insecure
-            Listen also where strangers get to.
-
-        Raises
-        ------
-        EndpointError
-            The port is taken, the address is not ours, strangers could get there, or the text is not
-            an endpoint.
-        SecurityError
-            The router's file is no configuration, or has no access list.
+        `connect` names other routers to relay with, now or as soon as they answer. The folder of
+        `credentials` holds the access list. An EndpointError if the port is taken, the address is not ours,
+        or strangers could get there (unless `insecure`); a SecurityError if the router's file is no
+        configuration, or has no access list.
         """
-        listening = parse_all(endpoint)
+        listening = parse_endpoints(endpoint)
         for place in listening:
             check_open(place, insecure=insecure)
-        others = parse_all(connect) if connect is not None else ()
-        chosen = settings("router", listen=listening, connect=others, credentials=credentials)
-        config = _config(chosen, _guarded(credentials) if credentials else zenoh.Config())
+        others = parse_endpoints(connect) if connect is not None else ()
+        chosen = session_settings("router", listen=listening, connect=others, credentials=credentials)
+        config = _config(chosen, _router_config(credentials) if credentials else zenoh.Config())
         try:
             return cls(zenoh.open(config), "router")
         except zenoh.ZError as error:
@@ -161,13 +143,7 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or, where that is None, on a free port; and where that is.
-
-        Raises
-        ------
-        EndpointError
-            The endpoint that was named cannot be listened on, or no port is free.
-        """
+        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
@@ -178,7 +154,7 @@ class ZenohBus(Bus):
         return cls.router(chosen, credentials=credentials), chosen
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Publish one message; a Publisher per key would leak memory on every join."""
+        """Publish one message, without a Publisher per key, which would leak memory on every join."""
         congestion_control, priority = QOS[channel]
         self._try(
             lambda: self._session.put(
@@ -187,15 +163,14 @@ class ZenohBus(Bus):
         )
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear messages."""
+        """Subscribe to messages."""
+        return self._declare(
+            lambda sample: handler(_sample(sample)),
+            lambda call: self._session.declare_subscriber(pattern, call),
+        )
 
-        def heard(sample: zenoh.Sample) -> None:
-            handler(_sample(sample))
-
-        return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
-
-    def ring(self, pattern: str, capacity: int) -> Ring:
-        """Keep messages in a ring of zenoh's own."""
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
+        """Buffer messages in a zenoh ring channel."""
         ring = ZenohRing()
         channel: Any = zenoh.handlers.RingChannel(capacity)
 
@@ -205,15 +180,6 @@ class ZenohBus(Bus):
 
         self._hold(ring, declare)
         return ring
-
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries; a query that was let go unanswered ends its asker's waiting."""
-
-        def asked(query: zenoh.Query) -> None:
-            with query:
-                _reply(query, handler)
-
-        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
@@ -226,22 +192,23 @@ class ZenohBus(Bus):
         for reply in replies:
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-            for kind, encoding in TOLD.items():
+            for kind, encoding in ERROR_ENCODINGS.items():
                 if reply.err is not None and str(reply.err.encoding) == encoding:
-                    raise kind(_reason(reply.err.payload.to_bytes()))
+                    reason = reply.err.payload.to_bytes()[:MAX_REASON].decode(errors="ignore")
+                    raise kind(printable(reason))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
-        """Answer queries with values."""
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values; a query that is let go unanswered ends its asker's waiting."""
 
         def asked(query: zenoh.Query) -> None:
             with query:
-                _show(query, handler)
+                _reply(query, handler)
 
         return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query all there are."""
+        """Query all matching keys."""
         replies = self._try(
             lambda: self._session.get(pattern, timeout=timeout, consolidation=zenoh.ConsolidationMode.NONE)
         )
@@ -249,11 +216,11 @@ class ZenohBus(Bus):
         return {str(sample.key_expr): sample.payload.to_bytes() for sample in found}
 
     def token(self, key: str) -> AbstractContextManager[None]:
-        """Be alive; the session declares it again whenever it is connected again."""
+        """Declare a liveliness token, which zenoh declares again at each reconnection."""
         return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of tokens; a change that is none (an echo after a reconnection) is not told."""
+        """Watch tokens; repeated states (echoes after a reconnection) are not reported."""
         alive: set[str] = set()
 
         def changed(sample: zenoh.Sample) -> None:
@@ -268,25 +235,24 @@ class ZenohBus(Bus):
         )
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of the transport to the router."""
+        """Report changes of the transport to the router."""
         if self._mode == "router":
             return Declaration()
-
-        def changed(event: zenoh.TransportEvent) -> None:
-            handler(event.kind == zenoh.SampleKind.PUT)
-
-        return self._declare(changed, self._session.info.declare_transport_events_listener)
+        return self._declare(
+            lambda event: handler(event.kind == zenoh.SampleKind.PUT),
+            self._session.info.declare_transport_events_listener,
+        )
 
     def close(self) -> None:
-        """Close the session; a process that does not hangs at its end."""
+        """Close the session; without it the process hangs at its end."""
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
-    def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
-        """Declare something whose callback logs what it raises and falls silent with the declaration."""
+    def _declare(self, callback: Callable[[Any], None], declare: Callable[[Any], Any]) -> Declaration:
+        """Declare a callback; its errors are logged, and it is not called after the end."""
         declaration = Declaration()
 
-        def call(argument: T) -> None:
+        def call(argument: Any) -> None:
             try:
                 if declaration.holds:
                     callback(argument)
@@ -296,7 +262,7 @@ class ZenohBus(Bus):
         return self._hold(declaration, lambda: declare(call))
 
     def _hold(self, declaration: Declaration, declare: Callable[[], Any]) -> Declaration:
-        """Declare something, and hold it until it is taken back."""
+        """Declare something, and hold it until it is undone."""
         entity = self._try(declare)
 
         def undo() -> None:
@@ -314,13 +280,13 @@ class ZenohBus(Bus):
             raise BusError(f"The bus refuses: {error}.") from None
 
 
-class ZenohRing(Ring):
+class ZenohRing(RingBuffer):
     """A ring channel of zenoh, filled by its threads."""
 
     subscriber: Any
 
     def take(self) -> list[Sample]:
-        """Take what is there."""
+        """Take the buffered messages."""
         taken = []
         with suppress(zenoh.ZError):  # the session was closed
             while self.holds and (sample := self.subscriber.try_recv()) is not None:
@@ -332,21 +298,23 @@ def _sample(sample: zenoh.Sample) -> Sample:
     return Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
 
-def _config(chosen: Settings, config: zenoh.Config) -> zenoh.Config:
-    """A configuration with these settings over what it holds."""
+def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
+    """Apply settings to a configuration."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
     return config
 
 
-def _guarded(credentials: Credentials) -> zenoh.Config:
-    """What a router's file holds, with its access list."""
+def _router_config(credentials: Credentials) -> zenoh.Config:
+    """Return a router's configuration file, after a check of its access list."""
     path = credentials.configuration
     try:
         config = zenoh.Config.from_json5(path.read_text())
         guard = json.loads(config.get_json("access_control"))
     except (OSError, ValueError, zenoh.ZError) as error:
-        raise SecurityError(f"{path} is not a configuration that zenoh takes: {plain(str(error))}.") from None
+        raise SecurityError(
+            f"{path} is not a configuration that zenoh takes: {clean_zenoh_error(str(error))}."
+        ) from None
     if not (guard["enabled"] and guard["default_permission"] == "deny"):
         raise SecurityError(
             f"{path} does not deny what it does not allow; `qdgrasp security init` writes a file that does."
@@ -354,28 +322,18 @@ def _guarded(credentials: Credentials) -> zenoh.Config:
     return config
 
 
-def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
-    """Answer one query, by the handler's answer or by why there is none."""
-    _show(query, lambda asked: {asked.key: handler(asked)})
-
-
-def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or by why there are none."""
+def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or with the error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
         values = handler(Query(key, str(query.parameters), payload))
     except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
-        told = failure(error, key)
-        for kind, encoding in TOLD.items():
+        told = reply_error(error, key)
+        for kind, encoding in ERROR_ENCODINGS.items():
             if isinstance(told, kind):
                 query.reply_err(str(told).encode(), encoding=encoding)
         return
     for concrete, value in values.items():
         if matches(key, concrete):
             query.reply(concrete, value)
-
-
-def _reason(payload: bytes) -> str:
-    """The reason of a refusal as it may be shown to a person."""
-    return printable(payload[:MAX_REASON].decode(errors="ignore"))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from tests.assets import example_hands
 
 URDF = """<robot name="claw">
 <link name="mount"/>
@@ -64,3 +65,18 @@ def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The reference data, set as the asset path."""
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
     return reference_data
+
+
+@pytest.fixture
+def jaw_toml(tmp_path: Path) -> Path:
+    """The file of the jaw, its URDF beside it."""
+    (tmp_path / "jaw.urdf").write_text(example_hands.JAW_URDF, encoding="utf-8")
+    toml = tmp_path / "jaw.toml"
+    toml.write_text(example_hands.JAW_TOML, encoding="utf-8")
+    return toml
+
+
+@pytest.fixture
+def jaw_urdf(jaw_toml: Path) -> Path:
+    """The URDF of the jaw."""
+    return jaw_toml.with_suffix(".urdf")

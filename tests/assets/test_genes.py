@@ -1,11 +1,11 @@
-"""Which genes priors have, and where they can bring the hand."""
+"""Genes of priors, and the boxes to which they bring the hand."""
 
 import numpy as np
 import pytest
-from tests.changed import with_gripper
+from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import OWN, archive_box, descriptors, layout, spherical_radius
+from qdgrasp_assets.genes import PRIOR_GENES, archive_box, descriptors, layout, spherical_radius
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.spec import RunSpec
@@ -27,7 +27,7 @@ NAMES = {
 }
 
 
-@pytest.mark.parametrize("prior", OWN)
+@pytest.mark.parametrize("prior", PRIOR_GENES)
 def test_synergy_and_free_joints_come_after_the_genes_of_the_prior(prior, cube) -> None:
     assert layout(cube, prior).names == NAMES[prior]
     pair = tuple(Synergy(name=name, joints=("panda_finger_joint1",)) for name in ("one", "two"))
@@ -75,7 +75,7 @@ def test_the_target_of_aimed_may_be_anywhere_in_the_box_of_its_archive(cube) -> 
 
 def test_aimed_describes_a_pose_by_the_features_of_its_ranking_too() -> None:
     assert descriptors("aimed") == 9
-    assert {descriptors(prior) for prior in OWN if prior != "aimed"} == {3}
+    assert {descriptors(prior) for prior in PRIOR_GENES if prior != "aimed"} == {3}
 
 
 def test_a_hand_without_a_jaw_has_no_antipodal_genes(cube) -> None:

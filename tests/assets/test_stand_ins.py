@@ -3,10 +3,10 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from qdgrasp_assets.mesh import join
-from qdgrasp_assets.objects.chain import chain
-from qdgrasp_assets.objects.stand_ins import STAND_INS, stand_in
-from qdgrasp_assets.surface import sample
+from qdgrasp_assets.geometry.mesh import join
+from qdgrasp_assets.geometry.primitives import loft
+from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.stand_ins import STAND_INS, stand_in
 from qdgrasp_assets.ycb import read_scan
 
 # Calli et al. 2015, table of object properties [m, kg]: sides along x, y and z, where it has them.
@@ -63,7 +63,7 @@ def test_parts_are_convex_and_small(name):
 @pytest.mark.parametrize("name", sorted(set(STAND_INS) - {"tennis_ball"}))
 def test_normals_point_out_of_the_parts(name):
     target = stand_in(name)
-    points, drawn = sample(target.mesh, 3000, seed=0)
+    points, drawn = sample_surface(target.mesh, 3000, seed=0)
     normals = target.mesh.normals[drawn]
     step = 2e-5  # m
     assert not inside(target.parts, points + step * normals).any()
@@ -72,7 +72,7 @@ def test_normals_point_out_of_the_parts(name):
 
 def test_the_balls_normals_point_from_its_centre():
     target = stand_in("tennis_ball")
-    points, drawn = sample(target.mesh, 1000, seed=0)
+    points, drawn = sample_surface(target.mesh, 1000, seed=0)
     outward = points - target.com_in_mesh
     cosine = np.sum(outward * target.mesh.normals[drawn], axis=1) / np.linalg.norm(outward, axis=1)
     assert cosine.min() > np.cos(np.radians(6))
@@ -117,7 +117,7 @@ def test_a_chain_of_outlines_is_the_union_of_its_parts():
     flat = [
         np.column_stack([point + size * (square - point), np.full(4, z)]) for z, size in enumerate((1, 3, 1))
     ]
-    surface, parts = chain(flat)
+    surface, parts = loft(flat)
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     assert mesh.is_volume
     assert len(parts) == 2
@@ -147,7 +147,10 @@ def test_a_stand_in_lies_where_its_scan_lies(asset_path, name):
     assert own.com_in_mesh == pytest.approx(scan.com_in_mesh, abs=1e-9)
     assert own.mass == scan.mass
     assert own.centred_mesh.extents == pytest.approx(scan.centred_mesh.extents, abs=extents)
-    here, there = sample(own.centred_mesh, 3000, 0)[0], sample(scan.centred_mesh, 20_000, 0)[0]
+    here, there = (
+        sample_surface(own.centred_mesh, 3000, 0)[0],
+        sample_surface(scan.centred_mesh, 20_000, 0)[0],
+    )
     distances = cKDTree(there).query(here)[0]
     assert np.median(distances) < median
     assert np.percentile(distances, 95) < far

@@ -3,17 +3,17 @@ import json
 import numpy as np
 import pytest
 
-from qdgrasp_assets.surface import sample
-from qdgrasp_assets.ycb import SCANS, read_scan, source
+from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.ycb import SCAN_NAMES, read_scan, scan_source
 from qdgrasp_protocol.errors import AssetError
 
 
-@pytest.mark.parametrize("name", SCANS)
+@pytest.mark.parametrize("name", SCAN_NAMES)
 def test_a_scans_normals_point_outward(asset_path, name):
     import trimesh
 
     mesh = read_scan(name, "paper").mesh
-    points, drawn = sample(mesh, 1000, seed=0)
+    points, drawn = sample_surface(mesh, 1000, seed=0)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     step = 5e-5  # m
     assert mesh.volume > 0
@@ -21,7 +21,7 @@ def test_a_scans_normals_point_outward(asset_path, name):
     assert solid.contains(points - step * mesh.normals[drawn]).mean() > 0.98
 
 
-@pytest.mark.parametrize("name", SCANS)
+@pytest.mark.parametrize("name", SCAN_NAMES)
 def test_a_scans_collision_parts_cover_it(asset_path, name):
     target = read_scan(name, "paper")
     low = np.min([part.bounds[0] for part in target.parts], axis=0)
@@ -38,14 +38,14 @@ def test_the_banana_weighs_a_kilogram_in_released_only(asset_path):
 
 def test_the_centre_of_mass_is_the_tabled_inertial_origin(asset_path):
     table = json.loads((asset_path / "objects/objects.json").read_text())
-    for name in SCANS:
+    for name in SCAN_NAMES:
         expected = table[name.removeprefix("ycb_")]["inertial_origin_xyz"]
         assert read_scan(name, "paper").com_in_mesh == pytest.approx(expected)
 
 
 def test_a_scan_that_is_not_there_says_what_it_is_and_where_it_was_looked_for(monkeypatch, tmp_path):
     monkeypatch.setenv("QDGRASP_ASSET_PATH", f"{tmp_path}/a:{tmp_path}/b")
-    assert source("ycb_mug") == "absent"
+    assert scan_source("ycb_mug") == "absent"
     with pytest.raises(AssetError, match=rf"'ycb_mug' is a scan .*QDGRASP_ASSET_PATH is '{tmp_path}/a:"):
         read_scan("ycb_mug", "paper")
 

@@ -14,8 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.chaos.plan import blows, course
-from tests.chaos.play import disturb
-from tests.chaos.undisturbed import agreeing_rows, undisturbed_digest
+from tests.chaos.play import agreeing_rows, disturb, undisturbed_digest
 
 LONG, SHORT = 20_000, 5_000
 SEEDS = range(10)

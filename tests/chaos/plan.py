@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import count
 
-from qdgrasp_coordinator.runs.preparation import full_spec
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_protocol.spec import RunSpec
 
 HEAD = ("recorder", "coordinator", "router")

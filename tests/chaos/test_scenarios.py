@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tests.chaos.failing_simulator import DEEDS, WAYS
-from tests.chaos.household import Household
 from tests.chaos.plan import Course
-from tests.chaos.undisturbed import recorded_digest, undisturbed_digest
-from tests.chaos.worker import SIMULATOR
+from tests.chaos.play import recorded_digest, undisturbed_digest
+from tests.chaos.processes import JobProcesses
+from tests.chaos.simulator import DEEDS, WAYS
 from tests.system.commands import wait_for
 
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.journal_format import FILE
+from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import TookOver
 
 COURSE = Course("contact_rand", "paper", 60, 0.05)
@@ -31,16 +30,16 @@ def expected(undisturbed: Path) -> str:
 
 
 @pytest.fixture
-def household(tmp_path: Path) -> Iterator[Household]:
+def household(tmp_path: Path) -> Iterator[JobProcesses]:
     """A job in progress, with some rows recorded."""
-    with Household(tmp_path, SPEC, workers=4, pace=COURSE.pace) as household:
+    with JobProcesses(tmp_path, SPEC, workers=4, pace=COURSE.pace) as household:
         household.start()
         wait_for(lambda: household.rows >= EARLY, "the first rows")
         assert household["coordinator"].is_there
         yield household
 
 
-def ends_well(household: Household, coordinator: str = "coordinator") -> str:
+def ends_well(household: JobProcesses, coordinator: str = "coordinator") -> str:
     """Wait until a job is over; gives its digest."""
     process = household[coordinator]
     wait_for(lambda: process.exit_code is not None, "the end")
@@ -65,7 +64,7 @@ def garble(wal: Path) -> None:
 
 @pytest.mark.parametrize("tear", [cut, pytest.param(garble, marks=pytest.mark.slow)])
 def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
-    household: Household, expected: str, tear: Callable[[Path], None]
+    household: JobProcesses, expected: str, tear: Callable[[Path], None]
 ) -> None:
     recorder = household["recorder"]
     recorder.send(signal.SIGKILL)
@@ -77,7 +76,7 @@ def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_for_a_while_is_waited_for(household: Household, expected: str) -> None:
+def test_a_disk_that_is_full_for_a_while_is_waited_for(household: JobProcesses, expected: str) -> None:
     recorder = household["recorder"]
     largest = max(file.stat().st_size for file in household.run.glob(f"{FILE}*"))
     _, most = resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE)
@@ -91,7 +90,7 @@ def test_a_disk_that_is_full_for_a_while_is_waited_for(household: Household, exp
 
 
 @pytest.mark.slow
-def test_the_head_and_half_of_the_workers_are_killed_at_once(household: Household, expected: str) -> None:
+def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProcesses, expected: str) -> None:
     for name in ("coordinator", "recorder", "worker-0", "worker-1"):
         household[name].send(signal.SIGKILL)
     household.start()
@@ -99,7 +98,7 @@ def test_the_head_and_half_of_the_workers_are_killed_at_once(household: Househol
 
 
 def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
-    household: Household, expected: str
+    household: JobProcesses, expected: str
 ) -> None:
     first, second = household["coordinator"], household.another("coordinator")
     first.send(signal.SIGSTOP)
@@ -115,7 +114,7 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
 
 @pytest.mark.slow
 def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
-    household: Household, expected: str
+    household: JobProcesses, expected: str
 ) -> None:
     first, second = household["recorder"], household.another("recorder")
     first.send(signal.SIGSTOP)
@@ -133,9 +132,9 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
 ) -> None:
     deeds = tmp_path / "deeds"
     deeds.mkdir()
-    environment = {SIMULATOR: "tests.chaos.failing_simulator", DEEDS: str(deeds)}
+    environment = {DEEDS: str(deeds)}
     limits = ("--row-seconds", 1, "--memory", 400)
-    with Household(tmp_path, SPEC, workers=2, options=limits, **environment) as household:
+    with JobProcesses(tmp_path, SPEC, workers=2, options=limits, **environment) as household:
         household.start()
         assert ends_well(household) == expected
     assert {deed.name for deed in deeds.iterdir()} == set(WAYS)

@@ -1,14 +1,10 @@
-"""A worker with simulators of this folder: `python -m tests.chaos.worker [OPTIONS]`; see SIMULATOR."""
+"""A worker with the simulators of this folder: `python -m tests.chaos.worker [OPTIONS]`."""
 
-import os
 import sys
 
 from qdgrasp_worker import cli
-from qdgrasp_worker.serving import workshop
-
-SIMULATOR = "CHAOS_SIMULATOR"
-"""Names the module of the simulators; by default those that take their time."""
+from qdgrasp_worker.runtime import simulator_supervisor
 
 if __name__ == "__main__":
-    workshop.CHILD = [sys.executable, "-m", os.environ.get(SIMULATOR, "tests.chaos.slow_simulator")]
+    simulator_supervisor.SIMULATOR_COMMAND = [sys.executable, "-m", "tests.chaos.simulator"]
     cli.main()

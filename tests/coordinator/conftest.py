@@ -1,22 +1,22 @@
 import threading
 
 import pytest
-from tests.coordinator.recording.recorded import Coordinator
+from tests.coordinator.recorder.fakes import FakeCoordinator
 from tests.coordinator.scenes import SceneMaker, made_scene
 
-from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_protocol.memory_bus import MemoryNetwork
 
 
 @pytest.fixture
-def network() -> LocalNetwork:
-    return LocalNetwork()
+def network() -> MemoryNetwork:
+    return MemoryNetwork()
 
 
 @pytest.fixture
-def coordinator(network: LocalNetwork) -> Coordinator:
-    return Coordinator(network.session())
+def coordinator(network: MemoryNetwork) -> FakeCoordinator:
+    return FakeCoordinator(network.session())
 
 
 @pytest.fixture
@@ -24,13 +24,13 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """While it is not set, journals may not grow."""
     room, append = threading.Event(), JournalWriter.append
 
-    def limited(journal: JournalWriter, stretch: Stretch, epoch: int, now: float) -> None:
+    def limited(journal: JournalWriter, stretch: JournalSlice, epoch: int, now: float) -> None:
         pages = 1_000_000 if room.is_set() else 1
         journal._database.execute(f"PRAGMA max_page_count = {pages}")
         append(journal, stretch, epoch, now)
 
     monkeypatch.setattr(JournalWriter, "append", limited)
-    monkeypatch.setattr("qdgrasp_coordinator.recording.room.RETRY_INTERVAL", 0.02)
+    monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.RETRY_INTERVAL", 0.02)
     return room
 
 

@@ -7,15 +7,14 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.scene import Scene, pack_scene
-from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.journal_format import Identity
-from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SHAPE = Shape(genes=2, joints=2)
+SHAPE = RowShape(genes=2, joints=2)
 
 
 def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
@@ -37,10 +36,10 @@ def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
     bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
     spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)
     folder = RunFolder.create(path, spec, bundle)
-    shape = Shape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
-    identity = Identity("run", to_toml(spec), bundle.digest, shape)
+    shape = RowShape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
+    identity = JournalIdentity("run", to_toml(spec), bundle.digest, shape)
     with JournalWriter.create(path, identity) as journal:
-        journal.begin_turn(1, 0.0)
+        journal.begin_epoch(1, 0.0)
         if len(rows):
-            journal.append(Stretch(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
+            journal.append(JournalSlice(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
     return folder

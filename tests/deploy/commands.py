@@ -8,20 +8,20 @@ from typing import Any
 
 import typer
 
-import qdgrasp_coordinator.cli.coordinator
+import qdgrasp_coordinator.cli.coordinator_process
 import qdgrasp_coordinator.cli.main
-import qdgrasp_coordinator.cli.monitor
-import qdgrasp_coordinator.cli.recorder
-import qdgrasp_coordinator.cli.router
+import qdgrasp_coordinator.cli.monitor_process
+import qdgrasp_coordinator.cli.recorder_process
+import qdgrasp_coordinator.cli.router_process
 import qdgrasp_worker.cli
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 COMMANDS = {
     "qdgrasp": qdgrasp_coordinator.cli.main.app,
-    "qdgrasp-coordinator": qdgrasp_coordinator.cli.coordinator.app,
-    "qdgrasp-monitor": qdgrasp_coordinator.cli.monitor.app,
-    "qdgrasp-recorder": qdgrasp_coordinator.cli.recorder.app,
-    "qdgrasp-router": qdgrasp_coordinator.cli.router.app,
+    "qdgrasp-coordinator": qdgrasp_coordinator.cli.coordinator_process.app,
+    "qdgrasp-monitor": qdgrasp_coordinator.cli.monitor_process.app,
+    "qdgrasp-recorder": qdgrasp_coordinator.cli.recorder_process.app,
+    "qdgrasp-router": qdgrasp_coordinator.cli.router_process.app,
     "qdgrasp-worker": qdgrasp_worker.cli.app,
 }
 

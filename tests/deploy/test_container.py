@@ -1,12 +1,21 @@
+"""Container images and their lock files."""
+
 import json
 import re
+import subprocess
+import sys
+import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.version import Version
 from tests.deploy.commands import COMMANDS, DEPLOY, understood
+
+from qdgrasp_protocol.session import parse_endpoints
 
 ROOT = DEPLOY.parent
 CONTAINER = DEPLOY / "container"
@@ -149,3 +158,179 @@ def test_records_outlive_their_containers() -> None:
     assert name in whole["volumes"]
     recorder = understood(["qdgrasp-recorder", *whole["services"]["recorder"]["command"]])
     assert Path(place) in recorder["out"].parents
+
+
+PROJECT = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+LOCKS = ("requirements.txt", "worker.txt", "build.txt")
+ENTRY = re.compile(
+    r"^([A-Za-z0-9_.-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", re.MULTILINE
+)
+
+
+def pins(name: str) -> dict[str, Version]:
+    """The packages of a lock file, by their names."""
+    return {package: Version(version) for package, version, _ in ENTRY.findall(read(name))}
+
+
+def read(name: str) -> str:
+    return (CONTAINER / name).read_text()
+
+
+def asked(name: str) -> list[Requirement]:
+    lines = (line for line in read(name).splitlines() if line and not line.startswith("#"))
+    return [Requirement(line) for line in lines]
+
+
+def imports(name: str) -> str:
+    """What a package of a lock file is called where it is imported."""
+    return {"eclipse-zenoh": "zenoh", "pyyaml": "yaml"}.get(name, name.replace("-", "_"))
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_every_line_of_a_lock_is_one_version_with_its_hashes(name: str) -> None:
+    rest = re.sub(r"^ *#.*\n", "", ENTRY.sub("", read(name)), flags=re.MULTILINE)
+    assert rest.strip() == ""
+    assert pins(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "needed"),
+    [
+        ("requirements.txt", [Requirement(text) for text in PROJECT["project"]["dependencies"]]),
+        ("worker.txt", asked("worker.in")),
+        ("build.txt", asked("build.in")),
+    ],
+    ids=LOCKS,
+)
+def test_a_lock_satisfies_what_is_needed(name: str, needed: list[Requirement]) -> None:
+    locked = pins(name)
+    wrong = [
+        str(each) for each in needed if each.name not in locked or locked[each.name] not in each.specifier
+    ]
+    assert wrong == []
+
+
+def test_what_builds_an_image_is_what_builds_the_package() -> None:
+    assert list(map(str, asked("build.in"))) == list(
+        map(str, map(Requirement, PROJECT["build-system"]["requires"]))
+    )
+
+
+def test_a_worker_has_the_versions_of_everybody_else() -> None:
+    assert pins("worker.txt").items() <= pins("requirements.txt").items()
+    assert len(pins("worker.txt")) < len(pins("requirements.txt")) / 2
+
+
+def test_a_worker_does_without_what_its_lock_leaves_out(tmp_path: Path) -> None:
+    missing = {imports(name) for name in pins("requirements.txt").keys() - pins("worker.txt").keys()}
+    assert {"ribs", "coacd", "matplotlib", "trimesh"} <= missing
+    program = f"""
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {missing!r}:
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Absent())
+import pkgutil, importlib, qdgrasp_worker
+for module in pkgutil.walk_packages(qdgrasp_worker.__path__, "qdgrasp_worker."):
+    importlib.import_module(module.name)
+import qdgrasp_protocol.zenoh_bus
+from qdgrasp_worker.platform import platform
+print(platform()["probes"])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"[0-9a-f]{64}\n", done.stdout)
+
+
+FILES = sorted((DEPLOY / "kubernetes").glob("*.yaml"))
+OBJECTS = [each for file in FILES for each in yaml.safe_load_all(file.read_text())]
+DEPLOYMENTS = {each["metadata"]["name"]: each for each in OBJECTS if each["kind"] == "Deployment"}
+KUBERNETES_SERVICES = {each["metadata"]["name"]: each for each in OBJECTS if each["kind"] == "Service"}
+UNITS = {"Mi": 1, "Gi": 1024}
+
+
+def pod(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = DEPLOYMENTS[name]["spec"]["template"]["spec"]
+    return found
+
+
+def container(name: str) -> dict[str, Any]:
+    (found,) = pod(name)["containers"]
+    return found
+
+
+def options(name: str) -> dict[str, Any]:
+    """What the command of a deployment makes of its arguments."""
+    started = container(name)
+    return understood([*started.get("command", ["qdgrasp-worker"]), *started["args"]])
+
+
+def megabytes(quantity: str) -> float:
+    return float(quantity[:-2]) * UNITS[quantity[-2:]] * 1.048576
+
+
+def test_everything_is_named_and_of_a_kind() -> None:
+    assert {each["kind"] for each in OBJECTS} == {"Deployment", "Service", "HorizontalPodAutoscaler"}
+    assert set(DEPLOYMENTS) == {"qdgrasp-router", "qdgrasp-worker"}
+
+
+@pytest.mark.parametrize("name", DEPLOYMENTS)
+def test_a_pod_reads_its_certificates_where_its_command_looks_for_them(name: str) -> None:
+    mounts = {mount["mountPath"]: mount["name"] for mount in container(name)["volumeMounts"]}
+    volumes = {volume["name"]: volume for volume in pod(name)["volumes"]}
+    secret = volumes[mounts[str(options(name)["security"])]]["secret"]
+    assert secret["secretName"] == name
+    assert secret["defaultMode"] & 0o037 == 0  # only its own group reads it
+
+
+@pytest.mark.parametrize("name", DEPLOYMENTS)
+def test_a_pod_has_no_rights_that_it_does_not_need(name: str) -> None:
+    assert pod(name)["securityContext"]["runAsNonRoot"] is True
+    assert pod(name)["automountServiceAccountToken"] is False
+    context = container(name)["securityContext"]
+    assert context["readOnlyRootFilesystem"] is True
+    assert context["allowPrivilegeEscalation"] is False
+    assert context["capabilities"] == {"drop": ["ALL"]}
+
+
+@pytest.mark.parametrize("name", DEPLOYMENTS)
+def test_labels_lead_to_the_pods(name: str) -> None:
+    spec = DEPLOYMENTS[name]["spec"]
+    assert spec["selector"]["matchLabels"].items() <= spec["template"]["metadata"]["labels"].items()
+
+
+def test_workers_find_the_router_by_the_name_of_its_service() -> None:
+    (endpoint,) = parse_endpoints(options("qdgrasp-worker")["connect"])
+    service = KUBERNETES_SERVICES[endpoint.host]["spec"]
+    assert service["selector"].items() <= (
+        DEPLOYMENTS["qdgrasp-router"]["spec"]["template"]["metadata"]["labels"].items()
+    )
+    (port,) = service["ports"]
+    (listens,) = container("qdgrasp-router")["ports"]
+    (heard,) = parse_endpoints(options("qdgrasp-router")["listen"])
+    assert endpoint.port == port["port"] == listens["containerPort"] == heard.port
+    assert port["targetPort"] == listens["name"]
+
+
+def test_a_worker_is_waited_for_longer_than_its_grace_and_nothing_runs_before_its_end() -> None:
+    assert options("qdgrasp-worker")["grace"] + 3 <= pod("qdgrasp-worker")["terminationGracePeriodSeconds"]
+    assert "lifecycle" not in container("qdgrasp-worker")
+
+
+def test_a_worker_has_the_memory_that_its_simulator_may_keep() -> None:
+    limit = container("qdgrasp-worker")["resources"]["limits"]["memory"]
+    assert megabytes(limit) >= options("qdgrasp-worker")["memory"] * 1.2
+
+
+def test_a_worker_writes_only_where_it_is_given_a_place() -> None:
+    writable = {
+        Path(m["mountPath"]) for m in container("qdgrasp-worker")["volumeMounts"] if not m.get("readOnly")
+    }
+    assert options("qdgrasp-worker")["cache"] in writable
+    assert Path("/tmp") in writable  # noqa: S108 - the pod's own
+
+
+def test_what_scales_is_what_there_is() -> None:
+    (scaler,) = (each for each in OBJECTS if each["kind"] == "HorizontalPodAutoscaler")
+    assert scaler["spec"]["scaleTargetRef"]["name"] in DEPLOYMENTS

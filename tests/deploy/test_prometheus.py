@@ -13,14 +13,12 @@ import pytest
 import yaml
 from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
-from tests.coordinator.monitor.shown import run, values, views
-from tests.deploy.alerting import TEMPLATE, Alert, data, firing, seconds
+from tests.coordinator.monitor.sample_jobs import run, values, views
 from tests.deploy.commands import DEPLOY
-from tests.deploy.promql import Data, vector
-from tests.deploy.promql_reader import read
+from tests.deploy.promql import TEMPLATE, Alert, Data, data, firing, read, seconds, vector
 
-from qdgrasp_coordinator.monitor.metrics import STATES, exposition
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_coordinator.monitor.prometheus import STATES, exposition
+from qdgrasp_protocol.rows import Outcome
 
 PROMETHEUS = DEPLOY / "prometheus"
 BOARD = json.loads((DEPLOY / "grafana" / "qdgrasp.json").read_text())

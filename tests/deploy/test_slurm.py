@@ -6,14 +6,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.common import PATIENCE, free_port
 from tests.deploy.commands import DEPLOY, filled, understood
-from tests.endpoints import own_endpoint
-from tests.patience import PATIENCE
 
-from qdgrasp_coordinator.campaigns.campaign import read_campaign
-from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
-from qdgrasp_coordinator.folders.job_folder import JobFolder
-from qdgrasp_protocol.crew import GRACE
+from qdgrasp_coordinator.campaign.campaign_file import read_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.process import GRACE
 
 SLURM = DEPLOY / "slurm"
 SCRIPTS = sorted(SLURM.glob("*.sbatch"))
@@ -72,7 +71,7 @@ def test_a_campaign_is_carried_out_between_head_and_workers(tmp_path: Path) -> N
     done = head.run("head.sbatch", "many.toml", str(tmp_path / "many"))
     assert done.returncode == 0, done.stdout + head.said("workers.log")
     folder = JobFolder.open(tmp_path / "many")
-    extent = CampaignRuns(folder, read_campaign(tmp_path / "many.toml").runs).extent
+    extent = CampaignRunQueue(folder, read_campaign(tmp_path / "many.toml").runs).extent
     assert (extent.runs, extent.runs_done) == (1, 1)
     assert "joined" in head.said("workers.log")
     assert head.said("scancel.log") == "17\n"
@@ -100,7 +99,7 @@ class Desk:
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Submit a script, and wait for its end."""
-        port = own_endpoint().rpartition(":")[2]
+        port = str(free_port())
         environment = os.environ | {
             "PATH": f"{self._home / 'bin'}:{os.environ['PATH']}",
             "QDGRASP_CACHE": str(self._home / "cache"),

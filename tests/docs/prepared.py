@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from tests.assets.hands import arched, jaw
-from tests.docs.blocks import ROOT
+from tests.assets import example_hands
+from tests.docs.pages import ROOT
 from tests.system.commands import Commands
 
 import qdgrasp
-from qdgrasp_coordinator.folders.job_folder import Job
-from qdgrasp_coordinator.folders.names import LOGS
+from qdgrasp_coordinator.storage.job_folder import JobRecord
+from qdgrasp_coordinator.storage.outputs import LOGS
 
 RUNS = """
 [defaults]
@@ -116,7 +116,7 @@ def parts(_: Prepared, path: Path) -> None:
 
 
 def my_hand(prepared: Prepared, path: Path) -> None:
-    path.write_text(jaw.TOML.replace("jaw.urdf", "my_hand.urdf"))
+    path.write_text(example_hands.JAW_TOML.replace("jaw.urdf", "my_hand.urdf"))
     prepared.make("my_hand.urdf")
 
 
@@ -132,7 +132,7 @@ def run_of(target: str, seed: int = 0) -> Maker:
     def make(prepared: Prepared, path: Path) -> None:
         found = (prepared.make("all") / "runs").glob(f"panda-{target}-aimed-s{seed}-*")
         shutil.copytree(next(found), path)
-        for name, content in Job.begun(path).file.items():
+        for name, content in JobRecord.begun(path).file.items():
             (path / name).write_bytes(content)
         (path / LOGS).mkdir()
 
@@ -182,8 +182,8 @@ MAKERS: dict[str, Maker] = {
     "all": runs,
     "S_G_panda_2f.npz": reference("runs/cube"),
     "S_G_part.npz": reference("runs/part-s0"),
-    "arch.stl": lambda _, path: arched.write_arch(path),
-    "arched.urdf": lambda _, path: path.write_text(arched.URDF) and None,
+    "arch.stl": lambda _, path: example_hands.write_arch(path),
+    "arched.urdf": lambda _, path: path.write_text(example_hands.ARCHED_URDF) and None,
     "bracket.stl": bracket,
     "deploy": campaigns,
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
@@ -193,7 +193,7 @@ MAKERS: dict[str, Maker] = {
     "many.toml": lambda _, path: path.write_text(MANY) and None,
     "mugs.toml": lambda _, path: path.write_text(SPEC) and None,
     "my_hand.toml": my_hand,
-    "my_hand.urdf": lambda _, path: path.write_text(jaw.URDF) and None,
+    "my_hand.urdf": lambda _, path: path.write_text(example_hands.JAW_URDF) and None,
     "part.stl": part,
     "parts": parts,
     "poses.npz": poses,

@@ -1,30 +1,38 @@
 """Every command of the pages is run, or stands in a list with the reason why it is not."""
 
 import re
+import runpy
 import subprocess
 import sys
+import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 import typer
-from tests.docs import rules
-from tests.docs.blocks import PAGES, ROOT, Line, blocks, spans, words
+from tests.docs import pages
+from tests.docs.pages import PAGES, ROOT, Line, PageRun, blocks, spans, words
 from tests.docs.prepared import Prepared, assumed
-from tests.docs.story import Story
 from typer.exceptions import TyperException
 
-from qdgrasp_coordinator.cli import coordinator, main, monitor, recorder, router
+from qdgrasp_coordinator.cli import (
+    coordinator_process,
+    main,
+    monitor_process,
+    recorder_process,
+    router_process,
+)
 from qdgrasp_worker import cli as worker
 
 SHELL = ("sh", "bash", "console")
 APPS = {
     "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator.app,
-    "qdgrasp-monitor": monitor.app,
-    "qdgrasp-recorder": recorder.app,
-    "qdgrasp-router": router.app,
+    "qdgrasp-coordinator": coordinator_process.app,
+    "qdgrasp-monitor": monitor_process.app,
+    "qdgrasp-recorder": recorder_process.app,
+    "qdgrasp-router": router_process.app,
     "qdgrasp-worker": worker.app,
 }
 IMPORT = re.compile(r"^(?:import|from) (\w+)", re.MULTILINE)
@@ -41,10 +49,10 @@ def name_of(page: Path) -> str:
 def told(page: Path, *, whole: bool) -> list[list[Line]]:
     """The lines of a page that are run, block by block; those that take long only if it is told whole."""
     found = [
-        [line for line in block.lines if whole or not rules.LONG.match(line.text)]
+        [line for line in block.lines if whole or not pages.LONG.match(line.text)]
         for block in blocks(page, *SHELL)
     ]
-    return [[line for line in lines if not rules.reason(line.text)] for lines in found]
+    return [[line for line in lines if not pages.reason(line.text)] for lines in found]
 
 
 def scripts(page: Path) -> list[str]:
@@ -69,15 +77,15 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
 
 
 @pytest.fixture
-def story(prepared: Prepared, tmp_path: Path) -> Iterator[Story]:
-    story = Story(tmp_path, prepared.home / "cache")
+def story(prepared: Prepared, tmp_path: Path) -> Iterator[PageRun]:
+    story = PageRun(tmp_path, prepared.home / "cache")
     yield story
     story.close()
 
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", SHORT_STORIES, ids=name_of)
-def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: PageRun) -> None:
     tell(page, prepared, story, whole=False)
     (story.home / "of_the_page.py").write_text("\n".join(scripts(page)))
     done = subprocess.run(
@@ -89,17 +97,17 @@ def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prep
 @pytest.mark.slow
 @pytest.mark.timeout(2400)
 @pytest.mark.parametrize("page", LONG_STORIES, ids=name_of)
-def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: PageRun) -> None:
     tell(page, prepared, story, whole=True)
 
 
-def tell(page: Path, prepared: Prepared, story: Story, *, whole: bool) -> None:
+def tell(page: Path, prepared: Prepared, story: PageRun, *, whole: bool) -> None:
     """Carry a page out, in a folder that has what it assumes."""
     lines = [line for lines in told(page, whole=whole) for line in lines]
     has_certificates = any("security init" in line.text for line in lines)
     if has_certificates and not any("security add" in line.text for line in lines):
         story.places["lab"] = "security"  # what the page does not issue is not there
-    texts = [rules.cut(line.text, story.places) for line in lines]
+    texts = [pages.cut(line.text, story.places) for line in lines]
     needed = assumed([*texts, *scripts(page)])
     if "--security" in " ".join(texts) and not has_certificates:
         needed.append("security")
@@ -111,8 +119,8 @@ def tell(page: Path, prepared: Prepared, story: Story, *, whole: bool) -> None:
 
 @pytest.mark.parametrize("line", [line for line in LINES if not line.is_ours], ids=str)
 def test_a_line_of_another_program_is_run_or_listed(line: Line) -> None:
-    assert rules.reason(line.text) or re.match(OTHERS, line.text), (
-        "no rule says why this is not run; add one to tests/docs/rules.py"
+    assert pages.reason(line.text) or re.match(OTHERS, line.text), (
+        "no rule says why this is not run; add one to tests/docs/pages.py"
     )
 
 
@@ -123,7 +131,7 @@ def test_a_line_of_ours_is_one_that_the_commands_take(line: Line) -> None:
         parse(program, arguments)
 
 
-@pytest.mark.parametrize("pattern", rules.ELSEWHERE)
+@pytest.mark.parametrize("pattern", pages.ELSEWHERE)
 def test_a_reason_is_given_for_something(pattern: str) -> None:
     assert any(re.match(pattern, line.text) for line in LINES), "no line is like that any more"
 
@@ -156,3 +164,59 @@ def parse(program: str, arguments: list[str]) -> None:
             context = command.make_context(name, list(arguments), parent=context)
     except TyperException as error:
         raise AssertionError(f"{program}: {error.format_message()}") from None
+
+
+WEBSITE = ROOT / "docs" / "website"
+FIRST = "docs/index.md"
+"""The page that the sidebar is attached to; no entry of the sidebar leads to it."""
+NEEDED = ("furo", "griffe", "myst_parser", "sphinx")
+MISSING = [name for name in NEEDED if find_spec(name) is None]
+
+
+def listed() -> list[str]:
+    """The entries of the sidebar, as paths and patterns of the repository."""
+    text = (WEBSITE / "navigation.toml").read_text(encoding="utf-8")
+    return [name for section in tomllib.loads(text)["section"] for name in section["pages"]]
+
+
+def found(entry: str) -> list[str]:
+    return [str(path.relative_to(ROOT)) for path in ROOT.glob(entry)]
+
+
+def test_the_navigation_has_every_page_of_docs_exactly_once() -> None:
+    counts = Counter(name for entry in listed() for name in found(entry))
+    assert {name: n for name, n in counts.items() if n > 1} == {}
+    assert set(found("docs/**/*.md")) == {name for name in counts if name.startswith("docs/")} | {FIRST}
+
+
+@pytest.mark.parametrize("entry", listed())
+def test_an_entry_of_the_navigation_leads_to_a_page(entry: str) -> None:
+    assert found(entry)
+
+
+def test_dead_links_and_loads_from_the_network_are_faults(tmp_path: Path) -> None:
+    page = (
+        '<a href="b.html#here">good</a><a href="b.html#gone">no anchor</a><a href="c.html">no page</a>'
+        '<a href="https://example.org">outside</a><script src="https://example.org/x.js"></script>'
+    )
+    (tmp_path / "a.html").write_text(page)
+    (tmp_path / "b.html").write_text('<p id="here">text</p>')
+    (tmp_path / "a.css").write_text("@font-face { src: url('https://example.org/font') }")
+    faults = runpy.run_path(str(WEBSITE / "html_checks.py"))["faults"]
+    assert faults(tmp_path) == [
+        "a.html loads https://example.org/x.js",
+        "a.html leads to b.html#gone, which is not there",
+        "a.html leads to c.html, which is not there",
+        "a.css loads from the network",
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)} (`make docs` installs them)")
+def test_the_site_is_built_without_a_warning_or_a_dead_link(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, WEBSITE / "build.py", "--out", tmp_path], capture_output=True, check=False, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert Path(done.stdout.splitlines()[-1]).is_file()

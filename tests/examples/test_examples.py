@@ -1,4 +1,4 @@
-"""The scripts of examples/, as a user starts them."""
+"""The scripts of examples/, as a user starts them, and the demo."""
 
 import ast
 import os
@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.endpoints import own_endpoint
-from tests.system.commands import PATIENCE, Commands, says, wait_for
+from examples.demo import MARKER, clear
+from tests.common import PATIENCE, own_endpoint
+from tests.system.commands import Commands, says, wait_for
 
 import qdgrasp
 from qdgrasp_protocol.errors import FolderError
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-ROUTER, WORKER = "qdgrasp_coordinator.cli.router", "qdgrasp_worker.cli"
+ROUTER, WORKER = "qdgrasp_coordinator.cli.router_process", "qdgrasp_worker.cli"
 
 
 class Scripts:
@@ -142,3 +143,25 @@ def turned(quaternions: np.ndarray, axis: np.ndarray) -> np.ndarray:
     q = quaternions.astype(float)
     aside = 2 * np.cross(q[:, :3], axis)
     return axis + q[:, 3:] * aside + np.cross(q[:, :3], aside)
+
+
+def test_an_earlier_demo_is_replaced(tmp_path):
+    out = tmp_path / "demo"
+    out.mkdir()
+    (out / MARKER).touch()
+    (out / "run.sqlite").touch()
+    clear(out)
+    assert not out.exists()
+
+
+def test_a_folder_without_the_marker_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(FolderError, match=MARKER):
+        clear(tmp_path)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_nothing_and_an_empty_folder_need_no_clearing(tmp_path):
+    clear(tmp_path / "demo")
+    clear(tmp_path)
+    assert tmp_path.is_dir()

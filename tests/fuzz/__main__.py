@@ -5,7 +5,7 @@ import hashlib
 import sys
 import time
 
-from tests.fuzz.lap import CORPUS, run
+from tests.fuzz.fuzzer import CORPUS, run
 
 SHOWN = 10
 

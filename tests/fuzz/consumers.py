@@ -7,22 +7,28 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.counts import finds as found
-from qdgrasp_coordinator.counts.curve import Curve
-from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.counts.events import Event, Events
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, from_json, to_json
-from qdgrasp_coordinator.counts.stretch import from_message
-from qdgrasp_coordinator.counts.team import TeamFigures
-from qdgrasp_coordinator.dispatching.batch import readable
-from qdgrasp_coordinator.recording.subject import Subject
-from qdgrasp_protocol import codec, messages
-from qdgrasp_protocol.messages import Message
-from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, Shape, pack, unpack
-from qdgrasp_protocol.sign import Sign
+from qdgrasp_coordinator.metrics.job_status import (
+    JobEvent,
+    JobEvents,
+    JobMeta,
+    JobStatus,
+    RunListings,
+    RunStatus,
+    WorkersPage,
+    from_json,
+    to_json,
+)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
+from qdgrasp_coordinator.scheduler.batch_queue import read_result
+from qdgrasp_coordinator.storage import success_pages as found
+from qdgrasp_coordinator.storage.journal_slice import slice_from_message
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.messages import Heartbeat, Message
+from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SHAPE = Shape(genes=7, joints=2)
+SHAPE = RowShape(genes=7, joints=2)
 ROWS = 5
 LEASED = [column for column in KEY + GENOME if column.name != "generation"]
 WID, DIGEST, BATCH = "0123456789abcdef" * 2, "ab" * 32, bytes(range(16))
@@ -35,28 +41,28 @@ Consumer = Callable[[bytes], object]
 
 def work(payload: bytes) -> object:
     """A worker's part."""
-    leased = codec.decode(payload, messages.Work)
+    leased = messages.decode(payload, messages.Work)
     return unpack(SHAPE.empty(leased.n), LEASED, leased.columns, SHAPE)
 
 
 def result(payload: bytes) -> object:
     """A coordinator's part."""
-    return readable(codec.decode(payload, messages.Result), SHAPE)
+    return read_result(messages.decode(payload, messages.Result), SHAPE)
 
 
 def recordable(payload: bytes) -> object:
     """A recorder's part, and that of a coordinator that replays."""
-    return from_message(codec.decode(payload, messages.Recordable), SHAPE)
+    return slice_from_message(messages.decode(payload, messages.Recordable), SHAPE)
 
 
 def finds(payload: bytes) -> object:
     """The part of a monitor that draws."""
-    return found.from_message(codec.decode(payload, messages.Finds))
+    return found.page_from_message(messages.decode(payload, messages.SuccessPage))
 
 
 def opening(payload: bytes) -> object:
     """A recorder's part; specs are TOML."""
-    return [Subject.of(run) for run in codec.decode(payload, messages.Open).runs]
+    return [RunIdentity.of(run) for run in messages.decode(payload, messages.Open).runs]
 
 
 def shown(kind: Any) -> Consumer:
@@ -66,7 +72,7 @@ def shown(kind: Any) -> Consumer:
 
 def plain(kind: type[Message]) -> Consumer:
     """Nothing but the codec."""
-    return lambda payload: codec.decode(payload, kind)
+    return lambda payload: messages.decode(payload, kind)
 
 
 OWN: dict[type[Message], Consumer] = {
@@ -74,7 +80,7 @@ OWN: dict[type[Message], Consumer] = {
     messages.Result: result,
     messages.Recordable: recordable,
     messages.Open: opening,
-    messages.Finds: finds,
+    messages.SuccessPage: finds,
 }
 KINDS = [
     kind
@@ -82,10 +88,21 @@ KINDS = [
     if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
 ]
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
-SHOWN = (Figures, JobFigures, TeamFigures, JobMeta, Event, Events, Curve, RunEntries, Sign)
+SHOWN = {
+    "figures": RunStatus,
+    "jobfigures": JobStatus,
+    "teamfigures": WorkersPage,
+    "jobmeta": JobMeta,
+    "event": JobEvent,
+    "events": JobEvents,
+    "curve": GrowthCurve,
+    "runentries": RunListings,
+    "sign": Heartbeat,
+}
+"""What travels as JSON, by the names of the files in corpus/."""
 CONSUMERS: dict[str, Consumer] = {
     **{kind.wire_name: OWN.get(kind, plain(kind)) for kind in KINDS},
-    **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
+    **{name: shown(kind) for name, kind in SHOWN.items()},
 }
 """By the kind of message."""
 
@@ -96,7 +113,7 @@ def seeds() -> dict[str, bytes]:
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
     number = np.arange(ROWS)
-    drawn = found.found(rows, SHAPE.joints, number=number, synergy=number - 1, eta=number / ROWS)
+    drawn = found.success_table(rows, SHAPE.joints, number=number, synergy=number - 1, eta=number / ROWS)
     known = {
         messages.Work: {"columns": pack(rows, LEASED)},
         messages.Result: {
@@ -107,17 +124,13 @@ def seeds() -> dict[str, bytes]:
             "columns": pack(rows, COLUMNS),
             "failures": [messages.Failure(row=0, reason="x")],
         },
-        messages.Finds: {
-            "columns": found.to_message(
-                drawn, 1, run="run", scene="", began=0.0, rows=1, joints=SHAPE.joints
-            ).columns
-        },
+        messages.SuccessPage: {"columns": found.success_columns(drawn)},
         messages.Open: {
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },
     }
-    made = {kind.wire_name: codec.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
-    return made | {kind.__name__.lower(): to_json(_shown(kind)) for kind in SHOWN}
+    made = {kind.wire_name: messages.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
+    return made | {name: to_json(_shown(kind)) for name, kind in SHOWN.items()}
 
 
 def _shown(kind: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import pytest
 from tests.fuzz.consumers import CONSUMERS, seeds
-from tests.fuzz.lap import SLOW, Lap, corpus, run
+from tests.fuzz.fuzzer import SLOW, Lap, corpus, run
 
 MESSAGES = 20_000
 GROWTH = 64 << 20  # bytes; a message may have 16 MB

@@ -5,16 +5,15 @@ from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.coordinator.monitor.shown import event, run, values, views
+from tests.coordinator.monitor.sample_jobs import event, run, values, views
 
 from qdgrasp_assets.scene import FORMAT as SCENE
-from qdgrasp_coordinator.exchange.isaac import VERSION as ISAAC
-from qdgrasp_coordinator.folders.journal_format import APPLICATION, FORMAT, REDUCED, Identity
-from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_coordinator.monitor.metrics import exposition
+from qdgrasp_coordinator.export.isaac_moveit import VERSION as ISAAC
+from qdgrasp_coordinator.monitor.prometheus import exposition
+from qdgrasp_coordinator.storage.journal_schema import APPLICATION, FORMAT, REDUCED, JournalIdentity
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.messages import VERSION as PROTOCOL
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_protocol.rows import COLUMNS, Shape
+from qdgrasp_protocol.rows import COLUMNS, Outcome, RowShape
 
 
 def version_text() -> str:
@@ -36,7 +35,7 @@ def version_text() -> str:
 def journal_text() -> str:
     """The tables of a `run.sqlite` that has no rows yet, and what it notes of its run."""
     with TemporaryDirectory() as folder:
-        identity = Identity("run", "the spec", "ab" * 32, Shape(genes=2, joints=2))
+        identity = JournalIdentity("run", "the spec", "ab" * 32, RowShape(genes=2, joints=2))
         JournalWriter.create(Path(folder), identity).close()
         with closing(sqlite3.connect(Path(folder) / "run.sqlite")) as database:
             numbers = [

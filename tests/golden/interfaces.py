@@ -13,17 +13,23 @@ from typing import Any
 import typer
 
 import qdgrasp
-from qdgrasp_coordinator.cli import coordinator, main, monitor, recorder, router
+from qdgrasp_coordinator.cli import (
+    coordinator_process,
+    main,
+    monitor_process,
+    recorder_process,
+    router_process,
+)
 from qdgrasp_protocol.errors import Cancelled, EndedEarly, InputError, QdgraspError, TookOver
 from qdgrasp_worker import cli as worker
 
 COLUMNS = 100
 APPS = {
     "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator.app,
-    "qdgrasp-monitor": monitor.app,
-    "qdgrasp-recorder": recorder.app,
-    "qdgrasp-router": router.app,
+    "qdgrasp-coordinator": coordinator_process.app,
+    "qdgrasp-monitor": monitor_process.app,
+    "qdgrasp-recorder": recorder_process.app,
+    "qdgrasp-router": router_process.app,
     "qdgrasp-worker": worker.app,
 }
 FAMILY = {

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import tomli_w
-from tests.endpoints import own_endpoint
+from tests.common import own_endpoint
 
 import qdgrasp
 from qdgrasp_worker.platform import probe_digest

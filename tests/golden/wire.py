@@ -13,26 +13,31 @@ from typing import Any
 import msgspec
 from msgspec.inspect import type_info
 
-from qdgrasp_coordinator.counts.curve import Curve
-from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.counts.events import Event, Events
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, to_json
-from qdgrasp_coordinator.counts.team import TeamFigures
-from qdgrasp_protocol import codec, messages
+from qdgrasp_coordinator.metrics.job_status import (
+    JobEvent,
+    JobEvents,
+    JobMeta,
+    JobStatus,
+    RunListings,
+    RunStatus,
+    WorkersPage,
+    to_json,
+)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import AnyJob, Keys
-from qdgrasp_protocol.messages import Message
-from qdgrasp_protocol.sign import Sign
+from qdgrasp_protocol.messages import Heartbeat, Message
 
 SHOWN = {
-    "stat/worker/<wid>": Sign,
-    "stat/job": JobFigures,
-    "stat/run/<run>": Figures,
-    "stat/team/<page>": TeamFigures,
-    "stat/curve/<run>": Curve,
-    "event/<kind>": Event,
-    "event/recent": Events,
+    "stat/worker/<wid>": Heartbeat,
+    "stat/job": JobStatus,
+    "stat/run/<run>": RunStatus,
+    "stat/team/<page>": WorkersPage,
+    "stat/curve/<run>": GrowthCurve,
+    "event/<kind>": JobEvent,
+    "event/recent": JobEvents,
     "meta": JobMeta,
-    "rec/runs": RunEntries,
+    "rec/runs": RunListings,
 }
 """What is JSON, by the key that it travels on."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
@@ -42,7 +47,9 @@ CHUNK = "0123456789abcdef" * 2
 
 def message_text() -> str:
     """Each message by its encoding, and its example in hexadecimal digits."""
-    return "".join(f'"{codec.encoding(kind)}" = "{codec.encode(example(kind)).hex()}"\n' for kind in kinds())
+    return "".join(
+        f'"{messages.encoding(kind)}" = "{messages.encode(example(kind)).hex()}"\n' for kind in kinds()
+    )
 
 
 def shown_text() -> str:
@@ -58,7 +65,7 @@ def key_text() -> str:
 def kinds() -> list[type[Message]]:
     """All messages in the order of their encodings."""
     found = [kind for kind in vars(messages).values() if isinstance(kind, type)]
-    return sorted({kind for kind in found if issubclass(kind, Message)} - {Message}, key=codec.encoding)
+    return sorted({kind for kind in found if issubclass(kind, Message)} - {Message}, key=messages.encoding)
 
 
 def example(kind: type[msgspec.Struct]) -> Any:

@@ -1,11 +1,12 @@
-"""What every bus does: one class of tests over all of them."""
+"""The contract of every bus, one class of tests over all; and bundles sent over one."""
 
+import hashlib
 import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -14,15 +15,15 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
-from tests.endpoints import own_endpoint
-from tests.patience import PATIENCE
+from tests.common import PATIENCE, free_port, own_endpoint
 
-from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
-from qdgrasp_protocol.endpoint import HOME, PORT
-from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused
-from qdgrasp_protocol.keys import matches
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
+from qdgrasp_protocol import bundle_transfer, messages, session
+from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Query, Sample
+from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import Keys, matches
+from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
+from qdgrasp_protocol.messages import Chunk
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 TEXT = "text/plain"
@@ -36,7 +37,7 @@ def opener(request: pytest.FixtureRequest) -> Iterator[Opener]:
     """Opens sessions of one network, which are closed at the end."""
     with ExitStack() as stack:
         if request.param == "local":
-            network = LocalNetwork()
+            network = MemoryNetwork()
             yield lambda: stack.enter_context(network.session())
         else:
             endpoint = own_endpoint()
@@ -75,7 +76,7 @@ class Ear:
 
 
 def connected(near: Bus, far: Bus) -> None:
-    """Wait until what `far` declared is known to `near`: declarations of one session travel in order."""
+    """Wait until `near` knows what `far` declared; declarations of a session keep their order."""
     ear = Ear()
     with near.watch("test/here", ear), far.token("test/here"):
         assert ear.next() == ("test/here", True)
@@ -216,7 +217,10 @@ class TestBus:
 
     def test_values_are_found_by_their_keys_and_by_patterns(self, near: Bus, far: Bus) -> None:
         values = {"test/a/stat/job": b"1", "test/a/stat/run/x": b"2", "test/a/stat/run/y": b"3"}
-        with far.show("test/a/stat/**", lambda _: values), far.show("test/b/stat/**", _other_values):
+        with (
+            far.answer_values("test/a/stat/**", lambda _: values),
+            far.answer_values("test/b/stat/**", _other_values),
+        ):
             connected(near, far)
             assert near.ask("test/a/stat/job", timeout=PATIENCE) == b"1"
             assert near.ask_all("test/a/stat/run/*") == {key: values[key] for key in list(values)[1:]}
@@ -350,11 +354,14 @@ class TestZenohBus:
             with pytest.raises(EndpointError, match="tcp/HOST:PORT"):
                 opener(text)
 
-    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self) -> None:
-        with ExitStack() as stack:
-            with suppress(OSError):  # somebody else has it
-                stack.enter_context(socket.create_server((HOME, PORT)))
-            assert free_endpoint() != f"tcp/{HOME}:{PORT}"
+    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(session, "PORT", free_port())
+        default = f"tcp/{session.LOOPBACK}:{session.PORT}"
+        assert free_endpoint() == default
+        with socket.create_server((session.LOOPBACK, session.PORT)):
+            assert free_endpoint() != default
 
     def test_a_process_that_leaves_its_session_ends(self) -> None:
         endpoint = own_endpoint()
@@ -372,7 +379,7 @@ class TestZenohBus:
 
 class TestLocalBus:
     def test_a_cut_link_loses_messages_and_tokens_and_mending_brings_tokens_back(self) -> None:
-        network = LocalNetwork()
+        network = MemoryNetwork()
         near, far = network.session(), network.session()
         messages, tokens, links = Ear(), Ear(), Ear()
         near.subscribe("test/a", messages)
@@ -381,13 +388,13 @@ class TestLocalBus:
         far.answer("test/q", lambda query: b"here")
         far.token("test/far")
         assert tokens.next() == ("test/far", True)
-        far.cut()
+        far.disconnect()
         far.put("test/a", b"lost", encoding=TEXT)
         assert links.next() is False
         assert tokens.next() == ("test/far", False)
         with pytest.raises(NoReply):
             near.ask("test/q", timeout=PATIENCE)
-        far.mend()
+        far.reconnect()
         far.put("test/a", b"heard", encoding=TEXT)
         assert messages.next().payload == b"heard"
         assert links.next() is True
@@ -395,7 +402,7 @@ class TestLocalBus:
         assert near.ask("test/q", timeout=PATIENCE) == b"here"
 
     def test_a_message_is_delivered_before_put_returns(self) -> None:
-        bus, heard = LocalBus(LocalNetwork()), []
+        bus, heard = MemoryBus(MemoryNetwork()), []
         bus.subscribe("test/a", heard.append)
         bus.put("test/a", b"1", encoding=TEXT)
         assert heard == [Sample("test/a", b"1", TEXT)]
@@ -408,3 +415,78 @@ PATTERNS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_size=
 @given(PATTERNS, st.lists(CHUNKS, min_size=1, max_size=5).map("/".join))
 def test_keys_match_as_in_zenoh(pattern: str, key: str) -> None:
     assert matches(pattern, key) == zenoh.KeyExpr.autocanonize(pattern).intersects(key)
+
+
+def test_every_drop_is_counted_and_few_are_told() -> None:
+    drops = DropCounter()
+    with capture_logs() as said:
+        for _ in range(10_000):
+            drops.note("qdgrasp/v1/mugs/@result/" + "x" * 1000, "no such message")
+    assert drops.count == 10_000
+    assert [line["dropped"] for line in said] == [2**power for power in range(14)]
+    assert all(len(line["key"]) <= 200 for line in said)
+
+
+KEYS = Keys("mugs")
+
+
+def digest(payload: bytes) -> str:
+    return hashlib.sha256(payload).hexdigest()
+
+
+@pytest.mark.parametrize(
+    "length",
+    [
+        0,
+        1,
+        bundle_transfer.CHUNK_SIZE - 1,
+        bundle_transfer.CHUNK_SIZE,
+        bundle_transfer.CHUNK_SIZE + 1,
+        3 * bundle_transfer.CHUNK_SIZE,
+    ],
+)
+def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
+    payload = bytes(i % 251 for i in range(length))
+    network = MemoryNetwork()
+    with network.session() as coordinator, network.session() as worker:
+        coordinator.answer(
+            KEYS.asset(), lambda query: bundle_transfer.answer_chunk(query, payload, digest(payload))
+        )
+        assert bundle_transfer.fetch_bundle(worker, "mugs", digest(payload)) == payload
+
+
+@pytest.mark.parametrize("parameters", ["", "i=", "i=2", "i=-1", "i=x", "j=0", "i=²"])
+def test_a_chunk_that_there_is_not_is_refused(parameters: str) -> None:
+    with pytest.raises(Refused, match="is not one of 2"):
+        bundle_transfer.answer_chunk(
+            Query(KEYS.asset("a"), parameters, b""), bytes(bundle_transfer.CHUNK_SIZE + 1), "a"
+        )
+
+
+def test_another_scene_is_refused() -> None:
+    with pytest.raises(Refused, match="no such scene"):
+        bundle_transfer.answer_chunk(Query(KEYS.asset("b"), "i=0", b""), b"scene", "a")
+
+
+def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:
+    network = MemoryNetwork()
+    with network.session() as bus:
+        with pytest.raises(NoReply):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+        bus.answer(KEYS.asset(), lambda query: messages.encode(Chunk(total=1, data=b"another")))
+        with pytest.raises(MessageError, match="is not aaaaaaaaaaaa"):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+
+
+def test_a_scene_that_is_said_to_be_too_large_is_not_even_fetched() -> None:
+    asked = []
+
+    def answer(query: Query) -> bytes:
+        asked.append(query.parameters)
+        return messages.encode(Chunk(total=4096, data=b""))
+
+    with MemoryNetwork().session() as bus:
+        bus.answer(KEYS.asset(), answer)
+        with pytest.raises(MessageError, match="4096 chunks, more than 256"):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+    assert asked == ["i=0"]

@@ -28,7 +28,7 @@ def told() -> Parents:
 
 
 def defined() -> Parents:
-    """What is defined in the sources, in any module."""
+    """The errors that are defined in the sources, in any module."""
     classes = [one for room in ROOMS for path in room.rglob("*.py") for one in classes_in(path)]
     family = {ROOT: ""}
     while found := {name: base for name, base in classes if base in family and name not in family}:

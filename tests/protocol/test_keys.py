@@ -3,7 +3,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches, meet, number
+from qdgrasp_protocol.keys import (
+    NAME,
+    AnyJob,
+    Keys,
+    job_name,
+    job_of,
+    last_chunk,
+    matches,
+    parse_number,
+    patterns_intersect,
+)
 
 WID = "0123456789abcdef" * 2
 
@@ -80,8 +90,8 @@ CHUNK = st.sampled_from(["a", "b", "@c", "*", "**"])
 def test_patterns_that_match_one_key_meet(one: list[str], other: list[str], chunks: list[str]) -> None:
     patterns, key = ("/".join(one), "/".join(other)), "/".join(chunks)
     if all(matches(pattern, key) for pattern in patterns):
-        assert meet(*patterns)
-    assert meet(*patterns) == meet(*reversed(patterns))
+        assert patterns_intersect(*patterns)
+    assert patterns_intersect(*patterns) == patterns_intersect(*reversed(patterns))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +107,7 @@ def test_patterns_that_match_one_key_meet(one: list[str], other: list[str], chun
     ],
 )
 def test_patterns_meet_where_a_key_may_match_both(one: str, other: str, do: bool) -> None:
-    assert meet(one, other) is do
+    assert patterns_intersect(one, other) is do
 
 
 @pytest.mark.parametrize(
@@ -114,4 +124,4 @@ def test_patterns_meet_where_a_key_may_match_both(one: str, other: str, do: bool
     ],
 )
 def test_a_number_in_a_key_is_plain_digits_and_not_without_end(text: str, value: int | None) -> None:
-    assert number(text) == value
+    assert parse_number(text) == value

@@ -1,4 +1,4 @@
-"""The one builder of sessions."""
+"""Endpoints, and who gets to them."""
 
 import json
 import os
@@ -8,11 +8,94 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from structlog.testing import capture_logs
 
-from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.endpoint import parse_all
 from qdgrasp_protocol.errors import EndpointError, SecurityError
-from qdgrasp_protocol.session import SETTINGS, nested, settings, to_json5
+from qdgrasp_protocol.session import (
+    BASE_SETTINGS,
+    Credentials,
+    Endpoint,
+    Role,
+    check_open,
+    default_endpoint,
+    nest_settings,
+    parse_endpoints,
+    session_settings,
+    to_json5,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("tcp/127.0.0.1:7447", "127.0.0.1", 7447),
+        ("tls/head.lab.example:1", "head.lab.example", 1),
+        ("tls/[::1]:7447", "::1", 7447),
+        ("quic/10.0.0.1:65535", "10.0.0.1", 65535),
+        ("tcp/host:80#iface=eth0", "host", 80),
+    ],
+)
+def test_an_endpoint_is_read_into_its_parts(text: str, host: str, port: int) -> None:
+    found = Endpoint.parse(text)
+    assert (found.text, found.host, found.port) == (text, host, port)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "7447", "host:1", "tcp/host", "tcp/a b:1", "tpc/a:1", "tcp/a:65536", "tls/a:1,tls/b", ","]
+)
+def test_what_is_no_endpoint_is_refused_with_how_to_write_one(text: str) -> None:
+    with pytest.raises(EndpointError, match="write it as tcp/HOST:PORT"):
+        parse_endpoints(text)
+
+
+def test_several_are_separated_by_commas() -> None:
+    assert [found.host for found in parse_endpoints("tls/a:1,tls/b:2,tls/c:3")] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize(
+    "text", ["tcp/127.0.0.1:1", "tcp/127.8.8.8:1", "tcp/localhost:1", "tcp/[::1]:1", "unixsock-stream/tmp/a"]
+)
+def test_only_this_machine_gets_to_loopback(text: str) -> None:
+    assert Endpoint.parse(text).is_local
+    check_open(Endpoint.parse(text), insecure=False)
+
+
+@pytest.mark.parametrize("text", ["tcp/0.0.0.0:1", "tcp/10.0.0.1:1", "tcp/head:1", "tcp/[::]:1", "ws/head:1"])
+def test_where_strangers_get_to_nobody_listens_unless_it_is_meant(text: str) -> None:
+    endpoint = Endpoint.parse(text)
+    with pytest.raises(EndpointError, match=r"--security DIR .* add --insecure") as caught:
+        check_open(endpoint, insecure=False)
+    assert caught.value.exit_code == 2
+    with capture_logs() as said:
+        check_open(endpoint, insecure=True)
+    assert [(line["log_level"], line["endpoint"]) for line in said] == [("warning", text)]
+
+
+def test_encrypted_links_may_be_listened_on_anywhere() -> None:
+    with capture_logs() as said:
+        check_open(Endpoint.parse("tls/0.0.0.0:7447"), insecure=False)
+    assert said == []
+
+
+def test_the_default_is_on_loopback() -> None:
+    assert default_endpoint(encrypted=False).text == "tcp/127.0.0.1:7447"
+    assert default_endpoint(encrypted=True).text == "tls/127.0.0.1:7447"
+    assert default_endpoint(encrypted=True).is_local
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("tls/0.0.0.0:7000", "tls/127.0.0.1:7000"),
+        ("tcp/[::]:7000", "tcp/[::1]:7000"),
+        ("tls/10.0.0.1:7000", "tls/10.0.0.1:7000"),
+        ("tls/head:7000", "tls/head:7000"),
+        ("unixsock-stream//run/qdgrasp", "unixsock-stream//run/qdgrasp"),
+    ],
+)
+def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> None:
+    assert Endpoint.parse(text).from_here == near
+
 
 NOBODY = 65534
 WORKER = Credentials(Path("/etc/qdgrasp"), Role.WORKER)
@@ -21,14 +104,18 @@ ROUTER = Credentials(Path("/etc/qdgrasp"), Role.ROUTER)
 
 def test_every_setting_is_one_of_zenohs() -> None:
     config = zenoh.Config()
-    chosen = settings("router", listen=parse_all("tls/a:1"), connect=parse_all("tls/b:1"), credentials=ROUTER)
+    chosen = session_settings(
+        "router", listen=parse_endpoints("tls/a:1"), connect=parse_endpoints("tls/b:1"), credentials=ROUTER
+    )
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
         assert json.loads(config.get_json(name)) == value
 
 
 def test_a_configuration_file_holds_the_same_settings() -> None:
-    chosen = settings("client", connect=parse_all("tls/a:1,tls/b:2"), credentials=WORKER, seconds=1.5)
+    chosen = session_settings(
+        "client", connect=parse_endpoints("tls/a:1,tls/b:2"), credentials=WORKER, seconds=1.5
+    )
     config = zenoh.Config.from_json5(to_json5(chosen, "two\nlines"))
     for name, value in chosen.items():
         assert json.loads(config.get_json(name)) == value
@@ -36,14 +123,14 @@ def test_a_configuration_file_holds_the_same_settings() -> None:
 
 def test_nobody_is_scouted_and_memory_is_not_shared() -> None:
     for mode in ("client", "router"):
-        assert SETTINGS.items() <= settings(mode).items()
-    assert SETTINGS["scouting/multicast/enabled"] is False
-    assert SETTINGS["transport/shared_memory/enabled"] is False
+        assert BASE_SETTINGS.items() <= session_settings(mode).items()
+    assert BASE_SETTINGS["scouting/multicast/enabled"] is False
+    assert BASE_SETTINGS["transport/shared_memory/enabled"] is False
 
 
 def test_both_sides_show_certificates_and_names_are_verified() -> None:
     for mode, credentials in (("client", WORKER), ("router", ROUTER)):
-        tls = nested(settings(mode, credentials=credentials))["transport"]["link"]["tls"]
+        tls = nest_settings(session_settings(mode, credentials=credentials))["transport"]["link"]["tls"]
         assert tls["enable_mtls"] is tls["verify_name_on_connect"] is tls["close_link_on_expiration"] is True
         assert tls["root_ca_certificate"] == "/etc/qdgrasp/ca.pem"
         assert tls["connect_private_key"] == f"/etc/qdgrasp/{credentials.role}.key"
@@ -52,12 +139,12 @@ def test_both_sides_show_certificates_and_names_are_verified() -> None:
 
 def test_an_encrypted_endpoint_needs_certificates() -> None:
     with pytest.raises(EndpointError, match="needs certificates: name their folder with --security"):
-        settings("client", connect=parse_all("tls/head:7447"))
+        session_settings("client", connect=parse_endpoints("tls/head:7447"))
 
 
 def test_certificates_are_not_left_unused() -> None:
     with pytest.raises(EndpointError, match="is not encrypted"):
-        settings("client", connect=parse_all("tls/a:1,tcp/b:1"), credentials=WORKER)
+        session_settings("client", connect=parse_endpoints("tls/a:1,tcp/b:1"), credentials=WORKER)
 
 
 def filled(folder: Path, role: Role = Role.WORKER) -> Path:
@@ -86,7 +173,7 @@ def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
 
 @pytest.fixture
 def nobody() -> Iterator[None]:
-    """Whoever runs the tests, without the rights of root."""
+    """Run as the user of the tests, without the rights of root."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(NOBODY)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qdgrasp_protocol import spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.spec import Overlaps, ProtocolName, RunSpec, from_toml, read_run_spec, run_spec, to_toml
 
@@ -118,3 +119,29 @@ def test_a_file_that_is_missing_or_no_toml_is_one_sentence(tmp_path: Path) -> No
 def test_a_file_says_what_flags_say(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text('gripper = "panda"\nobject = "mug"\nseed = 3\n')
     assert run_spec(read_run_spec(tmp_path / "run.toml")) == run_spec(LEAST | {"seed": 3})
+
+
+@pytest.mark.parametrize(
+    "text",
+    {
+        "lists": "a=" + "[" * 20_000,
+        "tables": "a=" + "{a=" * 20_000,
+        "a dotted key": "a" + ".a" * 100_000 + "=1",
+        "a dotted key in a table": "x = {b=1, a" + ".a" * 100_000 + "=1}",
+        "a dotted header": "[a" + ".a" * 100_000 + "]",
+        "a number without end": "a=" + "1" * 100_000,
+        "too long": "#" * (spec.MAX_TOML_SIZE + 1),
+        "no TOML": "a",
+    }.values(),
+    ids=lambda text: f"{text[:6]}-{len(text)}",
+)
+def test_toml_without_end_is_refused_in_one_sentence(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        spec.parse_toml(text, "the spec")
+    assert str(caught.value).startswith("the spec ")
+    assert len(str(caught.value)) < 300
+
+
+def test_long_lines_of_numbers_are_read() -> None:
+    line = ", ".join(["0.125"] * 5000)
+    assert len(spec.parse_toml(f"poses = [{line}]\nat = 'a.b.c'", "the spec")["poses"]) == 5000

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.simulation.invariants import INVARIANTS
 from tests.simulation.play import Verdict, play
+from tests.simulation.process import INVARIANTS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return show()
     if asked.curves:
-        from tests.simulation.curves_figure import make
+        from tests.simulation.utilisation import make
 
         return make(Path(asked.curves))
     if asked.history is not None:

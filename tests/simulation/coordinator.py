@@ -1,33 +1,38 @@
-"""A simulated coordinator: the real turn, lanes and link to the recorder, on one thread."""
+"""A simulated coordinator: the real scheduler, runs and link to the recorder, on one thread."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from tests.simulation.network import Asked, Network
+from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
-from tests.simulation.world import World
 
-from qdgrasp_coordinator.runs.assignment import Assignment
-from qdgrasp_coordinator.serving.inbox import JoinRequest, LinkChange
-from qdgrasp_coordinator.serving.lane import Lane
-from qdgrasp_coordinator.serving.opener import Begun, Failed
-from qdgrasp_coordinator.serving.recorder_link import RecorderLink
-from qdgrasp_coordinator.serving.service import MAX_PATIENCE
-from qdgrasp_coordinator.serving.turn import Turn
-from qdgrasp_protocol import codec
+from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
+from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
+from qdgrasp_coordinator.scheduler.inbox import JoinRequest, LinkChange
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_registry import (
+    ActiveRun,
+    NoRunLeft,
+    RunNotOpened,
+    RunOpened,
+    RunRegistry,
+)
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
+from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
 from qdgrasp_protocol.messages import Join, Message
 
 RETRY = 0.5
-"""Seconds between two tries to open a run; fewer tries than in the service, for the sake of time."""
+"""Seconds between two tries to open a run; longer than in the service, to save time."""
 
 
 class NotNow(Exception):
-    """Nobody answers; there will be another try."""
+    """No answer; there will be another try."""
 
 
 def not_now() -> None:
@@ -35,22 +40,9 @@ def not_now() -> None:
     raise NotNow
 
 
-class Lanes:
-    """The open runs."""
-
-    def __init__(self) -> None:
-        self.open: dict[str, Lane] = {}
-
-    def __iter__(self) -> Iterator[Lane]:
-        return iter(list(self.open.values()))
-
-    def get(self, run: str) -> Lane | None:
-        return self.open.get(run)
-
-
 @dataclass
 class Line:
-    """What the link to the recorder needs of a bus."""
+    """The part of a bus that the link to the recorder needs."""
 
     host: "Coordinator"
 
@@ -61,6 +53,56 @@ class Line:
         return self.host.network.ask_now(self.host.session, key, payload)
 
 
+class SimulatedLoader:
+    """Opens the runs of a job one at a time, without a thread; also the queue of the runs.
+
+    Parameters
+    ----------
+    seconds
+        The mean time that it takes to open a run [s].
+    """
+
+    def __init__(
+        self, host: "Coordinator", runs: list[str], plan: Callable[[str], RunPlan], seconds: float
+    ) -> None:
+        self.extent = JobExtent.of(dict.fromkeys(runs, 0))
+        self.run = None
+        self.trouble = ""
+        self._host = host
+        self._left = list(runs)
+        self._plan = plan
+        self._seconds = seconds
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, run)
+
+    def begin(self, epoch: int) -> None:
+        if self._left:
+            self._try_to_open(self._left.pop(0), epoch)
+        else:
+            self._host.scheduler.handle(NoRunLeft(), self._host.now)
+
+    def _try_to_open(self, run: str, epoch: int) -> None:
+        host, later = self._host, self._host.world.later
+        if host.is_over:
+            return
+        if host.is_frozen:
+            later(RETRY, lambda: self._try_to_open(run, epoch))
+            return
+        plan = self._plan(run)
+        bus: Bus = Line(host)  # type: ignore[assignment]
+        active = ActiveRun(plan, RecorderClient(bus, JOB, plan.shape))
+        try:
+            opened = active.open(epoch, not_now)
+        except (NotNow, NoReply):
+            later(RETRY, lambda: self._try_to_open(run, epoch))
+        except (InputError, TookOver) as refusal:
+            host.hear(RunNotOpened(refusal))
+        else:
+            host.note(f"opened {run} in epoch {opened.epoch} with {opened.durable[0]} rows")
+            later(host.world.exponential(self._seconds), lambda: host.hear(RunOpened(active, opened)))
+
+
 class Coordinator(Process):
     """A coordinator process.
 
@@ -68,10 +110,10 @@ class Coordinator(Process):
     ----------
     runs
         The runs of the job.
-    assignment
-        Makes one, with a new search.
-    met
-        Told when its turn begins.
+    plan
+        Makes the plan of a run, with a new search.
+    on_epoch
+        Called when its epoch begins.
     opening
         The mean time that it takes to open a run [s].
     """
@@ -82,22 +124,25 @@ class Coordinator(Process):
         network: Network,
         name: str,
         runs: list[str],
-        assignment: Callable[[str], Assignment],
+        plan: Callable[[str], RunPlan],
         batch_size: int | None,
         *,
-        met: Callable[["Coordinator"], None],
+        on_epoch: Callable[["Coordinator"], None],
         opening: float = 0.2,
     ) -> None:
-        self._left = list(runs)
-        self._assignment = assignment
-        self._batch_size = batch_size
-        self._opening = opening
-        self._met = met
-        self._is_opening = False
-        self.lanes = Lanes()
-        self.turn = Turn(JOB, 0, self.lanes, self._put, batch_size)
+        self._on_epoch = on_epoch
+        loader = SimulatedLoader(self, runs, plan, opening)
+        self.scheduler = JobScheduler(
+            JOB,
+            RunRegistry(loader, loader),  # type: ignore[arg-type]
+            self._put,
+            batch_size=batch_size,
+            events=EventLog(self._show),
+            on_epoch=self._open_to_workers,
+            on_finished=lambda run, _now: self.note(f"{run.name} is done"),
+        )
         self.link_is_up = True
-        """What its turn knows of its link."""
+        """True if its scheduler knows of no cut link."""
         self.is_done = False
         """All runs are finished and recorded."""
         self.was_replaced = False
@@ -108,9 +153,9 @@ class Coordinator(Process):
         self.network.subscribe(self.session, KEYS.recorded)
         self.network.watch(self.session, KEYS.recorder_token())
         try:
+            self.scheduler.step(self.now)
             while not self.is_done:
-                self._open_another()
-                yield Listen(self._patience())
+                yield Listen(min(MOST_WAIT, max(0.0, self.scheduler.next_deadline() - self.now)))
                 yield Busy(self.world.chance.uniform(0, 0.005))
                 self._step()
         except TookOver as reason:
@@ -118,14 +163,14 @@ class Coordinator(Process):
             self.was_replaced = True
 
     def hear(self, event: object) -> None:
-        """Do what the reception does: hand requests to join over, and scenes out."""
+        """Hand requests to join over, and answer scene queries, as the subscriptions do."""
         if isinstance(event, Asked) and event.query.key != KEYS.join:
             event.reply(self._scene(event.query.key))
         else:
             super().hear(self._request(event) if isinstance(event, Asked) else event)
 
     def _scene(self, key: str) -> bytes | Exception:
-        digests = {lane.assignment.bundle.digest for lane in self.lanes}
+        digests = {run.ref.scene for run in self.scheduler.runs}
         return b"a scene" if last_chunk(key) in digests else Refused("no run in progress has the scene")
 
     def _request(self, asked: Asked) -> JoinRequest:
@@ -133,7 +178,7 @@ class Coordinator(Process):
             error = answer.exception()
             asked.reply(error if isinstance(error, Exception) else answer.result())
 
-        request = JoinRequest(codec.decode(asked.query.payload, Join))
+        request = JoinRequest(messages.decode(asked.query.payload, Join))
         request.answer.add_done_callback(answered)
         return request
 
@@ -142,72 +187,20 @@ class Coordinator(Process):
         if self.session.is_local:
             self.network.go_down()
 
-    def _patience(self) -> float:
-        return min(MAX_PATIENCE, max(0.0, self.turn.next_deadline() - self.now))
-
     def _step(self) -> None:
         for event in self.events():
-            if isinstance(event, Begun):
-                self._begin(event)
-            elif isinstance(event, Failed):
-                raise event.reason
-            else:
-                self._hear(event)
-        self.turn.step(self.now)
-        for lane in self.lanes:
-            if lane.is_done:
-                self.note(f"{lane.run} is done")
-                del self.lanes.open[lane.run]
-        self.is_done = not (self.lanes.open or self._left or self._is_opening)
+            self.link_is_up = event.up if isinstance(event, LinkChange) else self.link_is_up
+            self.scheduler.handle(event, self.now)  # type: ignore[arg-type]
+        self.scheduler.step(self.now)
+        self.is_done = self.scheduler.runs.are_done
 
-    def _hear(self, event: object) -> None:
-        """Let the turn hear an event; a run whose records became fewer is opened again."""
-        self.link_is_up = event.up if isinstance(event, LinkChange) else self.link_is_up
-        try:
-            self.turn.take(event, self.now)
-        except RecorderFellBack as fallen:
-            self.note(str(fallen))
-            if self.lanes.open.pop(fallen.run, None) is not None:
-                self.turn.withdraw(fallen.run)
-                self._left.insert(0, fallen.run)
+    def _show(self, event: JobEvent) -> None:
+        if event.kind == "recorder" and event.run:
+            self.note(event.words)
 
-    # Runs are opened, as in a thread of their own.
-
-    def _open_another(self) -> None:
-        if self._left and not self._is_opening and (self.turn.wants_more or not self.lanes.open):
-            self._is_opening = True
-            self._try_to_open(self._left.pop(0))
-
-    def _try_to_open(self, run: str) -> None:
-        if self.is_over:
-            return
-        if self.is_frozen:
-            self.world.later(RETRY, lambda: self._try_to_open(run))
-            return
-        assignment = self._assignment(run)
-        bus: Bus = Line(self)  # type: ignore[assignment]
-        lane = Lane(assignment, RecorderLink(bus, JOB, assignment.shape))
-        try:
-            opened = lane.open(self.turn.epoch, not_now)
-        except (NotNow, NoReply):
-            self.world.later(RETRY, lambda: self._try_to_open(run))
-        except (InputError, TookOver) as refusal:
-            self.hear(Failed(refusal))
-        else:
-            self.note(f"opened {lane.run} in epoch {opened.epoch} with {opened.durable[0]} rows")
-            self.world.later(self.world.exponential(self._opening), lambda: self.hear(Begun(lane, opened)))
-
-    def _begin(self, news: Begun) -> None:
-        self._is_opening = False
-        if not self.turn.epoch:
-            self._begin_turn(news.opened.epoch)
-        self.turn.begin(news.lane, news.opened)
-        self.lanes.open[news.lane.run] = news.lane
-
-    def _begin_turn(self, epoch: int) -> None:
-        self.turn = Turn(JOB, epoch, self.lanes, self._put, self._batch_size)
+    def _open_to_workers(self, epoch: int, _identity: str) -> None:
         self.link_is_up = True
-        self._met(self)
+        self._on_epoch(self)
         for pattern in (KEYS.result(), KEYS.stat("worker/*")):
             self.network.subscribe(self.session, pattern)
         self.network.answer(self.session, KEYS.join)
@@ -217,5 +210,5 @@ class Coordinator(Process):
         self.network.token(self.session, KEYS.coordinator_token(epoch))
 
     def _put(self, key: str, message: Message, channel: Channel) -> None:
-        kind = codec.encoding(type(message))
-        self.network.put(self.session, key, codec.encode(message), kind, channel)
+        kind = messages.encoding(type(message))
+        self.network.put(self.session, key, messages.encode(message), kind, channel)

@@ -1,7 +1,7 @@
-"""Mutations: each breaks one rule of a state machine; the invariants must notice, within some histories.
+"""Mutations: each breaks one rule, and invariants must notice within some histories.
 
-`MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories are
-too tame, or an invariant is missing.
+`MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories
+are too tame, or an invariant is missing.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,26 +15,20 @@ import msgspec
 from tests.simulation.plan import wild
 from tests.simulation.play import play
 
-from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.dispatching import dispatch as dispatching
-from qdgrasp_coordinator.dispatching.backlog import Backlog
-from qdgrasp_coordinator.dispatching.batch import Settlement
-from qdgrasp_coordinator.dispatching.dispatch import Dispatch
-from qdgrasp_coordinator.dispatching.member import FreeHands, Member
-from qdgrasp_coordinator.dispatching.roster import Overdue, Roster
-from qdgrasp_coordinator.dispatching.tickets import Stub, Tickets
-from qdgrasp_coordinator.recording.books import Books
-from qdgrasp_coordinator.recording.holding import Holding
-from qdgrasp_coordinator.recording.intake import Arrival, Intake
-from qdgrasp_coordinator.recording.reports import Reports
-from qdgrasp_coordinator.recording.scribe import Scribe
-from qdgrasp_coordinator.runs.generation import Slot
-from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.serving.outbox import Outbox
-from qdgrasp_coordinator.serving.turn import Turn
+from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
+from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
+from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
+from qdgrasp_coordinator.scheduler import lease_dispatcher as dispatching
+from qdgrasp_coordinator.scheduler import worker_registry
+from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.lease_dispatcher import BatchTable, Dispatcher
+from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import Outbox
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
-from qdgrasp_worker.serving.appointment import Appointment
-from qdgrasp_worker.serving.desk import Desk
+from qdgrasp_worker.runtime.job_registry import JobSession
 
 MOST = 120
 """A mutation is to be noticed within so many histories."""
@@ -49,7 +43,7 @@ class Mutation:
     rule: str
     """The rule of docs/bus.md, or what else is broken."""
     invariants: tuple[str, ...]
-    """Which of them are to notice; what else is violated says nothing, for any fault may break anything."""
+    """Those that are to notice; others do not count, for any fault may break anything."""
     patches: Callable[[], list[Patch]]
 
     @contextmanager
@@ -61,8 +55,8 @@ class Mutation:
             yield
 
 
-def method(owner: type, name: str, make: Callable[[Any], Any]) -> Patch:
-    """A method replaced by what `make` makes of it."""
+def method(owner: object, name: str, make: Callable[[Any], Any]) -> Patch:
+    """A method or function replaced by what `make` makes of it."""
     return patch.object(owner, name, make(getattr(owner, name)))
 
 
@@ -71,107 +65,106 @@ def value(owner: type, name: str, get: Callable[[Any], Any]) -> Patch:
     return patch.object(owner, name, property(get))
 
 
-# Dispatch and desk.
+# Dispatch and the sessions of workers.
 
 
-def _accept_any_join(desk: Desk, work: Any) -> bool:
-    if work.epoch != desk.epoch:
+def _accept_any_join(session: JobSession, work: Any) -> bool:
+    if work.epoch != session.epoch:
         return False
-    desk._held[work.batch] = work
+    session._held[work.batch] = work
     return True
 
 
-def _keep_held(joined: Any) -> Any:
-    def kept(desk: Desk, answer: Any) -> bool:
-        held = dict(desk._held)
-        is_current: bool = joined(desk, answer)
-        desk._held.update(held)
+def _keep_held(on_answer: Any) -> Any:
+    def kept(session: JobSession, *answer: Any) -> bool:
+        held = dict(session._held)
+        is_current: bool = on_answer(session, *answer)
+        session._held.update(held)
         return is_current
 
     return kept
 
 
 def _keep_settled(close: Any) -> Any:
-    def closed(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
-        close(tickets, ticket, winner)
-        vars(tickets).setdefault("kept", {})[ticket.batch.id] = ticket
+    def closed(batches: BatchTable, state: Any, winner: str | None = None) -> None:
+        close(batches, state, winner)
+        vars(batches).setdefault("kept", {})[state.batch.id] = state
 
     return closed
 
 
-def _settle_again(judge: Any) -> Any:
-    def judged(tickets: Any, wid: str, result: Any) -> Settlement:
-        kind: Settlement = judge(tickets, wid, result)
+def _settle_again(classify: Any) -> Any:
+    def classified(batches: Any, wid: str, result: Any) -> Settlement:
+        kind: Settlement = classify(batches, wid, result)
         if kind not in (Settlement.DUPLICATE, Settlement.LATE):
             return kind
-        tickets._open[result.batch] = tickets.kept[result.batch]
+        batches._open[result.batch] = batches.kept[result.batch]
         return Settlement.FRESH
 
-    return judged
+    return classified
 
 
-def _close_and_keep(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
-    tickets._settled[ticket.batch.id] = Stub(tickets._open.pop(ticket.batch.id).leased, winner)
+def _close_and_keep(batches: BatchTable, state: Any, winner: str | None = None) -> None:
+    batches._settled[state.batch.id] = (batches._open.pop(state.batch.id).leased, winner)
 
 
-def _accept_anybody(judge: Any) -> Any:
-    def judged(tickets: Tickets, wid: str, result: Any) -> Settlement:
-        ticket = tickets._open.get(result.batch)
-        if ticket is not None and result.n == len(ticket.batch):
-            ticket.leased.add(wid)
-        return judge(tickets, wid, result)
+def _accept_any_worker(classify: Any) -> Any:
+    def classified(batches: BatchTable, wid: str, result: Any) -> Settlement:
+        state = batches._open.get(result.batch)
+        if state is not None and result.n == len(state.batch):
+            state.leased.add(wid)
+        return classify(batches, wid, result)
 
-    return judged
+    return classified
 
 
 def _forget_requeued(requeue: Any) -> Any:
-    def requeued(dispatch: Dispatch, batch_ids: Any) -> int:
-        with patch.object(Backlog, "put_back"):
-            return requeue(dispatch, batch_ids)
+    def requeued(dispatcher: Dispatcher, batch_ids: Any) -> int:
+        with patch.object(BatchQueue, "requeue"):
+            return requeue(dispatcher, batch_ids)
 
     return requeued
 
 
 def _join_without_requeue(join: Any) -> Any:
-    def joined(dispatch: Dispatch, *arguments: Any) -> list[bytes]:
-        with patch.object(Dispatch, "_requeue", lambda self, ids: len(list(ids))):
-            return join(dispatch, *arguments)
+    def joined(dispatcher: Dispatcher, *arguments: Any) -> list[bytes]:
+        with patch.object(Dispatcher, "requeue", lambda self, ids: len(list(ids))):
+            return join(dispatcher, *arguments)
 
     return joined
 
 
 def _stay_due(give_up: Any) -> Any:
-    def given_up(roster: Roster, member: Member) -> Overdue:
-        gone, member.gone_at = member.gone_at, None
-        overdue: Overdue = give_up(roster, member)
-        member.gone_at = gone
-        return overdue
+    def given_up(workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
+        gone, worker.gone_at = worker.gone_at, None
+        lost: LostWorker = give_up(workers, worker, now)
+        worker.gone_at = gone
+        return lost
 
     return given_up
 
 
 def _never_forget(give_up: Any) -> Any:
-    def given_up(roster: Roster, member: Member) -> Overdue:
-        member.gone_at = None  # as one whose token is there, but who makes no progress
-        overdue: Overdue = give_up(roster, member)
-        return overdue
+    def given_up(workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
+        worker.gone_at = None  # as one whose token is there, but who makes no progress
+        lost: LostWorker = give_up(workers, worker, now)
+        return lost
 
     return given_up
 
 
-def _overlook_the_first(free: Any) -> Any:
-    def found(roster: Roster) -> FreeHands:
-        hands: FreeHands = free(roster)
-        del hands._heap[:1]
-        return hands
+def _overlook_the_first(ordered: Any) -> Any:
+    def found(workers: list[Worker]) -> Iterator[Worker]:
+        rest = sorted(workers, key=lambda worker: (len(worker.batches), worker.progress, worker.order))[1:]
+        yield from ordered(rest)
 
     return found
 
 
 def _withdraw_half(withdraw: Any) -> Any:
-    def withdrawn(dispatch: Dispatch, run: str) -> Any:
-        with patch.object(Backlog, "withdraw"):
-            return withdraw(dispatch, run)
+    def withdrawn(dispatcher: Dispatcher, run: str) -> Any:
+        with patch.object(BatchQueue, "withdraw"):
+            return withdraw(dispatcher, run)
 
     return withdrawn
 
@@ -179,11 +172,10 @@ def _withdraw_half(withdraw: Any) -> Any:
 # Pipeline, outbox, recorder.
 
 
-def _arrived_with_gaps(slot: Slot) -> Any:
-    indices, trials = slot._next(4096)
-    here = slot._here[indices, trials]
-    n = int(here.sum())
-    return slot._rows[indices[here], trials[here]][:n]
+def _ready_with_gaps(buffer: GenerationBuffer) -> Any:
+    indices, trials = buffer._next(4096)
+    is_present = buffer._is_present[indices, trials]
+    return buffer._rows[indices[is_present], trials[is_present]]
 
 
 def _replay_without_last(replay: Any) -> Any:
@@ -194,22 +186,20 @@ def _replay_without_last(replay: Any) -> Any:
 
 
 def _report_expected(report: Any) -> Any:
-    def reported(scribe: Scribe, run: str) -> Recorded:
-        message: Recorded = report(scribe, run)
-        return Recorded(
-            epoch=message.epoch, run=run, durable=scribe._books._ledgers[run].intake.expected, trouble=""
-        )
+    def reported(recorder: Recorder, run: str) -> Recorded:
+        message: Recorded = report(recorder, run)
+        return Recorded(epoch=message.epoch, run=run, durable=recorder.writers[run].expected, trouble="")
 
     return reported
 
 
-def _take_in_silence(scribe: Scribe, message: Recordable, now: float) -> None:
-    scribe._books.take(message, now)
+def _take_in_silence(recorder: Recorder, message: Recordable, now: float) -> None:
+    recorder.add_rows(message, now)
 
 
 def _forget_sent(due: Any) -> Any:
-    def sent(outbox: Outbox, now: float) -> list[Stretch]:
-        stretches: list[Stretch] = due(outbox, now)
+    def sent(outbox: Outbox, now: float) -> list[JournalSlice]:
+        stretches: list[JournalSlice] = due(outbox, now)
         if stretches:
             outbox._forget(outbox._end)
         return stretches
@@ -218,7 +208,7 @@ def _forget_sent(due: Any) -> Any:
 
 
 def _number_batches(push: Any) -> Any:
-    def pushed(outbox: Outbox, stretch: Stretch) -> None:
+    def pushed(outbox: Outbox, stretch: JournalSlice) -> None:
         if len(stretch):
             outbox._kept.append(replace(stretch, first=outbox._end))
             outbox._end += 1
@@ -226,61 +216,70 @@ def _number_batches(push: Any) -> Any:
     return pushed
 
 
-def _take_any_epoch(take: Any) -> Any:
-    def taken(books: Books, message: Recordable, now: float) -> Arrival:
-        arrival: Arrival = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
+def _take_any_epoch(add_rows: Any) -> Any:
+    def added(recorder: Recorder, message: Recordable, now: float) -> Arrival:
+        arrival: Arrival = add_rows(recorder, msgspec.structs.replace(message, epoch=recorder.epoch), now)
         return arrival
 
-    return taken
+    return added
 
 
-def _take_past_gaps(offer: Any) -> Any:
-    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Arrival:
-        if stretch.first > intake.expected:
-            stretch = replace(stretch, first=intake.expected)
-        arrival: Arrival = offer(intake, epoch, stretch, now)
+def _take_past_gaps(add: Any) -> Any:
+    def added(writer: RunWriter, part: JournalSlice, epoch: int, now: float) -> Arrival:
+        if part.first > writer.expected:
+            part = replace(part, first=writer.expected)
+        arrival: Arrival = add(writer, part, epoch, now)
         return arrival
 
-    return offered
+    return added
 
 
 MUTATIONS = [
     Mutation(
-        "drop the join fence", "3", ("fenced",), lambda: [patch.object(Desk, "accept", _accept_any_join)]
+        "drop the join fence",
+        "3",
+        ("fenced",),
+        lambda: [patch.object(JobSession, "accept", _accept_any_join)],
     ),
     Mutation(
         "settle twice",
         "5",
         ("settled once",),
-        lambda: [method(Tickets, "close", _keep_settled), method(Tickets, "judge", _settle_again)],
+        lambda: [method(BatchTable, "close", _keep_settled), method(BatchTable, "classify", _settle_again)],
     ),
     Mutation(
         "take a result from a worker that was not leased it",
         "5",
         ("settled once",),
-        lambda: [method(Tickets, "judge", _accept_anybody)],
+        lambda: [method(BatchTable, "classify", _accept_any_worker)],
     ),
     Mutation(
         "acknowledge before durable",
         "8",
         ("acknowledged when durable",),
-        lambda: [method(Scribe, "_report", _report_expected)],
+        lambda: [method(Recorder, "_report", _report_expected)],
     ),
-    Mutation("forget before durable", "8", ("progress",), lambda: [method(Outbox, "due", _forget_sent)]),
+    Mutation("forget before durable", "8", ("progress",), lambda: [method(Outbox, "take_due", _forget_sent)]),
     Mutation(
         "tell out of order",
         "7",
         ("told in order",),
-        lambda: [patch.object(Slot, "arrived", _arrived_with_gaps)],
+        lambda: [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)],
     ),
     Mutation(
-        "take rows of an older epoch", "8", ("epochs rise",), lambda: [method(Books, "take", _take_any_epoch)]
+        "take rows of an older epoch",
+        "8",
+        ("epochs rise",),
+        lambda: [method(Recorder, "add_rows", _take_any_epoch)],
     ),
     Mutation(
-        "take rows past a gap", "8", ("true journal",), lambda: [method(Intake, "offer", _take_past_gaps)]
+        "take rows past a gap",
+        "8",
+        ("true journal",),
+        lambda: [method(RunWriter, "add", _take_past_gaps)],
     ),
     Mutation(
-        "no lease ever passes", "4", ("progress",), lambda: [patch.object(Member, "deadline", lambda *_: inf)]
+        "no lease ever passes", "4", ("progress",), lambda: [patch.object(Worker, "deadline", lambda *_: inf)]
     ),
     Mutation(
         "only lost tokens end leases",
@@ -288,7 +287,7 @@ MUTATIONS = [
         ("progress",),
         lambda: [
             patch.object(
-                Member,
+                Worker,
                 "deadline",
                 lambda member, limit: inf if member.gone_at is None else member.gone_at + 1.0,
             )
@@ -298,31 +297,31 @@ MUTATIONS = [
         "queue again without taking away",
         "5",
         ("nothing is lost",),
-        lambda: [patch.object(Backlog, "remove")],
+        lambda: [patch.object(BatchQueue, "remove")],
     ),
     Mutation(
         "forget what is to be queued again",
         "4",
         ("nothing is lost",),
-        lambda: [method(Dispatch, "_requeue", _forget_requeued)],
+        lambda: [method(Dispatcher, "requeue", _forget_requeued)],
     ),
     Mutation(
         "a join queues nothing again",
         "4",
         ("nothing is lost",),
-        lambda: [method(Dispatch, "join", _join_without_requeue)],
+        lambda: [method(Dispatcher, "join", _join_without_requeue)],
     ),
     Mutation(
         "ignore credit",
         "1",
         ("bounded work",),
-        lambda: [value(Member, "has_credit", lambda m: len(m.batches) < 9)],
+        lambda: [value(Worker, "has_credit", lambda m: len(m.batches) < 9)],
     ),
     Mutation(
         "give no credit back",
         "1",
         ("nothing is lost",),
-        lambda: [patch.object(Roster, "release", lambda *_: None)],
+        lambda: [patch.object(WorkerRegistry, "release", lambda *_: None)],
     ),
     Mutation(
         "replay skips a row",
@@ -340,11 +339,9 @@ MUTATIONS = [
         "give up while cut off",
         "4",
         ("patience while cut off",),
-        lambda: [patch.object(Roster, "link", lambda *_: None)],
+        lambda: [patch.object(WorkerRegistry, "on_link", lambda *_: None)],
     ),
-    Mutation(
-        "send rows once", "8", ("progress",), lambda: [patch.object(Outbox, "_resend", lambda *_: None)]
-    ),
+    Mutation("send rows once", "8", ("progress",), lambda: [patch.object(Outbox, "resend", lambda *_: None)]),
     Mutation(
         "ask without end", "8", ("bounded memory",), lambda: [value(Outbox, "is_full", lambda _: False)]
     ),
@@ -353,30 +350,33 @@ MUTATIONS = [
         "8",
         ("progress",),
         lambda: [
-            patch.object(Reports, "heard", lambda *_: None),
-            patch.object(Scribe, "_take_rows", _take_in_silence),
+            patch.object(ReportSchedule, "keep_reporting", lambda *_: None),
+            patch.object(Recorder, "_take_rows", _take_in_silence),
         ],
     ),
     Mutation(
-        "never forget a worker", "4", ("bounded memory",), lambda: [method(Roster, "_give_up", _never_forget)]
+        "never forget a worker",
+        "4",
+        ("bounded memory",),
+        lambda: [method(WorkerRegistry, "_give_up", _never_forget)],
     ),
     Mutation(
         "give up for ever again who is gone",
         "4",
         ("no machine spins",),
-        lambda: [method(Roster, "_give_up", _stay_due)],
+        lambda: [method(WorkerRegistry, "_give_up", _stay_due)],
     ),
     Mutation(
         "overlook a worker with credit",
         "1",
         ("work is handed out",),
-        lambda: [method(Roster, "free", _overlook_the_first)],
+        lambda: [method(worker_registry, "fewest_batches_first", _overlook_the_first)],
     ),
     Mutation(
         "remember every batch",
         "5",
         ("bounded memory",),
-        lambda: [patch.object(Tickets, "close", _close_and_keep)],
+        lambda: [patch.object(BatchTable, "close", _close_and_keep)],
     ),
     Mutation(
         "poison is tried for ever", "6", ("progress",), lambda: [patch.object(dispatching, "STRIKES", 10**9)]
@@ -385,32 +385,34 @@ MUTATIONS = [
         "a finished run stays in the backlog",
         "7",
         ("bounded memory",),
-        lambda: [method(Dispatch, "withdraw", _withdraw_half)],
+        lambda: [method(Dispatcher, "withdraw", _withdraw_half)],
     ),
     Mutation(
         "the epoch is not stored",
         "8",
         ("epochs rise",),
-        lambda: [patch.object(Holding, "store_epoch", lambda _: None)],
+        lambda: [patch.object(LockedJobFolder, "store_epoch", lambda _: None)],
     ),
     Mutation(
         "pass over a higher epoch",
         "8",
         ("progress",),
-        lambda: [patch.object(Turn, "_take_token", lambda *_: None)],
+        lambda: [patch.object(JobScheduler, "_on_token", lambda *_: None)],
     ),
-    Mutation("keep work of an older epoch", "3", ("fenced",), lambda: [method(Desk, "joined", _keep_held)]),
+    Mutation(
+        "keep work of an older epoch", "3", ("fenced",), lambda: [method(JobSession, "on_answer", _keep_held)]
+    ),
     Mutation(
         "ask once to join",
         "2",
         ("progress",),
-        lambda: [patch.object(Appointment, "join_later", lambda *_: None)],
+        lambda: [patch.object(JobSession, "join_later", lambda *_: None)],
     ),
 ]
 
 
 def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> tuple[str, int] | None:
-    """Which of the invariants that are to notice a mutation did, and after how many histories; None: none."""
+    """Return the invariant that noticed a mutation, and the number of histories; else None."""
     with mutation.applied():
         for count, number in enumerate(range(first, first + most), 1):
             violated = play(wild(number)).violated

@@ -1,20 +1,86 @@
-"""The bus, simulated: sessions on links to one router, as zenoh behaves (docs/bus.md).
+"""A simulated world and its bus: sessions on links to one router, as zenoh behaves.
 
-Messages of one link and channel stay in order; what is sent while there is no link, or is under way when
-it breaks, is lost; nobody is told. A link that is cut for less than a transport lease only delays.
-Beyond zenoh, messages may also be lost, repeated or, where the terms say so, overtake each other.
+Time is a number, events are calls in a heap, all chance comes from one seed.
 """
 
+import heapq
+import itertools
+import random
 from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import inf
 from typing import Protocol
 
-from tests.simulation.world import World
-
-from qdgrasp_coordinator.serving.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol.bus import Channel, Query, Sample
 from qdgrasp_protocol.errors import NoReply
+
+
+class World:
+    """Events in the order of their times."""
+
+    def __init__(self, seed: int) -> None:
+        self.now = 0.0
+        self.chance = random.Random(seed)  # noqa: S311 - dice, not secrets
+        self.events = 0
+        self.trace: list[str] | None = None
+        """Events, a line each; None: they are not noted."""
+        self.touched: list[object] = []
+        """Processes whose state the present event may have changed."""
+        self.look: Callable[[], None] = lambda: None
+        """Called after every event that touched something: it checks what must always hold."""
+        self._heap: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+
+    def at(self, time: float, call: Callable[[], None]) -> None:
+        """Let something happen at a time; infinite: never."""
+        if time < inf:
+            heapq.heappush(self._heap, (max(time, self.now), next(self._count), call))
+
+    def later(self, seconds: float, call: Callable[[], None]) -> None:
+        """Let something happen in so many seconds."""
+        self.at(self.now + seconds, call)
+
+    def run(self, is_over: Callable[[], bool]) -> None:
+        """Let things happen until it is over."""
+        goes_on = True
+        while goes_on:
+            self.now, _, call = heapq.heappop(self._heap)
+            call()
+            self.events += 1
+            if self.touched:
+                self.look()
+                self.touched.clear()
+                goes_on = not is_over()
+
+    def note(self, who: str, what: str) -> None:
+        """Note what happened."""
+        if self.trace is not None:
+            self.trace.append(f"{self.now:9.3f}  {who:<14}  {what}")
+
+    def exponential(self, mean: float) -> float:
+        """A time whose like is forgotten."""
+        return self.chance.expovariate(1 / mean)
+
+
+class Clock:
+    """A machine's steady clock: it begins anywhere and goes a little fast or slow."""
+
+    def __init__(self, world: World, offset: float = 0.0, rate: float = 1.0) -> None:
+        self._world = world
+        self._offset = offset
+        self._rate = rate
+
+    @property
+    def now(self) -> float:
+        """The time that it shows [s]."""
+        return self._offset + self._rate * self._world.now
+
+    def span(self, seconds: float) -> float:
+        """Return the time in the world until it shows so much more, never less."""
+        return max(0.0, seconds) / self._rate + 1e-9
+
 
 LEASE = 4.0
 """Seconds of silence after which both ends give a link up."""
@@ -22,7 +88,7 @@ LEASE = 4.0
 
 @dataclass(frozen=True)
 class Terms:
-    """How well messages travel; probabilities are per message and link."""
+    """Quality of the links; probabilities are per message and link."""
 
     delay: float = 0.01
     """The mean of each way's time [s]."""
@@ -43,7 +109,7 @@ class Asked:
 
 
 class Host(Protocol):
-    """Who holds a session."""
+    """Holder of a session."""
 
     name: str
 
@@ -82,10 +148,10 @@ class Network:
         self._world = world
         self.terms = terms
         self.is_up = True
-        """Whether the router runs."""
+        """True if the router runs."""
         self.sessions: list[Session] = []
         self.recent: deque[tuple[Sample, Channel]] = deque(maxlen=50)
-        """What was put last."""
+        """The messages put last."""
         self._subscribers: dict[str, list[Session]] = defaultdict(list)
         self._answerers: dict[str, list[Session]] = defaultdict(list)
 
@@ -119,11 +185,11 @@ class Network:
             self._announce(session.tokens, alive=False)
 
     def subscribe(self, session: Session, pattern: str) -> None:
-        """Hear messages."""
+        """Receive messages."""
         self._subscribers[pattern].append(session)
 
     def answer(self, session: Session, pattern: str) -> None:
-        """Hear questions."""
+        """Receive questions."""
         self._answerers[pattern].append(session)
 
     def token(self, session: Session, key: str) -> None:
@@ -139,7 +205,7 @@ class Network:
             self._announce({key}, alive=False)
 
     def watch(self, session: Session, pattern: str) -> None:
-        """Hear of tokens, those alive first."""
+        """Receive changes of tokens, those alive first."""
         session.watched.append(pattern)
         if session.is_up:
             self._tell(session, {key for key in self._alive if any_of(key) == pattern}, alive=True)
@@ -147,7 +213,7 @@ class Network:
     # Messages and questions.
 
     def put(self, session: Session, key: str, payload: bytes, encoding: str, channel: Channel) -> None:
-        """Send a message to whoever hears it; without a link it is lost."""
+        """Send a message to all subscribers; without a link it is lost."""
         sample = Sample(key, payload, encoding)
         if channel is not Channel.MONITOR and session.is_up:
             self.recent.append((sample, channel))

@@ -1,9 +1,9 @@
-"""What a history is about, drawn from its number: the runs, the machines, the bus and what goes wrong."""
+"""Contents of a history, drawn from its number: runs, machines, bus and faults."""
 
 import random
 from dataclasses import dataclass, field, replace
 
-from tests.coordinator.runs.plans import Plan
+from tests.coordinator.scheduler.search_plans import Plan
 from tests.simulation.network import Terms
 
 FAULTS = {
@@ -29,7 +29,7 @@ FAULTS = {
     "results are forged": 0.05,
     "old messages are repeated": 0.5,
 }
-"""What goes wrong, and how often at most [1/s]."""
+"""Faults, and their greatest rates [1/s]."""
 
 
 @dataclass(frozen=True)

@@ -1,42 +1,171 @@
-"""Playing histories: from a number to a verdict."""
+"""Plays histories: from a number to a verdict, with the faults that are drawn for it."""
 
 import logging
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from unittest.mock import patch
 
 import structlog
 from tests.simulation.coordinator import Coordinator
-from tests.simulation.faults import Faults
 from tests.simulation.plan import History, draw
-from tests.simulation.searching import Violated
-from tests.simulation.stage import Stage
-from tests.simulation.watch import Watch
+from tests.simulation.process import InvariantViolated, Process
+from tests.simulation.recorder import SimulatedRecorder
+from tests.simulation.simulation import Simulation, SimulationChecker
+from tests.simulation.worker import Worker
 
-from qdgrasp_coordinator.dispatching import tickets
-from qdgrasp_coordinator.recording import intake
-from qdgrasp_coordinator.serving import outbox, recorder_link
+from qdgrasp_coordinator.recorder import run_writer
+from qdgrasp_coordinator.scheduler import lease_dispatcher, recorder_client
 
-SMALL = [(outbox, "SLICE", 4), (outbox, "BOUND", 8), (recorder_link, "PAGE", 7), (tickets, "REMEMBERED", 30)]
-SMALL += [(intake, "GROUP_ROWS", 6), (intake, "CAPACITY", 150)]
+
+class Faults:
+    """Lets things go wrong on a stage until it is calm."""
+
+    def __init__(self, stage: Simulation) -> None:
+        self._stage = stage
+        self._world = stage.world
+        self._chance = stage.world.chance
+        self.table: dict[str, Callable[[], None]] = {
+            "a worker is killed": lambda: self._kill(Worker),
+            "a worker's machine loses its power": self._cut_power,
+            "a worker is asked to leave": self._leave,
+            "a worker joins": stage.start_worker,
+            "a worker is frozen": lambda: self._freeze(Worker),
+            "a simulator is killed": self._kill_simulator,
+            "a link is cut": lambda: self._cut(0.0),
+            "half of the links are cut": lambda: self._cut(0.5),
+            "the router restarts": self._restart_router,
+            "the coordinator is killed": lambda: self._kill(Coordinator),
+            "the coordinator is frozen": self._freeze_coordinator,
+            "the coordinator is frozen and replaced": self._replace_coordinator,
+            "another coordinator is started": stage.start_coordinator,
+            "the recorder is killed": lambda: self._kill(SimulatedRecorder),
+            "the recorder is frozen": lambda: self._freeze(SimulatedRecorder),
+            "another recorder is started": stage.start_recorder,
+            "everything is killed": self._kill_all,
+            "the disk is full": self._fill_disk,
+            "the disk is replaced by an older copy": self._restore_disk,
+            "results are forged": stage.start_forger,
+            "old messages are repeated": self._repeat,
+        }
+
+    def plan(self) -> None:
+        """Draw the times of all faults."""
+        end = self._stage.history.calm_after
+        for name, rate in self._stage.history.faults.items():
+            at = self._chance.expovariate(rate)
+            while at < end:
+                self._world.at(at, lambda name=name: self._strike(name))  # type: ignore[misc]
+                at += self._chance.expovariate(rate)
+        self._world.at(end, self._calm)
+
+    def _strike(self, name: str) -> None:
+        self._world.note("fault", name)
+        self.table[name]()
+
+    def _calm(self) -> None:
+        self._world.note("fault", "none any more")
+        self._stage.is_calm = True
+        self._stage.calm_since = self._world.now
+
+    def _kill(self, kind: type[Process]) -> None:
+        if process := self._stage.some(kind):
+            process.end(flushed=self._chance.random() < 0.5)
+
+    def _cut_power(self) -> None:
+        if worker := self._stage.some(Worker):
+            worker.lose_power()
+
+    def _leave(self) -> None:
+        if worker := self._stage.some(Worker):
+            worker.leave()
+
+    def _kill_simulator(self) -> None:
+        if worker := self._stage.some(Worker):
+            worker.lose_simulator()
+
+    def _freeze(self, kind: type[Process]) -> None:
+        if process := self._stage.some(kind):
+            process.freeze(self._chance.choice([0.5, 3.0, 8.0, 20.0]) * self._chance.uniform(0.5, 1.5))
+
+    def _cut(self, share: float) -> None:
+        """Cut one link, or a share of all."""
+        sessions = self._stage.network.sessions
+        n = max(1, int(share * len(sessions)))
+        for session in self._chance.sample(sessions, min(n, len(sessions))):
+            self._stage.network.cut(
+                session, self._chance.choice([0.3, 3.0, 10.0]) * self._chance.uniform(0.5, 1.5)
+            )
+
+    def _restart_router(self) -> None:
+        if not self._stage.history.is_embedded:
+            self._stage.network.restart(self._chance.uniform(0.05, 3.0))
+
+    def _freeze_coordinator(self) -> None:
+        """Freeze a coordinator, and with it the router where that is in its process."""
+        coordinator = self._stage.some(Coordinator)
+        if coordinator is None:
+            return
+        seconds = self._chance.choice([0.5, 3.0, 10.0]) * self._chance.uniform(0.5, 1.5)
+        coordinator.freeze(seconds)
+        for session in self._stage.network.sessions if self._stage.history.is_embedded else ():
+            self._stage.network.cut(session, seconds)
+
+    def _replace_coordinator(self) -> None:
+        self._freeze_coordinator()
+        self._world.later(self._chance.uniform(0, 8), self._stage.start_coordinator)
+
+    def _kill_all(self) -> None:
+        """Kill the coordinator, the recorder and half of the workers together."""
+        workers = [worker for worker in self._stage.of(Worker) if self._chance.random() < 0.5]
+        for process in chain(self._stage.of(Coordinator), self._stage.of(SimulatedRecorder), workers):
+            process.end(flushed=self._chance.random() < 0.5)
+
+    def _repeat(self) -> None:
+        """Repeat an old message, except work: only the coordinator may send that."""
+        recent = [entry for entry in self._stage.network.recent if "/@work/" not in entry[0].key]
+        if recent:
+            self._stage.network.repeat(*self._chance.choice(recent))
+
+    def _fill_disk(self) -> None:
+        disk = self._stage.disk
+        if not disk.is_full:
+            disk.is_full = True
+            self._world.later(self._chance.uniform(1, 30), disk.make_room)
+
+    def _restore_disk(self) -> None:
+        """Stop the recorder, and put back an older copy of its disk."""
+        for recorder in self._stage.of(SimulatedRecorder):
+            recorder.end()
+        self._stage.disk.restore(self._chance)
+
+
+SMALL = [
+    (recorder_client, "MESSAGE_ROWS", 4),
+    (recorder_client, "MOST_UNCONFIRMED", 8),
+    (recorder_client, "REPLAY_ROWS", 7),
+    (lease_dispatcher, "MOST_SETTLED", 30),
+    (run_writer, "GROUP_ROWS", 6),
+    (run_writer, "MOST_WAITING", 150),
+]
 """Bounds that small histories reach."""
 
 
 @dataclass
 class Verdict:
-    """How a history went."""
+    """Result of a history."""
 
     history: History
-    violated: Violated | None = None
+    violated: InvariantViolated | None = None
     seconds: float = 0.0
-    """How long it took in its world."""
+    """Its duration in its world."""
     events: int = 0
     counters: dict[str, int] = field(default_factory=dict)
-    """What the last coordinator's dispatch counted."""
+    """The counters of the last coordinator's dispatcher."""
     journals: dict[str, bytes] = field(default_factory=dict)
-    """What is on the disk of each run."""
+    """The bytes on the disk of each run."""
     trace: list[str] = field(default_factory=list)
 
 
@@ -67,8 +196,8 @@ def play(history: History | int, *, trace: bool = False) -> Verdict:
 
 def _play(history: History, trace: bool) -> Verdict:
     random.seed(history.number)  # the jitter of workers
-    stage = Stage(history)
-    watch = Watch(stage)
+    stage = Simulation(history)
+    watch = SimulationChecker(stage)
     world = stage.world
     world.look = watch.look
     world.trace = [] if trace else None
@@ -77,13 +206,13 @@ def _play(history: History, trace: bool) -> Verdict:
         stage.open()
         Faults(stage).plan()
         world.run(lambda: stage.is_over)
-    except Violated as violated:
+    except InvariantViolated as violated:
         verdict.violated = violated
     except Exception as error:  # noqa: BLE001 - whatever it is, a machine failed
-        verdict.violated = Violated("no machine fails", f"{type(error).__name__}: {error}")
+        verdict.violated = InvariantViolated("no machine fails", f"{type(error).__name__}: {error}")
         verdict.violated.__cause__ = error
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
     coordinators = stage.of(Coordinator, living=False)
-    verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
-    verdict.journals = {run: paper.journal for run, paper in stage.disk.papers.items()}
+    verdict.counters = coordinators[-1].scheduler.dispatcher.counters if coordinators else {}
+    verdict.journals = {run: file.journal for run, file in stage.disk.files.items()}
     return verdict

@@ -1,25 +1,223 @@
-"""A simulated recorder: the real scribe and books, on a disk that outlives it."""
+"""A simulated recorder: the real recorder and store, on a disk in memory that outlives it."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
 
-from tests.simulation.network import Asked, Network
-from tests.simulation.paper import FOLDER, Disk, PaperBooks
+from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
-from tests.simulation.world import World
 
-from qdgrasp_coordinator.recording.recorder import REST
-from qdgrasp_coordinator.recording.scribe import Scribe
-from qdgrasp_protocol import codec
+from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
+from qdgrasp_coordinator.recorder.recorder import Recorder
+from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
+from qdgrasp_coordinator.recorder.run_writer import RunWriter
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.messages import Recorded
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.spec import RunSpec, from_toml
+
+FOLDER = Path("memory")
+
+
+@dataclass
+class MemoryFile:
+    """A journal on the disk."""
+
+    disk: "MemoryDisk"
+    run: str
+    spec: RunSpec
+    scene: str
+    shape: RowShape
+    platform: dict[str, str] = field(default_factory=dict)
+    slices: list[JournalSlice] = field(default_factory=list)
+    epochs: list[int] = field(default_factory=list)
+    """The epoch of each slice."""
+
+    @property
+    def count(self) -> int:
+        return self.slices[-1].stop if self.slices else 0
+
+    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
+        self.disk.check()
+        if part.first != self.count:
+            raise ValueError(f"row {self.count} is next, got {part.first}")
+        self.slices.append(part)
+        self.epochs.append(epoch)
+
+    def slice(self, first: int, limit: int) -> JournalSlice:
+        stop = min(first + limit, self.count)
+        if first >= stop:
+            return JournalSlice(first, self.shape.empty(0))
+        kept = [part for part in self.slices if part.stop > first and part.first < stop]
+        return join_slices([part.part(first, stop) for part in kept])
+
+    @property
+    def journal(self) -> bytes:
+        """All rows."""
+        return b"".join(part.rows.tobytes() for part in self.slices)
+
+    def begin_epoch(self, epoch: int, now: float) -> None:
+        self.disk.check()
+
+    def set_platform(self, platform: dict[str, str]) -> None:
+        self.disk.check()
+        self.platform = platform
+
+    def set_spec(self, toml: str) -> None:
+        self.spec = from_toml(toml)
+
+    def cut(self, count: int) -> None:
+        """Be an older copy of itself."""
+        self.slices = [part.part(0, count) for part in self.slices if part.first < count]
+        self.epochs = self.epochs[: len(self.slices)]
+
+
+@dataclass
+class MemoryDisk:
+    """The disk of a job's recorder; also what a recorder takes for its open journals."""
+
+    epoch: int = 0
+    is_begun: bool = False
+    is_full: bool = False
+    was_restored: bool = False
+    files: dict[str, MemoryFile] = field(default_factory=dict)
+    holder: object = None
+    """The process that holds the lock of the folder."""
+
+    def check(self) -> None:
+        if self.is_full:
+            raise DiskFull("There is no room.")
+
+    def at(self, folder: Path) -> MemoryFile:
+        return self.files[folder.name]
+
+    def begin(self, folder: Path, identity: JournalIdentity) -> None:
+        self.check()
+        spec = from_toml(identity.spec)
+        self.files[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
+
+    def counts(self) -> dict[str, int]:
+        """Number of rows on it of each run."""
+        return {run: file.count for run, file in self.files.items()}
+
+    def cut(self, counts: dict[str, int]) -> None:
+        """Lose what was committed behind these numbers."""
+        for run, file in self.files.items():
+            file.cut(counts.get(run, 0))
+
+    def make_room(self) -> None:
+        """Have room again."""
+        self.is_full = False
+
+    def restore(self, chance: Random) -> None:
+        """Be an older copy of itself, with the epoch of its time."""
+        share = chance.random()
+        self.cut({run: int(share * count) for run, count in self.counts().items()})
+        epochs = [file.epochs[-1] for file in self.files.values() if file.epochs]
+        self.epoch = min(self.epoch, max(epochs, default=1))
+        self.was_restored = True
+
+
+class MemoryRunFolder:
+    """The folder of a run."""
+
+    def __init__(self, disk: MemoryDisk, run: str) -> None:
+        self.path = FOLDER / run
+        self._file = disk.files[run]
+
+    @property
+    def spec(self) -> RunSpec:
+        return self._file.spec
+
+    def rewrite_spec(self, spec: RunSpec) -> None:
+        self._file.spec = spec
+
+    def add_bundle(self, payload: bytes) -> None:
+        """Do nothing: the scene is not read."""
+
+
+class MemoryJobFolder(JobFolder):
+    """The folder of a job."""
+
+    def __init__(self, disk: MemoryDisk) -> None:
+        super().__init__(FOLDER)
+        self._disk = disk
+
+    @property
+    def epoch(self) -> int:
+        return self._disk.epoch
+
+    identity = ""
+
+    def set_epoch(self, epoch: int) -> None:
+        self._disk.check()
+        self._disk.epoch = epoch
+
+    @property
+    def is_campaign(self) -> bool:
+        return "run" not in self._disk.files
+
+
+class MemoryLockedFolder(LockedJobFolder):
+    """The real locked folder, without files."""
+
+    def __init__(self, disk: MemoryDisk, job: str) -> None:
+        self._disk = disk
+        super().__init__(FOLDER, job)
+
+    def begin(self, run: str, spec: RunSpec) -> None:
+        self._disk.check()
+        self._disk.is_begun = True
+        self._lock_existing()
+
+    def _lock_existing(self) -> None:
+        if self._disk.is_begun and not self.is_begun:
+            self.folder = MemoryJobFolder(self._disk)
+            self.is_begun = True
+            self.epoch = max(self.epoch, self._disk.epoch)
+
+
+class MemoryRecorder(Recorder):
+    """The real recorder, with journals in memory."""
+
+    def __init__(self, disk: MemoryDisk, job: str, disk_wait: float, now: float) -> None:
+        self._memory = disk
+        super().__init__(MemoryLockedFolder(disk, job), disk, disk_wait, now)  # type: ignore[arg-type]
+
+    def _recorded_platform(self) -> dict[str, str]:
+        return next((file.platform for file in self._memory.files.values() if file.platform), {})
+
+    def _check(self, run: RunIdentity) -> None:
+        writer = self._find(run.run)
+        if writer is not None:
+            check_same_run(FOLDER, writer.identity, run)
+
+    def _open(self, run: RunIdentity) -> RunWriter:
+        if run.run not in self._memory.files:
+            self._memory.begin(FOLDER / run.run, run.for_journal)
+        writer = self._writer(run.run)
+        writer.begin_epoch(run.spec, self.epoch)
+        return writer
+
+    def _find(self, run: str) -> RunWriter | None:
+        if run not in self.writers and run in self._memory.files:
+            folder = MemoryRunFolder(self._memory, run)
+            self.writers[run] = RunWriter(folder, self._journals, self.epoch)  # type: ignore[arg-type]
+        return self.writers.get(run)
+
 
 PATIENCE = 60.0
-"""How long a full disk is waited for [s]."""
+"""Longest wait for a full disk [s]."""
 
 
-class Recorder(Process):
+class SimulatedRecorder(Process):
     """A recorder process.
 
     Parameters
@@ -29,9 +227,9 @@ class Recorder(Process):
     latency
         The mean time of a commit [s].
     opened
-        Told when it keeps the books.
+        Called with the recorder once it has the lock.
     reports
-        Told of each report.
+        Called with each report.
     """
 
     def __init__(
@@ -39,9 +237,9 @@ class Recorder(Process):
         world: World,
         network: Network,
         name: str,
-        disk: Disk,
+        disk: MemoryDisk,
         latency: float,
-        opened: Callable[[PaperBooks], None],
+        opened: Callable[[Recorder], None],
         reports: Callable[[Recorded], None],
     ) -> None:
         self._disk = disk
@@ -49,8 +247,7 @@ class Recorder(Process):
         self._opened = opened
         self._reports = reports
         self._before: dict[str, int] | None = None
-        self.scribe: Scribe | None = None
-        self.books: PaperBooks | None = None
+        self.recorder: Recorder | None = None
         super().__init__(world, network, name)
 
     def life(self) -> Life:
@@ -58,22 +255,21 @@ class Recorder(Process):
         while self._disk.holder is not None:
             yield Busy(1.0)
         self._disk.holder = self
-        self.books = PaperBooks(self._disk, JOB)
-        self._opened(self.books)
-        self.scribe = Scribe(self.books, JOB, FOLDER, PATIENCE, self.now)
+        self.recorder = MemoryRecorder(self._disk, JOB, PATIENCE, self.now)
+        self._opened(self.recorder)
         self.network.subscribe(self.session, KEYS.outcome())
         self.network.answer(self.session, KEYS.open)
         self.network.answer(self.session, KEYS.log)
         self.network.token(self.session, KEYS.recorder_token(self.name.replace(" ", "")))
         while True:
-            yield Listen(max(0.0, min(self.scribe.deadline - self.now, REST)))
-            yield from self._step(self.scribe)
+            yield Listen(max(0.0, min(self.recorder.deadline - self.now, LONGEST_WAIT)))
+            yield from self._step(self.recorder)
 
     def hear(self, event: object) -> None:
-        """Answer a question at once where nobody waits for it in between; see `Network.ask_now`."""
-        if isinstance(event, Asked) and self.scribe is not None and self.is_running:
+        """Answer a query at once when its sender does not wait in between; see `Network.ask_now`."""
+        if isinstance(event, Asked) and self.recorder is not None and self.is_running:
             self.world.touched.append(self)
-            event.reply(self._answer(event, self.scribe))
+            event.reply(self._answer(event, self.recorder))
         elif not isinstance(event, Asked):
             super().hear(event)
 
@@ -86,25 +282,25 @@ class Recorder(Process):
             self._disk.holder = None
         super().end(flushed=flushed)
 
-    def _answer(self, asked: Asked, scribe: Scribe) -> bytes | Exception:
+    def _answer(self, asked: Asked, recorder: Recorder) -> bytes | Exception:
         if self._before is not None:
             return NoReply("it is busy")
         try:
-            return scribe.answer(asked.query, self.now)
+            return recorder.answer(asked.query, self.now)
         except (NoReply, Refused) as reason:
             return reason
         except DiskFull:
             self.world.later(0.0, self.end)
             return NoReply("its disk is full")
 
-    def _step(self, scribe: Scribe) -> Life:
-        """Hear what came, commit what is due, and say so once it is on the disk."""
+    def _step(self, recorder: Recorder) -> Life:
+        """Process what came, commit what is due, and report it once it is on the disk."""
         for event in self.events():
             if isinstance(event, Sample):
-                scribe.take(event, self.now)
+                recorder.take(event, self.now)
         before = self._disk.counts()
         try:
-            reports = scribe.step(self.now)
+            reports = recorder.step(self.now)
         except DiskFull:
             self.note("gives a full disk up")
             return
@@ -117,5 +313,5 @@ class Recorder(Process):
 
     def _put(self, report: Recorded) -> None:
         self._reports(report)
-        encoding = codec.encoding(Recorded)
-        self.network.put(self.session, KEYS.recorded, codec.encode(report), encoding, Channel.CONTROL)
+        encoding = messages.encoding(Recorded)
+        self.network.put(self.session, KEYS.recorded, messages.encode(report), encoding, Channel.CONTROL)

@@ -1,20 +1,85 @@
-"""Whatever happens to machines, links and disks: every invariant holds, and the journal is the spec's."""
+"""Every invariant holds under faults of machines, links and disks; mutations are noticed."""
 
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
-from tests.coordinator.runs.plans import SHAPE, Plan, Task, evaluate, reference
-from tests.coordinator.searches import make_believe
-from tests.coordinator.searches.spaces import plain
-from tests.simulation.network import Terms
+from tests.coordinator.scheduler.leases import ANN, EPOCH, Dispatch, join_message, settle, with_work
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Task, evaluate, reference
+from tests.coordinator.search import synthetic_scene
+from tests.coordinator.search.synthetic_scene import plain
+from tests.simulation.mutations import MUTATIONS, Mutation, noticed
+from tests.simulation.network import LEASE, Clock, Network, Session, Terms, World
 from tests.simulation.plan import FAULTS, History, draw
 from tests.simulation.play import Verdict, play
+from tests.simulation.process import INVARIANTS
 
-from qdgrasp_coordinator.searches.aimed import START
-from qdgrasp_coordinator.searches.search import AIMED, PAPER, Method, Search
+from qdgrasp_coordinator.scheduler.batch_queue import Settlement
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.lease_dispatcher import BatchTable
+from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
+from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method
+from qdgrasp_protocol.bus import Channel, Sample
+from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
+from qdgrasp_worker.runtime.job_registry import RETRY_FIRST, JobSession
+
+
+def leased(dispatch: Dispatch) -> bytes:
+    return dispatch.leases(0.0)[0].batch.id
+
+
+def test_a_result_for_another_coordinator_of_the_same_epoch_settles_nothing() -> None:
+    """Epochs come again where a disk is restored while its coordinator is stopped."""
+    one, other = with_work(), with_work()
+    lease = one.leases(0.0)[0]
+    other.leases(0.0)
+    assert settle(other, lease, 1.0, epoch=EPOCH).kind is Settlement.UNKNOWN
+    assert leased(with_work()) != leased(with_work())
+
+
+def test_a_worker_whose_token_comes_seconds_after_its_question_is_not_forgotten() -> None:
+    dispatch = with_work(workers=())
+    dispatch.join(join_message(ANN), 0.0)
+    assert dispatch.give_up(5.0) == []
+    assert dispatch.leases(5.0) == []
+    dispatch.workers.on_token(ANN, True, 5.0)
+    assert len(dispatch.leases(5.0)) == 2
+
+
+def test_a_worker_whose_token_never_comes_is_forgotten() -> None:
+    dispatch = with_work(workers=())
+    dispatch.join(join_message(ANN), 0.0)
+    assert [lost.worker.wid for lost in dispatch.give_up(60.0)] == [ANN]
+
+
+def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_is_gone() -> None:
+    session = JobSession("job")
+    session.on_coordinator(1, True, 0.0)
+    session.on_coordinator(2, True, 1.0)
+    session.ask(2)
+    session.on_answer(Joined(epoch=1, drop=[]), 1.5, 1.0)
+    assert not session.is_due(2.0)
+    session.on_coordinator(1, False, 2.0)
+    assert session.is_due(2.0)
+
+
+def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
+    """The one that it serves knows of the join before only; what it leases would be passed over for ever."""
+    session = JobSession("job")
+    session.on_coordinator(8, True, 0.0)
+    session.ask(2)
+    session.on_answer(Joined(epoch=8, drop=[]), 1.0, 1.0)
+    session.join_soon(2.0)
+    session.ask(2)
+    assert not session.on_answer(Joined(epoch=7, drop=[]), 3.0, 1.0)
+    assert session.join_at == 3.0 + RETRY_FIRST
+
 
 QUIET = History(
     number=0,
@@ -100,7 +165,7 @@ def journal_of(plan: Plan, number: int) -> bytes:
 def plain_task(entry: Method) -> Task:
     """A method whose genomes stand for themselves."""
 
-    def build(population: int, seed: int) -> Search:
+    def build(population: int, seed: int) -> SearchAlgorithm:
         spec = RunSpec(gripper="hand", object="thing", population=population, seed=seed)
         return entry.build(spec, plain(SHAPE.genes))
 
@@ -109,25 +174,25 @@ def plain_task(entry: Method) -> Task:
 
 def aimed_task(overlaps: Overlaps) -> Task:
     """The search that aims, with a hand of synergies and a spread, on a make-believe object."""
-    where = make_believe.space(AIMED.prior, ("synergy", "spread"))
+    where = synthetic_scene.space(AIMED.prior, ("synergy", "spread"))
 
-    def build(population: int, seed: int) -> Search:
+    def build(population: int, seed: int) -> SearchAlgorithm:
         asked = {"population": population, "seed": seed, "overlaps": overlaps}
         return AIMED.build(RunSpec(gripper="hand", object="thing", **asked), where)
 
     def evaluated(rows: Rows) -> Rows:
         if not len(rows):
             return rows
-        found = make_believe.evaluate(where, 0, rows["genome"])
+        found = synthetic_scene.evaluate(where, 0, rows["genome"])
         for key in ("generation", "index", "trial"):
             found[key] = rows[key]
         return found
 
-    return Task(build, evaluated, make_believe.shape(where))
+    return Task(build, evaluated, synthetic_scene.shape(where))
 
 
 SEARCHES = {entry.build: entry for entry in PAPER}.values()
-"""One method of each search: what tells the others apart, the prior, is not in these histories."""
+"""One method of each search: the prior, which tells the others apart, is not simulated."""
 
 
 @pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
@@ -153,4 +218,164 @@ def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(
     journals = {journal_of(plan, number) for number in (1, 2)}
     assert journals == {reference(plan)}
     rows = np.frombuffer(journals.pop(), plan.task.shape.dtype)
-    assert make_believe.covered(rows[rows["generation"] > START // 25]) > 20
+    assert synthetic_scene.covered(rows[rows["generation"] > FIRST_SCOUTS // 25]) > 20
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.name)
+def test_it_is_noticed_within_some_histories_to(mutation: Mutation) -> None:
+    assert noticed(mutation) is not None
+
+
+def test_an_invariant_that_is_not_to_notice_a_mutation_does_not_count() -> None:
+    def fail(*_: object) -> Settlement:
+        raise ZeroDivisionError
+
+    for invariants, count in ((("settled once",), None), (("no machine fails",), 1)):
+        mutation = Mutation("fail", "5", invariants, lambda: [patch.object(BatchTable, "classify", fail)])
+        found = noticed(mutation, most=3)
+        assert (found and found[1]) == count
+
+
+def test_every_invariant_is_to_notice_something() -> None:
+    assert {name for mutation in MUTATIONS for name in mutation.invariants} == set(INVARIANTS)
+
+
+def test_the_page_names_every_invariant_and_every_mutation() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    missing = [name for name in (*INVARIANTS, *(m.name for m in MUTATIONS)) if f"| {name} |" not in page]
+    assert missing == []
+
+
+class Listener:
+    """Hears everything."""
+
+    def __init__(self, world: World, name: str) -> None:
+        self.world = world
+        self.name = name
+        self.heard: list[tuple[float, object]] = []
+
+    def hear(self, event: object) -> None:
+        self.heard.append((self.world.now, event))
+
+    @property
+    def numbers(self) -> list[int]:
+        return [int(event.payload) for _, event in self.heard if isinstance(event, Sample)]
+
+    @property
+    def links(self) -> list[bool]:
+        return [event.up for _, event in self.heard if isinstance(event, LinkChange)]
+
+
+class Pair:
+    """A sender and a receiver."""
+
+    def __init__(self, terms: Terms) -> None:
+        self.world = World(1)
+        self.network = Network(self.world, terms)
+        self.ann, self.bob = Listener(self.world, "ann"), Listener(self.world, "bob")
+        self.sender, self.hearer = self.network.open(self.ann), self.network.open(self.bob)
+        self.network.subscribe(self.hearer, "a/b/*")
+
+    def send(self, number: int, session: Session | None = None) -> None:
+        payload = str(number).encode()
+        self.network.put(session or self.sender, "a/b/c", payload, "text", Channel.DATA)
+
+    def run(self, seconds: float) -> None:
+        until = self.world.now + seconds
+        self.world.later(seconds, lambda: self.world.touched.append(self))
+        self.world.run(lambda: self.world.now >= until)
+
+
+def test_messages_of_a_link_arrive_in_their_order() -> None:
+    pair = Pair(Terms(delay=0.5))
+    for number in range(100):
+        pair.send(number)
+    pair.run(100)
+    assert pair.bob.numbers == list(range(100))
+
+
+def test_messages_may_overtake_each_other_where_the_terms_say_so() -> None:
+    pair = Pair(Terms(delay=0.5, in_order=False))
+    for number in range(100):
+        pair.send(number)
+    pair.run(100)
+    assert sorted(pair.bob.numbers) == list(range(100)) != pair.bob.numbers
+
+
+@pytest.mark.parametrize(
+    ("terms", "least", "most"), [(Terms(loss=0.1), 1, 399), (Terms(repeat=0.1), 401, 800)]
+)
+def test_messages_are_lost_and_repeated_as_the_terms_say(terms: Terms, least: int, most: int) -> None:
+    pair = Pair(terms)
+    for number in range(400):
+        pair.send(number)
+    pair.run(100)
+    assert least <= len(pair.bob.numbers) <= most
+
+
+def test_a_link_that_is_cut_for_less_than_a_lease_only_delays() -> None:
+    pair = Pair(Terms())
+    pair.network.cut(pair.hearer, LEASE - 1)
+    pair.send(1)
+    pair.run(60)
+    assert pair.bob.numbers == [1]
+    assert pair.bob.heard[0][0] >= LEASE - 1
+    assert pair.bob.links == []
+
+
+def test_what_is_sent_over_a_link_that_breaks_is_lost_and_both_ends_notice() -> None:
+    pair = Pair(Terms())
+    pair.network.cut(pair.hearer, LEASE + 1)
+    pair.send(1)
+    pair.run(60)
+    pair.send(2)
+    pair.run(60)
+    assert pair.bob.numbers == [2]
+    assert pair.bob.links == [False, True]
+
+
+def test_what_is_put_without_a_link_is_lost() -> None:
+    pair = Pair(Terms())
+    pair.network.drop(pair.sender)
+    pair.send(1)
+    pair.run(60)
+    assert pair.bob.numbers == []
+
+
+def test_a_token_vanishes_with_its_session_and_comes_back_with_it() -> None:
+    pair = Pair(Terms())
+    pair.network.watch(pair.hearer, "live/*")
+    pair.network.token(pair.sender, "live/ann")
+    pair.run(5)
+    pair.network.restart(1.0)
+    pair.run(60)
+    pair.network.close(pair.sender)
+    pair.run(5)
+    changes = [event.alive for _, event in pair.bob.heard if isinstance(event, TokenChange)]
+    assert changes == [True, False, True, False]
+
+
+def test_clocks_differ_and_waiting_ends_when_they_show_it() -> None:
+    world = World(0)
+    clock = Clock(world, offset=1000.0, rate=0.98)
+    before = clock.now
+    world.now += clock.span(10.0)
+    assert clock.now >= before + 10.0
+    assert world.now > 10.0
+    assert all(one <= other for one, other in pairwise([before, clock.now]))
+
+
+def test_a_token_that_two_sessions_have_is_gone_with_the_second() -> None:
+    pair = Pair(Terms())
+    third = pair.network.open(Listener(pair.world, "eve"))
+    pair.network.watch(pair.hearer, "live/*")
+    for session in (pair.sender, third):
+        pair.network.token(session, "live/twin")
+    pair.run(5)
+    pair.network.close(third)
+    pair.run(5)
+    assert [event.alive for _, event in pair.bob.heard if isinstance(event, TokenChange)] == [True, True]
+    pair.network.close(pair.sender)
+    pair.run(5)
+    assert isinstance(pair.bob.heard[-1][1], TokenChange)
+    assert not pair.bob.heard[-1][1].alive

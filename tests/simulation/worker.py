@@ -1,49 +1,221 @@
-"""A simulated worker: the real service and workshop, with a simulator that is a formula."""
+"""A simulated worker: the real service, with a simulator that is a formula."""
 
 import struct
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from queue import SimpleQueue
-from signal import SIGTERM
+from random import Random
+from signal import SIGABRT, SIGKILL, SIGTERM
 from unittest.mock import patch
 
 import msgspec
 import numpy as np
-from tests.coordinator.runs.plans import Task
-from tests.simulation.formula import Formula, Mishaps, Speed
-from tests.simulation.network import Network
+from tests.coordinator.scheduler.search_plans import Task
+from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
-from tests.simulation.world import World
 
-from qdgrasp_coordinator.serving.inbox import LinkChange, TokenChange
-from qdgrasp_protocol import codec
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel, Declaration, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import Join, Joined, Result
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_worker.serving import service as serving
-from qdgrasp_worker.serving.bundles import Bundles
-from qdgrasp_worker.serving.desk import Desk
-from qdgrasp_worker.serving.errands import JOIN_SECONDS, Answered, Fetched
-from qdgrasp_worker.serving.events import Asked, CoordinatorSeen, Event, LinkChanged
-from qdgrasp_worker.serving.service import WorkerService
-from qdgrasp_worker.serving.workshop import Workshop
+from qdgrasp_protocol.messages import Failure, Join, Joined, Result
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
+from qdgrasp_worker.runtime import service as serving
+from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
+from qdgrasp_worker.runtime.job_registry import JobSession
+from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
+from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
+from qdgrasp_worker.runtime.simulator_messages import (
+    AnySimulatorMessage,
+    EvaluateRows,
+    PartialResult,
+    SceneLoaded,
+    SceneMissing,
+    SimulatorMessage,
+    SimulatorReady,
+)
+from qdgrasp_worker.runtime.simulator_supervisor import (
+    SimulatorEnded,
+    SimulatorEvent,
+    SimulatorSaid,
+    SimulatorSupervisor,
+)
+
+PLATFORM = {"evaluation": "a formula"}
+LOADING = 0.05
+"""Seconds until a scene stands."""
+START = 0.3
+"""Seconds until the probes are evaluated."""
+
+
+@dataclass
+class Mishaps:
+    """Rows on which simulators fail now and then, each at most twice: no poison."""
+
+    chance: Random
+    rate: float
+    failed: Counter[bytes] = field(default_factory=Counter)
+
+    def strikes(self, row: np.void) -> bool:
+        """True if a simulator fails on a row now."""
+        key = row["genome"].tobytes() + row["trial"].tobytes()
+        if self.failed[key] < 2 and self.chance.random() < self.rate:
+            self.failed[key] += 1
+            return True
+        return False
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Speed of a simulator."""
+
+    row_seconds: float
+    rows_at_once: int
+
+
+class Formula:
+    """A simulator process as a worker sees it.
+
+    Parameters
+    ----------
+    host
+        The worker's process.
+    task
+        What it evaluates.
+    hear
+        Takes its news.
+    """
+
+    def __init__(
+        self,
+        host: "Process",
+        task: Task,
+        speed: Speed,
+        mishaps: Mishaps,
+        hear: Callable[[SimulatorEvent], None],
+    ) -> None:
+        self._host = host
+        self._task = task
+        self._speed = speed
+        self._mishaps = mishaps
+        self._hear = hear
+        self._queue: deque[EvaluateRows] = deque()
+        self._scenes: set[str] = set()
+        self._is_over = False
+        self._is_busy = False
+        self._steps = 0
+        self._later(START, lambda: self._say(SimulatorReady(platform=PLATFORM)))
+
+    @property
+    def stats(self) -> ProcessStats:
+        """What it has taken of the processor and the memory."""
+        return ProcessStats(float(self._steps), 0)
+
+    def send(self, message: SimulatorMessage) -> None:
+        """Take a batch."""
+        assert isinstance(message, EvaluateRows)
+        self._queue.append(message)
+        self._begin()
+
+    def end_stalled(self) -> None:
+        """Be ended for having said nothing."""
+        self._die(-STALL_SIGNAL)
+
+    def close(self) -> None:
+        """Be gone."""
+        self._is_over = True
+
+    def _later(self, seconds: float, call: Callable[[], None]) -> None:
+        self._host.world.later(seconds, lambda: None if self._is_over or self._host.is_over else call())
+
+    def _say(self, frame: AnySimulatorMessage) -> None:
+        self._hear(SimulatorSaid(self, frame))  # type: ignore[arg-type]
+
+    def _die(self, code: int) -> None:
+        self._is_over = True
+        self._hear(SimulatorEnded(self, code))  # type: ignore[arg-type]
+
+    # Batches, slice by slice.
+
+    def _begin(self) -> None:
+        if self._is_busy or not self._queue:
+            return
+        batch = self._queue.popleft()
+        if batch.bundle is None and batch.scene not in self._scenes:
+            self._say(SceneMissing())
+            self._begin()
+            return
+        self._is_busy = True
+        if batch.bundle is None:
+            self._go_on(batch, 0)
+        else:
+            self._later(LOADING, lambda: self._load(batch))
+
+    def _load(self, batch: EvaluateRows) -> None:
+        self._scenes.add(batch.scene)
+        self._say(SceneLoaded())
+        self._go_on(batch, 0)
+
+    def _go_on(self, batch: EvaluateRows, start: int) -> None:
+        """Evaluate the next slice, or the next batch."""
+        if start == batch.n:
+            self._is_busy = False
+            self._begin()
+            return
+        n = min(1 if batch.is_careful else self._speed.rows_at_once, batch.n - start)
+        seconds = n * self._speed.row_seconds * self._host.world.chance.uniform(0.5, 2)
+        self._later(seconds, lambda: self._finish(batch, start, n))
+
+    def _finish(self, batch: EvaluateRows, start: int, n: int) -> None:
+        self._steps += n
+        rows = self._task.shape.empty(batch.n)
+        rows["genome"] = np.frombuffer(batch.columns["genome"], "<f4").reshape(batch.n, batch.genes)
+        rows["trial"] = np.frombuffer(batch.columns["trial"], "<u2")
+        found = self._task.evaluate(rows[start : start + n])
+        failed = [place for place, row in enumerate(found) if self._fails(row)]
+        ends = [place for place in failed if found["genome"][place, 1] > 0]
+        if ends:
+            self._die(-SIGABRT if found["genome"][ends[0], 2] > 0 else 1)
+            return
+        self._say(self._part(found, failed))
+        self._go_on(batch, start + n)
+
+    def _fails(self, row: np.void) -> bool:
+        return bool(row["outcome"] == Outcome.ERROR) or self._mishaps.strikes(row)
+
+    def _part(self, found: Rows, failed: list[int]) -> PartialResult:
+        found[failed] = np.zeros((), found.dtype)
+        return PartialResult(
+            n=len(found),
+            joints=self._task.shape.joints,
+            descriptors=self._task.shape.descriptors,
+            columns=pack(found, RESULT),
+            failures=[Failure(row=place, reason="it raised") for place in failed],
+            cpu_seconds=len(found) * self._speed.row_seconds,
+        )
+
+    def be_killed(self) -> None:
+        """Be killed from outside, for memory."""
+        if not self._is_over:
+            self._die(-SIGKILL)
+
 
 JOB = "job"
 KEYS = Keys(JOB)
 GRACE = 1.5
 FETCH_SECONDS = 5.0
 CREDIT = 2
-"""What a worker asks for; a job that shares it with others gets less."""
+"""Batches that a worker asks for; a job that shares it with others gets fewer."""
 
 
 @dataclass
 class Line:
-    """What a worker's service needs of a bus."""
+    """The part of a bus that a worker's service needs."""
 
     host: "Worker"
 
@@ -63,14 +235,14 @@ class SimulatedErrands:
 
     def join(self, job: str, join: Join) -> None:
         def back(answer: bytes | Exception) -> None:
-            self.host.hear(Answered(job, join.number, _joined(answer)))
+            self.host.hear(JoinAnswered(job, join.number, _joined(answer)))
 
-        self._ask(Keys(job).join, codec.encode(join), JOIN_SECONDS, back)
+        self._ask(Keys(job).join, messages.encode(join), JOIN_SECONDS, back)
 
     def fetch(self, job: str, scene: str) -> None:
         def back(answer: bytes | Exception) -> None:
             assert isinstance(answer, bytes | QdgraspError)
-            self.host.hear(Fetched(job, scene, answer))
+            self.host.hear(SceneAnswered(job, scene, answer))
 
         self._ask(Keys(job).asset(scene), b"", FETCH_SECONDS, back)
 
@@ -91,7 +263,7 @@ class SimulatedErrands:
 def _joined(answer: bytes | Exception) -> Joined | QdgraspError:
     if isinstance(answer, bytes):
         try:
-            return codec.decode(answer, Joined)
+            return messages.decode(answer, Joined)
         except MessageError as error:
             return error
     assert isinstance(answer, QdgraspError)
@@ -110,25 +282,24 @@ class Worker(Process):
         self._speed = speed
         self._stop = Stop()
         super().__init__(world, network, f"worker {int(wid, 16)}")
-        self.workshop = Workshop(self._hire, row_seconds=60.0, memory=1 << 30)
+        self.supervisor = SimulatorSupervisor(self._start_simulator, row_seconds=60.0, memory=1 << 30)
         self.service = self._new_service()
 
     @property
-    def desk(self) -> Desk | None:
+    def session_of_job(self) -> JobSession | None:
         """What it holds of the job; None while it knows of none."""
-        appointment = self.service._jobs.get(JOB)
-        return appointment.desk if appointment else None
+        return self.service._jobs.get(JOB)
 
     def leave(self) -> None:
         """Be asked to leave, by SIGTERM."""
         self.note("is asked to leave")
         self._stop.set(SIGTERM)
-        self.hear(Asked())
+        self.hear(StopRequested())
 
     def lose_simulator(self) -> None:
         """Have the simulator killed, for its memory."""
         self.note("loses its simulator")
-        simulator = self.workshop._simulator
+        simulator = self.supervisor._simulator
         assert isinstance(simulator, Formula)
         simulator.be_killed()
 
@@ -137,24 +308,24 @@ class Worker(Process):
         for pattern in (KEYS.work(self.wid), KEYS.ctl(self.wid)):
             self.network.subscribe(self.session, pattern)
         self.network.watch(self.session, KEYS.coordinator_token())
-        while not self.service._leave.is_over(self.now):
-            patience = self.service._patience(self.now)
-            yield Listen(inf if patience is None else patience)
+        while not self.service._shutdown.is_over(self.now):
+            seconds = self.service._wait_seconds(self.now)
+            yield Listen(inf if seconds is None else seconds)
             for event in self.events():
                 self.service._take(_event(event), self.now)
-            self.service._act(self.now)
+            self.service._step(self.now)
 
-    def _hire(self) -> Formula:
+    def _start_simulator(self) -> Formula:
         return Formula(self, self._task, self._speed, self._mishaps, self.hear)
 
     def _new_service(self) -> WorkerService:
         bus: Bus = Line(self)  # type: ignore[assignment]
         with (
-            patch.object(serving, "Errands", lambda *_: SimulatedErrands(self)),
+            patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
             patch.object(serving.secrets, "token_hex", lambda _: self.wid),
         ):
             return WorkerService(
-                bus, self._stop, self.workshop, SimpleQueue(), bundles=Bundles(None), job=JOB, grace=GRACE
+                bus, self._stop, self.supervisor, SimpleQueue(), store=SceneStore(None), job=JOB, grace=GRACE
             )  # type: ignore[arg-type]
 
 
@@ -170,7 +341,7 @@ def _event(event: object) -> Event:
 
 
 class Forger(Process):
-    """Somebody with a worker's certificate, who answers with nonsense what others were leased."""
+    """A process with a worker's certificate that forges results of others' leases."""
 
     def __init__(self, world: World, network: Network, wid: str) -> None:
         self._wid = wid
@@ -182,7 +353,7 @@ class Forger(Process):
         while True:
             yield Listen()
             for event in self.events():
-                if isinstance(event, Sample) and (result := codec.decode(event.payload, Result)).attempt:
+                if isinstance(event, Sample) and (result := messages.decode(event.payload, Result)).attempt:
                     self._forge(result)
 
     def _forge(self, result: Result) -> None:
@@ -193,6 +364,6 @@ class Forger(Process):
             batch = struct.pack(">QQ", epoch, count + ahead)
             columns = result.columns | {"outcome": outcomes}
             forged = {"batch": batch, "attempt": 0, "wid": self._wid, "columns": columns, "failures": []}
-            message = codec.encode(msgspec.structs.replace(result, **forged))
-            key, encoding = KEYS.result(self._wid), codec.encoding(Result)
+            message = messages.encode(msgspec.structs.replace(result, **forged))
+            key, encoding = KEYS.result(self._wid), messages.encoding(Result)
             self.network.put(self.session, key, message, encoding, Channel.DATA)

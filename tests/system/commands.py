@@ -1,13 +1,16 @@
 """Commands as a user types them, in processes of their own."""
 
 import json
+import multiprocessing
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,19 +18,60 @@ from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import msgspec
-from tests.patience import PATIENCE
-from tests.system import forked
+from tests.common import PATIENCE, own_endpoint
 
-from qdgrasp_coordinator.campaigns.summary import summary
-from qdgrasp_coordinator.folders.digest import digest
-from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp import entry
+from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
+
+LOADED = [
+    "qdgrasp_coordinator.cli.main",
+    "qdgrasp_coordinator.cli.monitor_process",
+    "qdgrasp_coordinator.scheduler.run_plan",
+    "trimesh",
+]
+_FORKS = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(LOADED)
+
+
+def run(words: Sequence[str], home: Path, environment: dict[str, str], said: Sequence[Path]) -> int:
+    """Run a command in a folder; gives its exit code.
+
+    Parameters
+    ----------
+    words
+        The function of `qdgrasp.entry`, and the command's arguments.
+    said
+        Two files, for what it says on standard output and standard error.
+    """
+    process = _FORKS.Process(target=_enter, args=(words, home, environment, said))
+    process.start()
+    process.join(PATIENCE)
+    if process.exitcode is None:
+        process.terminate()
+        raise TimeoutError(f"{' '.join(words)} takes more than {PATIENCE:.0f} s")
+    return process.exitcode
+
+
+def _enter(words: Sequence[str], home: Path, environment: dict[str, str], said: Sequence[Path]) -> None:
+    os.chdir(home)
+    os.environ.clear()
+    os.environ.update(environment)
+    for descriptor, path in enumerate(said, start=1):
+        with path.open("wb") as file:
+            os.dup2(file.fileno(), descriptor)
+    sys.argv = [*words]
+    getattr(entry, words[0])()
+
 
 Found = TypeVar("Found")
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
 BUDGET = 160
 """Evaluations of a run of which the last are aimed, and that takes long enough to disturb it."""
 LONG = (*SMALL, "--evaluations", BUDGET)
+LISTENING = ("run", "campaign", "resume", "rerank")
+"""Commands that carry out a job and listen for its workers."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +98,16 @@ class Commands:
         """Run one of the commands, named by its function in `qdgrasp.entry`, to its end."""
         with TemporaryDirectory() as folder:
             out, err = said = [Path(folder) / name for name in ("out", "err")]
-            words = [entry, *map(str, arguments)]
-            code = forked.run(words, self.home, self._environment(environment), said)
+            words = [entry, *map(str, self._with_port(arguments) if entry == "qdgrasp" else arguments)]
+            code = run(words, self.home, self._environment(environment), said)
             return Done(code, out.read_text(), err.read_text())
 
     def start(
         self, *arguments: object, module: str = "qdgrasp", file_size: int | None = None, **environment: str
     ) -> subprocess.Popen[str]:
         """Start a command; no file that it or its processes write may be longer than `file_size`."""
+        if module == "qdgrasp":
+            arguments = self._with_port(arguments)
         command = [sys.executable, "-m", module, *map(str, arguments)]
         process = subprocess.Popen(
             command,
@@ -76,17 +122,23 @@ class Commands:
         self._started.append(process)
         return process
 
+    def _with_port(self, arguments: tuple[object, ...]) -> tuple[object, ...]:
+        """Have a job listen on a port of its own: others may take the default one while it is restarted."""
+        if arguments and arguments[0] in LISTENING and "--listen" not in arguments:
+            return (*arguments, "--listen", own_endpoint())
+        return arguments
+
     def _environment(self, more: dict[str, str]) -> dict[str, str]:
         return {**os.environ, "QDGRASP_CACHE": str(self.home / "cache"), **more}
 
     def digest(self, folder: str | Path) -> str:
         """What `qdgrasp digest` prints, without a process for it."""
         with RunFolder.open(self.home / folder).journal() as journal:
-            return digest(journal)
+            return journal_digest(journal)
 
     def info(self, folder: str | Path) -> dict:
         """What `qdgrasp info --json` prints, without a process for it."""
-        return json.loads(msgspec.json.encode(summary(RunFolder.open(self.home / folder))))
+        return json.loads(msgspec.json.encode(run_summary(RunFolder.open(self.home / folder))))
 
     def end_all(self) -> None:
         for process in self._started:
@@ -168,3 +220,54 @@ def _told(name: str) -> str:
         return Path("/proc", name).read_text()
     except (FileNotFoundError, ProcessLookupError):
         return ""
+
+
+MONITOR = "qdgrasp_coordinator.cli.monitor_process"
+
+
+class Watched:
+    """A run with two workers on an endpoint of its own, and a page that shows it from some time on."""
+
+    def __init__(self, qdgrasp: Commands, job: str, *flags: object) -> None:
+        self.qdgrasp, self.job, self.folder = qdgrasp, job, qdgrasp.home / "run"
+        endpoint = own_endpoint()
+        self.place = ("--connect", endpoint, "--wait", 120)
+        place = ("--out", "run", "--job", job, "--listen", endpoint)
+        self.run = qdgrasp.start("run", *flags, "--workers", 2, *place)
+
+    def is_watched(self) -> None:
+        """Start the monitor that serves the page."""
+        self.monitor = self.qdgrasp.start("--web", "127.0.0.1:0", *self.place, module=MONITOR)
+        self.address = _address(self.monitor)
+
+    def pauses(self, rows: int) -> None:
+        """Pause the job when so many rows are on disk; nobody works meanwhile, lest it be over before."""
+        wait_for(lambda: rows_recorded(self.folder) >= rows, f"{rows} rows")
+        with held(*pids(self.run, "worker")):
+            self._order("pause")
+
+    def goes_on(self) -> None:
+        """Let a job that was paused go on."""
+        self._order("continue")
+
+    def _order(self, command: str) -> None:
+        done = self.qdgrasp(command, self.job, *self.place[:2])
+        assert done.code == 0, done.err
+
+    def kill(self, role: str) -> None:
+        """End one process of a role, without a word."""
+        kill(pids(self.run, role)[0])
+
+    def ends(self) -> None:
+        """Wait for the run's end."""
+        _, err = self.run.communicate(timeout=1800)
+        assert self.run.returncode == 0, err
+
+
+def _address(monitor: subprocess.Popen[str]) -> str:
+    assert monitor.stderr is not None
+    for line in monitor.stderr:
+        if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
+            threading.Thread(target=monitor.stderr.read, daemon=True).start()  # so that it never has to wait
+            return found[0]
+    raise AssertionError("the monitor says no address")

@@ -10,14 +10,13 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.patience import PATIENCE
+from tests.common import PATIENCE
 from tests.system.commands import Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 from tests.system.test_bad_input import sentence
 
-from qdgrasp_coordinator.campaigns.campaign import read_campaign
-from qdgrasp_coordinator.folders.digest import digest
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.campaign.campaign_file import read_campaign
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 
 EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
 SMALL = """
@@ -60,7 +59,7 @@ def runs(qdgrasp: Commands, folder: str) -> list[tuple[str, Path]]:
 
 def digest_of(path: Path) -> str:
     with RunFolder.open(path).journal() as journal:
-        return digest(journal)
+        return journal_digest(journal)
 
 
 def cost(path: Path) -> float:

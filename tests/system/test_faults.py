@@ -6,8 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.endpoints import own_endpoint
-from tests.patience import PATIENCE
+from tests.common import PATIENCE, own_endpoint
 from tests.system.commands import (
     BUDGET,
     LONG,
@@ -21,7 +20,7 @@ from tests.system.commands import (
     wait_for,
 )
 
-from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -158,16 +157,16 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
     place = ("--connect", endpoint, "--job", "mugs")
     (qdgrasp.home / "mugs.toml").write_text(SPEC)
     with ZenohBus.router(endpoint):
-        qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder")
-        old = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator")
+        qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder_process")
+        old = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator_process")
         worker = qdgrasp.start(*place, module="qdgrasp_worker.cli")
         wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20, "rows")
         with held(worker.pid):
-            other = qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder")
+            other = qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder_process")
             assert "is in use by process" in other.communicate(timeout=PATIENCE)[1]
             assert other.returncode == 2
             os.kill(old.pid, signal.SIGSTOP)
-        new = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator")
+        new = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator_process")
         wait_for(lambda: JobFolder(qdgrasp.home / "run").epoch == 2, "another turn")
         os.kill(old.pid, signal.SIGCONT)
         assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=PATIENCE)[1]

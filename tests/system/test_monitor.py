@@ -1,38 +1,49 @@
-"""`qdgrasp-monitor`: what it shows of a job with real processes, and how it ends."""
+"""`qdgrasp-monitor` with real processes, and that everything counts the same at the end."""
 
 import fcntl
 import json
 import os
 import pty
+import re
+import resource
 import select
 import signal
 import struct
 import subprocess
 import sys
 import termios
+import threading
 import time
+import urllib.request
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from queue import SimpleQueue
+from typing import Any
 
+import numpy as np
 import pytest
-from tests.endpoints import own_endpoint
-from tests.system.commands import PATIENCE, SMALL, Commands, held, kill, pids, rows_recorded, wait_for
+from prometheus_client.parser import text_string_to_metric_families
+from tests import browser
+from tests.browser import figure, number
+from tests.common import PATIENCE, own_endpoint
+from tests.system.commands import MONITOR, SMALL, Commands, Watched, held, kill, pids, rows_recorded, wait_for
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, from_json
-from qdgrasp_coordinator.counts.team import TeamFigures
-from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkersPage, from_json
 from qdgrasp_coordinator.monitor.feed import Feed
-from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.terminal.frame import Shown, sheet
-from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII
-from qdgrasp_coordinator.serving.board import INTERVAL
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.terminal.screen import ScreenState, report_lines
+from qdgrasp_coordinator.monitor.terminal.text_tables import ASCII
+from qdgrasp_coordinator.scheduler.status_publisher import STATUS_INTERVAL
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-MONITOR = "qdgrasp_coordinator.cli.monitor"
 ENDLESS = 98_765
 """Evaluations of a run that goes on until it is ended."""
 COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
@@ -70,8 +81,8 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
             told = (job["job"], job["state"], len(job["workers"]), len(job["runs"]))
             assert told == ("mugs", "running", 2, 1)
             assert {*JobView.__struct_fields__} == {*job}
-            assert {*Figures.__struct_fields__} == {*job["runs"][0]}
-            assert {*JobFigures.__struct_fields__} == {*job["figures"]}
+            assert {*RunStatus.__struct_fields__} == {*job["runs"][0]}
+            assert {*JobStatus.__struct_fields__} == {*job["figures"]}
             assert job["curves"][job["runs"][0]["run"]]["points"]
             assert any(event["kind"] == "worker" for event in job["events"])
             assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
@@ -87,7 +98,9 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
         assert getattr(run, name) == info[name], name
     assert sum(run.outcomes.values()) == info["rows"]
     assert run.durable == rows_recorded(qdgrasp.home / "run")
-    told = "\n".join(line.plain for line in sheet(Shown([view], endpoint, datetime.now(UTC)), 80, ASCII))
+    told = "\n".join(
+        line.plain for line in report_lines(ScreenState([view], endpoint, datetime.now(UTC)), 80, ASCII)
+    )
     assert f"{info['evaluations']} of {info['budget']} evaluations" in told
     assert f"{info['successes']} successes" in told
     assert f"{info['cells']} cells" in told
@@ -98,7 +111,7 @@ def test_a_killed_worker_is_shown_as_gone_within_two_seconds(qdgrasp: Commands) 
     keys, news = Keys("mugs"), SimpleQueue[str]()
 
     def seen(sample: Sample) -> None:
-        page = from_json(sample.payload, TeamFigures)
+        page = from_json(sample.payload, WorkersPage)
         news.put("gone" if any(one.state == "gone" for one in page.workers) else "team")
 
     with running(qdgrasp, ENDLESS) as (endpoint, process), ZenohBus.connect(endpoint, PATIENCE) as bus:
@@ -110,7 +123,7 @@ def test_a_killed_worker_is_shown_as_gone_within_two_seconds(qdgrasp: Commands) 
         process.terminate()
         process.communicate(timeout=PATIENCE)
     assert "lost" in heard
-    assert heard[heard.index("lost") :].count("job") <= 2.0 / INTERVAL
+    assert heard[heard.index("lost") :].count("job") <= 2.0 / STATUS_INTERVAL
 
 
 def parsed(out: str) -> dict:
@@ -250,3 +263,165 @@ def test_a_job_is_shown_when_it_begins_and_the_router_is_missed_when_it_goes(qdg
         process.terminate()
         process.communicate(timeout=PATIENCE)
         shown.shows("The router is away")
+
+
+EVALUATIONS = 120
+ALL_COUNTS = ["evaluations", "budget", "rows", "trials", "simulated", "proposals", "overlaps", "dead_ends"]
+ALL_COUNTS += ["successes", "grasps", "robust", "errors", "cells"]
+Counts = dict[str, Any]
+
+
+class CountedRun(Watched):
+    """A run whose counts are read in every way there is."""
+
+    def __init__(self, qdgrasp: Commands) -> None:
+        spec = (*SMALL, "--evaluations", EVALUATIONS, "--batch-size", 10)
+        super().__init__(qdgrasp, "balls", *spec, "--disk-wait", PATIENCE)
+
+    def is_watched(self) -> None:
+        """Start the page, and a stream of JSON."""
+        self._lines: deque[str] = deque(maxlen=1)
+        self.stream = self.qdgrasp.start("--json", *self.place, module=MONITOR)
+        threading.Thread(target=lambda: self._lines.extend(self.stream.stdout), daemon=True).start()
+        super().is_watched()
+
+    def fetch(self, path: str) -> str:
+        with urllib.request.urlopen(f"{self.address}{path[1:]}", timeout=PATIENCE) as answer:  # noqa: S310 - our own
+            return answer.read().decode()
+
+    def look(self) -> Counts:
+        """The run as `qdgrasp-monitor --once --json` shows it."""
+        return _run_in(self.once("--json"))
+
+    def once(self, *flags: str) -> str:
+        """What `qdgrasp-monitor --once` prints."""
+        return self.qdgrasp("--once", *flags, *self.place, entry="monitor").out
+
+    def streamed(self) -> Counts:
+        """The run in the last line of `qdgrasp-monitor --json`."""
+        return _run_in("".join(self._lines))
+
+    def told(self) -> Counts:
+        """The run as the page's browsers are told of it."""
+        return _run_in(self.fetch("/api/state"))
+
+    def state(self) -> str:
+        jobs = json.loads(self.fetch("/api/state"))["jobs"]
+        return jobs[0]["state"] if jobs else ""
+
+    @contextmanager
+    def without_room(self):
+        """The recorder has no room meanwhile: all that is found waits for it, and the job does not end."""
+        (recorder,) = pids(self.run, "recorder")
+        _, most = resource.prlimit(recorder, resource.RLIMIT_FSIZE)
+        written = (self.folder / f"{FILE}-wal").stat().st_size
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (written, most))
+        yield
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
+
+
+def _run_in(text: str) -> Counts:
+    jobs = json.loads(text)["jobs"] if text else []
+    runs = [run for job in jobs for run in job["runs"]]
+    return _counts(runs[0]) if runs else {}
+
+
+def _counts(told: Counts) -> Counts:
+    """What is compared, of whoever tells more."""
+    found = {name: told[name] for name in ALL_COUNTS}
+    return found | told.get("outcomes", {})
+
+
+def _in_metrics(text: str, subject: str) -> Counts:
+    """The counts of the only job or run in metrics."""
+    samples = [sample for one in text_string_to_metric_families(text) for sample in one.samples]
+    told = {sample.name: sample.value for sample in samples}
+    units = {"budget": "budget_evaluations", "cells": "cells"}
+    names = {one: f"qdgrasp_{subject}_{units.get(one, f'{one}_total')}" for one in ALL_COUNTS}
+    found = {one: told[name] for one, name in names.items() if name in told}
+    ends = [sample for sample in samples if sample.name == "qdgrasp_run_outcomes_total"]
+    return found | {sample.labels["outcome"]: sample.value for sample in ends}
+
+
+def _in_journal(folder) -> Counts:
+    """What the rows themselves add up to, of a run without trials."""
+    with RunFolder.open(folder).journal() as journal:
+        rows = np.concatenate(list(journal.blocks()))
+    how = rows["outcome"]
+    ends = {one.name.lower(): int(np.count_nonzero(how == one)) for one in Outcome}
+    found = rows["descriptor"][how >= Outcome.DROPPED, :3]
+    return ends | {
+        "rows": len(rows),
+        "successes": len(found),
+        "grasps": int(np.count_nonzero(how >= Outcome.SHAKEN)),
+        "robust": int(np.count_nonzero(how >= Outcome.HELD)),
+        "overlaps": ends["overlap"],
+        "dead_ends": ends["dead_end"],
+        "simulated": int(np.count_nonzero(how >= Outcome.MISSED)),
+        "proposals": int(rows["proposals"].sum()),
+        "cells": len(np.unique(np.rint(100 * found.astype(float)), axis=0)),
+    }
+
+
+def test_at_the_end_everybody_says_the_same(qdgrasp):
+    watched = CountedRun(qdgrasp)
+    wait_for(lambda: rows_recorded(watched.folder) > 0, "rows")
+    with watched.without_room():
+        watched.is_watched()
+        wait_for(lambda: watched.told().get("evaluations") == EVALUATIONS, "the last evaluation")
+        looked, text = watched.look(), watched.once()
+    out, err = watched.run.communicate(timeout=PATIENCE)
+    assert watched.run.returncode == 0, err
+    wait_for(lambda: watched.state() == "ended", "the end")
+    wait_for(lambda: watched.streamed() == watched.told(), "the last line")
+    info = _counts(qdgrasp.info("run"))
+    assert looked == watched.told() == watched.streamed()
+    assert looked == looked | info
+    assert sum(looked[one.name.lower()] for one in Outcome) == looked["rows"]
+    journal = _in_journal(watched.folder)
+    assert looked == looked | journal
+    metrics = watched.fetch("/metrics")
+    assert _in_metrics(metrics, "run") == looked
+    assert looked == looked | _in_metrics(metrics, "job")
+    assert f"{info['successes']} successes in {info['cells']} cells" in out
+    assert all(f"{looked[what]} {what}" in text for what in ("successes", "cells", "robust", "errors"))
+    assert f"{looked['evaluations']} of {looked['budget']} evaluations" in text
+
+
+GROWN = "([node, before]) => Number(node.textContent.replace(/\\D/g, '')) > before"
+CELLS = re.compile(r"^[1-9]\S* cells of 1 cm")
+
+
+@browser.needed
+def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp: Commands) -> None:
+    from playwright.sync_api import expect
+
+    with browser.launched() as chromium:  # first: on a busy machine it takes as long as the job
+        watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 400)
+        watched.is_watched()
+        watched.pauses(100)  # so that it is there however long a busy machine takes to draw
+        visit = browser.Visit(chromium, f"{watched.address}#job=balls")
+        page = visit.page
+        page.evaluate("() => (window.kept = true)")
+        expect(page.locator("#scene-words")).to_have_text(CELLS, timeout=browser.PATIENCE)
+        done = page.locator("#done")
+        rows = page.locator("#workers tbody tr")
+        expect(rows).to_have_count(2, timeout=browser.PATIENCE)
+
+        watched.kill("worker")
+        expect(page.locator("#workers tr[data-state=gone]")).to_have_count(1, timeout=browser.PATIENCE)
+
+        watched.kill("coordinator")
+        expect(page.locator("#origin")).to_contain_text("turn 2", timeout=browser.PATIENCE)
+        before = number(figure(page, "Successes").inner_text())
+        watched.goes_on()
+        page.wait_for_function(GROWN, arg=[figure(page, "Successes").element_handle(), before])
+
+        watched.ends()
+        expect(page.locator("#state")).to_have_text(re.compile("^ended: "), timeout=browser.PATIENCE)
+        expect(done).to_have_text(re.compile(r"^400 of 400\b"))
+        info = qdgrasp.info("run")
+        for name in ("Successes", "Cells", "Grasps", "Robust"):
+            expect(figure(page, name)).to_have_text(str(info[name.lower()]))
+        assert page.evaluate("() => window.kept"), "the page was loaded again"
+        assert visit.complaints == []

@@ -1,4 +1,4 @@
-"""`qdgrasp-router`: relaying, taking over from another router, and stopping."""
+"""Routers: relaying, taking over, and a job over mutual TLS."""
 
 import signal
 import subprocess
@@ -9,12 +9,12 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from tests.endpoints import own_endpoint
-from tests.system.commands import PATIENCE, Commands
+from tests.common import PATIENCE, own_endpoint
+from tests.system.commands import SMALL, Commands, wait_for
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 KEYS = Keys("mugs")
@@ -39,7 +39,7 @@ class Routers:
             *flags,
             *(["--security", self._folder] if "tls/" in endpoint else []),
         ]
-        process = self._qdgrasp.start(*arguments, module="qdgrasp_coordinator.cli.router")
+        process = self._qdgrasp.start(*arguments, module="qdgrasp_coordinator.cli.router_process")
         assert process.stderr is not None
         said = process.stderr.readline()
         assert "listening" in said, said + process.stderr.read()
@@ -53,7 +53,7 @@ def routers(qdgrasp: Commands, folder: Path) -> Routers:
 
 
 def encrypted_endpoint() -> str:
-    return own_endpoint().replace("tcp/", "tls/")
+    return own_endpoint("tls")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -73,7 +73,7 @@ def test_a_router_stops_cleanly_also_with_clients(
 def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> None:
     endpoint = own_endpoint()
     routers.start(endpoint)
-    process = qdgrasp.start("--listen", endpoint, module="qdgrasp_coordinator.cli.router")
+    process = qdgrasp.start("--listen", endpoint, module="qdgrasp_coordinator.cli.router_process")
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert said == (
@@ -92,7 +92,7 @@ def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> No
     ],
 )
 def test_bad_input_is_one_sentence(qdgrasp: Commands, flags: list[str], sentence: str) -> None:
-    process = qdgrasp.start(*flags, module="qdgrasp_coordinator.cli.router")
+    process = qdgrasp.start(*flags, module="qdgrasp_coordinator.cli.router_process")
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert sentence in said
@@ -133,3 +133,58 @@ def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
         time.sleep(0.01)
     while not results.empty():
         results.get()
+
+
+MODULES = {
+    "router": "qdgrasp_coordinator.cli.router_process",
+    "coordinator": "qdgrasp_coordinator.cli.coordinator_process",
+    "recorder": "qdgrasp_coordinator.cli.recorder_process",
+    "worker": "qdgrasp_worker.cli",
+}
+
+
+def test_a_run_over_encrypted_links_records_the_same_bytes(
+    qdgrasp: Commands, reference: tuple[Path, str, dict]
+) -> None:
+    folder, digest, _ = reference
+    home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
+    nodes = {name: home.add(Role(name), name, hosts=["127.0.0.1"], days=1) for name in MODULES}
+    endpoint = own_endpoint("tls")
+    job = ("--job", "run", "--connect", endpoint)
+    arguments = {
+        "router": ("--listen", endpoint),
+        "coordinator": (folder / "spec.toml", *job),
+        "recorder": ("--out", "run", *job),
+        "worker": job,
+    }
+    processes = {
+        name: qdgrasp.start(*arguments[name], "--security", nodes[name], module=MODULES[name])
+        for name in MODULES
+    }
+    _, said = processes["coordinator"].communicate(timeout=PATIENCE)
+    assert processes["coordinator"].returncode == 0, said
+    for name in ("worker", "recorder", "router"):
+        processes[name].send_signal(signal.SIGTERM)
+        assert processes[name].wait(PATIENCE) == 128 + signal.SIGTERM
+    assert qdgrasp.digest("run") == digest
+
+
+def test_jobs_are_seen_and_cancelled_with_the_admins_certificate_and_no_other(qdgrasp: Commands) -> None:
+    home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
+    monitor = home.add(Role.MONITOR, "screen", hosts=["127.0.0.1"], days=1)
+    endpoint = own_endpoint("tls")
+    everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - links are encrypted
+    flags = ("--workers", 0, "--listen", everywhere, "--out", "mugs")
+    running = qdgrasp.start("run", *SMALL, *flags, QDGRASP_SECURITY=str(home.path))
+    ask = ("jobs", "--json", "--connect", endpoint)
+
+    def jobs() -> list[str]:
+        said = qdgrasp(*ask, "--security", home.path)
+        return [job["meta"]["job"] for job in said.json["jobs"]] if said.code == 0 else []
+
+    wait_for(lambda: jobs() == ["mugs"], "the job")
+    refused = qdgrasp("cancel", "mugs", "--connect", endpoint, "--security", monitor)
+    assert (refused.code, "lacks admin.pem and admin.key" in refused.err) == (2, True)
+    done = qdgrasp("cancel", "mugs", "--connect", endpoint, "--security", home.path)
+    assert done.code == 0, done.err
+    running.communicate(timeout=PATIENCE)

@@ -12,20 +12,10 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from tests.common import PATIENCE, own_endpoint
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
-from tests.endpoints import own_endpoint
-from tests.system.commands import (
-    PATIENCE,
-    SMALL,
-    Commands,
-    is_alive,
-    pids,
-    processes_of,
-    rows_recorded,
-    says,
-    wait_for,
-)
+from tests.system.commands import SMALL, Commands, is_alive, pids, processes_of, rows_recorded, says, wait_for
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.bus import Query
@@ -90,7 +80,7 @@ def seeking(*command: str, module: str = "qdgrasp") -> Beginning:
 def checking(qdgrasp: Commands) -> subprocess.Popen[str]:
     """A check of an access list whose router is not there."""
     folder = SecurityFolder.create(qdgrasp.home / "security", hosts=["localhost"], days=1).path
-    endpoint = own_endpoint().replace("tcp/", "tls/")
+    endpoint = own_endpoint("tls")
     process = qdgrasp.start("security", "check", "--security", folder, "--connect", endpoint)
     wait_for(lambda: _is_loaded(process.pid), "its threads")
     return process
@@ -160,10 +150,10 @@ def _is_loaded(pid: int) -> bool:
     return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
 
 
-RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder", "qdgrasp_coordinator.cli.router"
-COORDINATOR = "qdgrasp_coordinator.cli.coordinator"
+RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder_process", "qdgrasp_coordinator.cli.router_process"
+COORDINATOR = "qdgrasp_coordinator.cli.coordinator_process"
 WORKER = "qdgrasp_worker.cli"
-MONITOR = "qdgrasp_coordinator.cli.monitor"
+MONITOR = "qdgrasp_coordinator.cli.monitor_process"
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
     "a run whose router is away": frozen("coordinator"),

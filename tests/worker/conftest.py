@@ -1,4 +1,4 @@
-"""Scenes and genomes that the tests of the worker share. Building a scene takes longer than most of them."""
+"""Scenes and genomes that the worker's tests share, as building a scene takes long."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.evaluator import Evaluator
 
 NEAR = (-1.0, -0.5)
 """Genes nu and d of genomes that look straight at the surface from near by."""
@@ -36,7 +36,7 @@ def cube() -> Scene:
 
 @pytest.fixture
 def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The reference data, found by the catalog; skips where there is none."""
+    """The reference data, found by the catalog; skips if it is not there."""
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
     return reference_data
 
@@ -49,7 +49,7 @@ def evaluator(cube: Scene) -> Iterator[Evaluator]:
 
 @pytest.fixture(scope="session")
 def draw() -> Callable[..., NDArray[np.float32]]:
-    """Genomes drawn uniformly; `near` of them look straight at the surface, so that many are grasps."""
+    """Genomes drawn uniformly; `near` of them look straight at the surface, often grasps."""
 
     def draw(n: int, genes: int = 7, seed: int = 0, near: int = 0) -> NDArray[np.float32]:
         genomes = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, genes)).astype(np.float32)

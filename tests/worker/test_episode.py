@@ -5,16 +5,21 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from qdgrasp_protocol.genome import NO_SYNERGY
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.bullet import Contact
-from qdgrasp_worker.episode import Episode, Verdict
-from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.protocols import CLOSING_STEPS, PAPER, PROTOCOLS, RELEASED, TARGET_STEPS
-from qdgrasp_worker.trial import Trial
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.evaluation_protocols import (
+    CLOSING_STEPS,
+    PAPER,
+    PROTOCOLS,
+    RELEASED,
+    TARGET_STEPS,
+    TrialSetup,
+)
 
 PALM, FINGER, OTHER_FINGER = 5, 6, 7
-POSE = Pose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
+POSE = HandPose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
 FRICTIONS = 0.03, 0.2
 SHAKE_STEPS = 3 * TARGET_STEPS
 SHAKE_A = CLOSING_STEPS
@@ -59,7 +64,7 @@ class WrittenWorld:
     def has_lost_object(self, pose):
         return self.steps >= self.left_at
 
-    def fingers(self):
+    def finger_positions(self):
         return [0.01, 0.02]
 
 
@@ -67,8 +72,8 @@ def during(first: int, last: int, *contacts: Contact) -> Callable[[int], list[Co
     return lambda step: list(contacts) if first <= step <= last else []
 
 
-def run(world: WrittenWorld, protocol=PAPER) -> Verdict:
-    return Episode(world, protocol).run(Trial(POSE, FRICTIONS))
+def run(world: WrittenWorld, protocol=PAPER) -> EpisodeResult:
+    return Episode(world, protocol).run(TrialSetup(POSE, FRICTIONS))
 
 
 GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))
@@ -78,7 +83,7 @@ GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))
 class TestEveryProtocol:
     def test_a_hand_inside_the_object_overlaps_and_nothing_moves(self, protocol):
         world = WrittenWorld(during(0, END, Contact(PALM, -1e-6)))
-        assert run(world, protocol) == Verdict(Outcome.OVERLAP, POSE.joints)
+        assert run(world, protocol) == EpisodeResult(Outcome.OVERLAP, POSE.joints)
         assert world.steps == 0
 
     def test_a_contact_at_a_distance_is_no_overlap(self, protocol):
@@ -87,7 +92,7 @@ class TestEveryProtocol:
 
     def test_a_hand_that_closes_on_nothing_missed(self, protocol):
         world = WrittenWorld(during(-1, -1))
-        assert run(world, protocol) == Verdict(Outcome.MISSED, POSE.joints)
+        assert run(world, protocol) == EpisodeResult(Outcome.MISSED, POSE.joints)
         assert world.steps == CLOSING_STEPS
 
     def test_a_palm_alone_touches_nothing(self, protocol):
@@ -97,7 +102,7 @@ class TestEveryProtocol:
     @pytest.mark.parametrize("step", [0, 1, 50, CLOSING_STEPS - 1])
     def test_a_finger_that_touches_at_any_step_of_closing_but_not_after_it_brushed(self, protocol, step):
         world = WrittenWorld(during(step, step, Contact(FINGER, 0.001)))
-        assert run(world, protocol) == Verdict(Outcome.BRUSHED, POSE.joints)
+        assert run(world, protocol) == EpisodeResult(Outcome.BRUSHED, POSE.joints)
 
     def test_a_finger_that_touches_only_after_closing_is_a_success(self, protocol):
         world = WrittenWorld(during(CLOSING_STEPS, CLOSING_STEPS, Contact(FINGER, -0.001)))
@@ -105,7 +110,7 @@ class TestEveryProtocol:
 
     def test_an_object_held_through_both_shakes_is_held(self, protocol):
         verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
-        assert verdict == Verdict(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003)
+        assert verdict == EpisodeResult(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003)
         assert verdict.fitness == 2
 
     def test_a_palm_is_enough_to_hold_through_a_shake(self, protocol):

@@ -1,12 +1,13 @@
-"""What a worker says of the platform that its results come from."""
+"""The platform that a worker's results come from."""
 
 from dataclasses import replace
 
 import numpy as np
 
-import qdgrasp_worker.platform as module
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker import platform as module
+from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import (
     PROBES,
     code_digest,
@@ -16,7 +17,6 @@ from qdgrasp_worker.platform import (
     probe_scene,
     probes,
 )
-from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 
 def test_the_platform_names_versions_and_digests_in_words():

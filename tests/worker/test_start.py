@@ -1,4 +1,4 @@
-"""What a worker's process loads before its first result: what it does not need would come on top of it."""
+"""Modules that a worker's process loads before its first result, each at a cost of time."""
 
 import json
 import subprocess
@@ -7,12 +7,14 @@ import sys
 import pytest
 
 LISTED = "import json, sys; {}; print(json.dumps(sorted(sys.modules)))"
-SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.serving.service, qdgrasp_protocol.zenoh_bus"
-EVALUATE = "import qdgrasp_worker.serving.child; from qdgrasp_worker.platform import platform; platform()"
-"""All that comes before a worker asks to join: its simulator's imports, and the probes in their scene."""
+SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.runtime.service, qdgrasp_protocol.zenoh_bus"
+EVALUATE = (
+    "import qdgrasp_worker.runtime.simulator_main; from qdgrasp_worker.platform import platform; platform()"
+)
+"""All that comes before a worker asks to join: its simulator's imports, and the probes."""
 SIMULATION = {"pybullet", "numpy", "scipy"}
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
-"""What others need: meshes, pictures and searches; each takes a tenth of a second, some a whole one."""
+"""Modules of others: meshes, pictures, searches; each takes a tenth of a second or more."""
 
 
 def loaded(statements: str) -> set[str]:

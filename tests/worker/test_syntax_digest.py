@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS
 from qdgrasp_worker.platform import EVALUATION
-from qdgrasp_worker.priors.cone import Cone
-from qdgrasp_worker.protocols import PROTOCOLS
-from qdgrasp_worker.quiet import quiet
-from qdgrasp_worker.serving.child import Child
+from qdgrasp_worker.priors.surface_priors import ConePrior
+from qdgrasp_worker.runtime.simulator_main import SimulatorMain
 from qdgrasp_worker.syntax_digest import Key, reached, read, syntax_digest
 
 MAIN = '''"""What is evaluated."""
@@ -161,9 +161,9 @@ def test_definitions_may_reach_each_other(digest: Digest) -> None:
 
 def test_an_evaluation_reaches_what_evaluates_and_not_what_serves_it() -> None:
     found = reached(*EVALUATION)
-    assert {Key(each.__module__, each.__name__) for each in (Episode, Cone)} <= found.keys()
+    assert {Key(each.__module__, each.__name__) for each in (Episode, ConePrior)} <= found.keys()
     assert any(PROTOCOLS is vars(sys.modules[key.module]).get(key.name) for key in found)
-    assert Key(Child.__module__, Child.__name__) not in found
+    assert Key(SimulatorMain.__module__, SimulatorMain.__name__) not in found
 
 
 def test_every_name_that_an_evaluation_uses_is_known() -> None:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_worker.convex import hulls
-from qdgrasp_worker.voxels import Voxels
+from qdgrasp_worker.voxels import VoxelGrid, convex_hulls
 
 CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
 
@@ -13,7 +12,7 @@ CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) 
 @pytest.fixture(params=range(6))
 def hull(request):
     random = np.random.default_rng(request.param)
-    return hulls([random.normal(0.0, 0.01, (12, 3))])[0]
+    return convex_hulls([random.normal(0.0, 0.01, (12, 3))])[0]
 
 
 def centres(voxels):
@@ -23,14 +22,14 @@ def centres(voxels):
 
 
 def test_a_cube_has_six_planes_and_contains_what_is_in_it():
-    [cube] = hulls([CUBE])
+    [cube] = convex_hulls([CUBE])
     assert len(cube.planes) == 6
     points = np.random.default_rng(0).uniform(-0.03, 0.03, (500, 3))
     np.testing.assert_array_equal(cube.contains(points), (np.abs(points) <= 0.02).all(axis=1))
 
 
 def test_a_part_that_is_flat_or_too_small_is_left_out():
-    assert len(hulls([CUBE * (1, 1, 0), CUBE[:3], CUBE])) == 1
+    assert len(convex_hulls([CUBE * (1, 1, 0), CUBE[:3], CUBE])) == 1
 
 
 def test_a_moved_hull_contains_the_moved_points(hull):
@@ -43,7 +42,7 @@ def test_a_moved_hull_contains_the_moved_points(hull):
 
 
 def test_the_voxels_marked_are_those_whose_centre_is_inside(hull):
-    voxels = Voxels(hull.low, hull.high, 0.0013)
+    voxels = VoxelGrid(hull.low, hull.high, 0.0013)
     voxels.mark(hull, 1)
     inside = hull.contains(centres(voxels))
     assert inside.sum() > 50
@@ -51,7 +50,7 @@ def test_the_voxels_marked_are_those_whose_centre_is_inside(hull):
 
 
 def test_a_hull_that_reaches_out_of_the_box_is_cut_at_it(hull):
-    voxels = Voxels(hull.low / 2, hull.high / 2, 0.0013)
+    voxels = VoxelGrid(hull.low / 2, hull.high / 2, 0.0013)
     voxels.mark(hull, 1)
     rim = np.ones(voxels.levels.shape, dtype=bool)
     rim[1:-1, 1:-1, 1:-1] = False
@@ -60,7 +59,7 @@ def test_a_hull_that_reaches_out_of_the_box_is_cut_at_it(hull):
 
 
 def test_levels_only_rise(hull):
-    voxels = Voxels(hull.low, hull.high, 0.0013)
+    voxels = VoxelGrid(hull.low, hull.high, 0.0013)
     voxels.mark(hull, 2)
     voxels.mark(hull.grown(0.01), 1)
     assert set(np.unique(voxels.levels)) == {0, 1, 2}
@@ -68,8 +67,8 @@ def test_levels_only_rise(hull):
 
 
 def test_points_find_the_level_of_their_voxel_and_zero_outside():
-    [cube] = hulls([CUBE])
-    voxels = Voxels(cube.low, cube.high, 0.001)
+    [cube] = convex_hulls([CUBE])
+    voxels = VoxelGrid(cube.low, cube.high, 0.001)
     voxels.mark(cube, 3)
     points = np.random.default_rng(2).uniform(-0.05, 0.05, (4000, 3)).astype(np.float32)
     points[0] = 1e30, -1e30, 0.0

@@ -1,21 +1,24 @@
-"""The world in Bullet: what is loaded, how it moves, and that it forgets."""
+"""The world in Bullet: what is loaded, how it moves, that it forgets, and what it prints."""
 
+import ctypes
+import os
 import tempfile
 
 import msgspec
 import numpy as np
 import pytest
-from tests.changed import with_gripper
+from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.genome import NO_SYNERGY
-from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.bullet import quiet
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import World
 
-FAR = Pose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
+FAR = HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
 TABLE = {
     "z": [0.014, 0.054, 0.120, 0.175, 0.204, 0.206, 0.181, 0.131, 0.062, 0.016, -0.005, -0.003],
@@ -38,7 +41,7 @@ def close_hand(world, synergy=NO_SYNERGY):
 
 
 def shaken(world, shake):
-    """Where the shaken joint is after every 17 steps."""
+    """The place of the shaken joint after every 17 steps."""
     index, _ = world._shaken[shake.joint]
     places = []
     for target in shake.targets:
@@ -77,9 +80,9 @@ def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
 
 def test_fingers_that_meet_nothing_close(world):
     world.reset(FAR, world.opened)
-    assert world.fingers() == [0.04, 0.04]
+    assert world.finger_positions() == [0.04, 0.04]
     close_hand(world)
-    np.testing.assert_allclose(world.fingers(), 0.0, atol=1e-4)
+    np.testing.assert_allclose(world.finger_positions(), 0.0, atol=1e-4)
 
 
 def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
@@ -99,7 +102,7 @@ def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
     for synergy, expected in ((0, [0.0, 0.04]), (1, [0.04, 0.0]), (NO_SYNERGY, [0.0, 0.0])):
         world.reset(FAR, world.opened)
         close_hand(world, synergy)
-        np.testing.assert_allclose(world.fingers(), expected, atol=1e-4)
+        np.testing.assert_allclose(world.finger_positions(), expected, atol=1e-4)
     world.close()
 
 
@@ -108,7 +111,7 @@ def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
     world = World(with_gripper(cube, joints=joints))
     world.reset(FAR, [0.04, 0.013])
     close_hand(world)
-    np.testing.assert_allclose(world.fingers(), [0.0, 0.013], atol=1e-4)
+    np.testing.assert_allclose(world.finger_positions(), [0.0, 0.013], atol=1e-4)
     world.close()
 
 
@@ -118,13 +121,13 @@ def test_an_unknown_synergy_is_an_error(world):
 
 
 def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
-    touching = Pose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
+    touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 
     def trace():
         world.reset(touching, touching.joints)
         close_hand(world)
         bullet, body = world._bullet, world._target.body
-        return world.contacts(), world.fingers(), bullet.position(body), bullet.velocity(body)
+        return world.contacts(), world.finger_positions(), bullet.position(body), bullet.velocity(body)
 
     first = trace()
     assert first[0], "the pose was to touch the object"
@@ -167,3 +170,31 @@ def test_a_joint_that_is_not_there_is_an_asset_error(cube):
     joints = (msgspec.structs.replace(cube.gripper.joints[0], name="thumb"),)
     with pytest.raises(AssetError, match=r"no joint 'thumb'. It has: panda_finger_joint1"):
         World(with_gripper(cube, joints=joints))
+
+
+def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):
+    with quiet():
+        ctypes.CDLL(None).printf(b"from C, buffered\n")
+        os.write(1, b"from C, at once\n")
+        os.write(2, b"a warning\n")
+    ctypes.CDLL(None).fflush(None)
+    seen = capfd.readouterr()
+    assert seen.out == ""
+    assert seen.err == ""
+
+
+def test_what_is_printed_before_and_after_is_seen(capfd):
+    print("before")  # noqa: T201
+    with quiet():
+        os.write(1, b"meanwhile")
+    os.write(1, b"after\n")
+    assert capfd.readouterr().out == "before\nafter\n"
+
+
+def test_streams_come_back_after_an_exception(capfd):
+    try:
+        with quiet():
+            raise ValueError
+    except ValueError:
+        os.write(1, b"here")
+    assert capfd.readouterr().out == "here"

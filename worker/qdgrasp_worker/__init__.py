@@ -1,1 +1,1 @@
-"""The stateless evaluator: a genome goes in, an outcome comes out."""
+"""The worker: evaluates grasps in a simulator for the jobs on a bus."""

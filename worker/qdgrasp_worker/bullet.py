@@ -1,17 +1,48 @@
-"""The door to PyBullet: the only module that imports it. Thin, typed, without a decision of its own.
+"""Thin typed access to PyBullet, without a decision of its own.
 
-Poses are of a body's root link; contacts are those of the last collision detection. Lengths are metres,
-quaternions xyzw. Arguments are plain lists: arrays take PyBullet twice as long to read.
+Evaluations reach PyBullet through this module alone; `replay.renderer` imports it too, for contacts in full
+and for pictures. Poses are of a body's root link; contacts are those of the last collision detection.
+Lengths are metres, quaternions xyzw. Arguments are plain lists: arrays take PyBullet twice as long to read.
 """
 
-from collections.abc import Sequence
+import ctypes
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.quiet import quiet
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep what C code prints on stdout and stderr off the console, for the whole process."""
+    flush_streams()
+    kept = [os.dup(stream) for stream in (1, 2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
+        yield
+    finally:
+        flush_streams()  # what C has buffered must not come out later
+        for stream, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(nowhere)
+
+
+def flush_streams() -> None:
+    """Write out what Python and C hold back."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)
+
 
 with quiet():
     import pybullet as pb
@@ -22,13 +53,12 @@ UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 Vector = tuple[float, float, float]
 Box = tuple[Vector, Vector]
 """Low and high corner."""
-BASE = -1
-"""The index of a body's root link."""
+BASE = -1  # The index of a body's root link
 
 
 @dataclass(frozen=True)
 class Motor:
-    """How a joint is driven to a position."""
+    """Gains and limits with which a joint is driven to a position."""
 
     force: float
     """The most it may push [N or Nm]."""
@@ -40,7 +70,7 @@ class Motor:
     """Bullet's kd."""
 
 
-class Link(NamedTuple):
+class BulletLink(NamedTuple):
     """A link with the joint that carries it; both have the same index."""
 
     joint: str
@@ -79,10 +109,7 @@ class Bullet:
     def load(self, urdf: Path, *, fixed: bool) -> int:
         """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
 
-        Raises
-        ------
-        AssetError
-            Bullet cannot read it, or a mesh that it names.
+        An AssetError if Bullet cannot read it, or a mesh that it names.
         """
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
         try:
@@ -94,11 +121,11 @@ class Bullet:
             raise AssetError(f"Bullet cannot load '{urdf.name}' or a mesh that it names: {error}") from None
         return body
 
-    def links(self, body: int) -> list[Link]:
+    def links(self, body: int) -> list[BulletLink]:
         """All links but the root, by index."""
         count = pb.getNumJoints(body, physicsClientId=self._client)
         infos = [pb.getJointInfo(body, i, physicsClientId=self._client) for i in range(count)]
-        return [Link(info[1].decode(), info[12].decode(), info[2] != pb.JOINT_FIXED) for info in infos]
+        return [BulletLink(info[1].decode(), info[12].decode(), info[2] != pb.JOINT_FIXED) for info in infos]
 
     def shaped_links(self, body: int) -> list[int]:
         """The links that have a collision shape, the root link among them."""
@@ -181,7 +208,7 @@ class Bullet:
         pb.stepSimulation(physicsClientId=self._client)
 
     def touching(self, body: int, other: int) -> bool:
-        """Whether there is any contact between two bodies."""
+        """Return whether there is any contact between two bodies."""
         return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
 
     def contacts(self, body: int, other: int) -> list[Contact]:

@@ -4,17 +4,16 @@ import json
 import os
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Annotated
+from typing import Annotated, Any
 
 import structlog
 import typer
 
-from qdgrasp_assets.files import cache_folder
-from qdgrasp_protocol import flags
-from qdgrasp_protocol.command import run_command
-from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.lifetime import lifetime
-from qdgrasp_protocol.logs import speak
+from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.process import configure_logging, lifetime
+from qdgrasp_protocol.session import Credentials, Role
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
@@ -25,12 +24,12 @@ MEGABYTE = 1_000_000
 @app.command()
 def worker(
     context: typer.Context,
-    connect: flags.Connect = None,
-    security: flags.Security = None,
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="How many workers, on one core each.")] = 1,
     cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
-    wait: flags.Wait = 30.0,
+    wait: cli_support.WaitOption = 30.0,
     grace: Annotated[
         float, typer.Option(min=0, help="Seconds that the batch in work may still take after SIGTERM.")
     ] = 1.5,
@@ -59,7 +58,7 @@ def worker(
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Evaluate the probe set, print the platform as JSON, and end.")
     ] = False,
-    version: flags.Version = False,
+    version: cli_support.VersionOption = False,
 ) -> None:
     """Evaluate grasps for the jobs on a bus, with one simulator on one core for each worker.
 
@@ -76,26 +75,25 @@ def worker(
 
             typer.echo(json.dumps(platform()))
             return
-        speak("worker")
+        configure_logging("worker")
         if workers > 1:
-            from qdgrasp_worker.serving.team import Team, arguments
+            from qdgrasp_worker.runtime.worker_pool import WorkerPool, worker_arguments
 
-            Team(workers, arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
+            WorkerPool(workers, worker_arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
             raise typer.Exit(stop.exit_code)
-        from qdgrasp_worker.serving.events import Inbox
-        from qdgrasp_worker.serving.workshop import Workshop, child_of
+        from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
 
         credentials = Credentials.find(security, Role.WORKER)
-        inbox: Inbox = SimpleQueue()
-        simulator = child_of(evaluator)
-        with Workshop.open(inbox.put, row_seconds, memory * MEGABYTE, nice, simulator) as workshop:
+        inbox: SimpleQueue[Any] = SimpleQueue()
+        command = simulator_command(evaluator)
+        with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, command) as simulator:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
-            from qdgrasp_worker.serving.bundles import Bundles
-            from qdgrasp_worker.serving.service import WorkerService
+            from qdgrasp_worker.runtime.background_requests import SceneStore
+            from qdgrasp_worker.runtime.service import WorkerService
 
-            bundles = Bundles(cache or cache_folder() / "scenes")
+            store = SceneStore(cache or cache_folder() / "scenes")
             with ZenohBus.connect(connect, wait, stop, credentials) as bus:
-                WorkerService(bus, stop, workshop, inbox, bundles=bundles, job=job, grace=grace).run()
+                WorkerService(bus, stop, simulator, inbox, store=store, job=job, grace=grace).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

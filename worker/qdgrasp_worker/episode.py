@@ -1,31 +1,35 @@
-"""An episode: what happens to one pose. Place it, look for overlap, close the hand, look for touch, shake."""
+"""Episodes: place one pose, look for overlap, close the hand, look for touch, shake."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.protocols import CLOSING_STEPS, TARGET_STEPS, EvaluationProtocol, Shake
-from qdgrasp_worker.reach import EVERYWHERE, Everywhere, Reach
-from qdgrasp_worker.trial import Trial
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import (
+    CLOSING_STEPS,
+    TARGET_STEPS,
+    EvaluationProtocol,
+    Shake,
+    TrialSetup,
+)
 from qdgrasp_worker.world import World
 
-GLANCE_EVERY = 5
-"""Steps of closing between two looks whether the object has left."""
-FITNESS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
+LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
+OUTCOME_BY_SHAKES = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 """The outcome of a success by the number of shakes that it survived."""
 
 
-class Verdict(NamedTuple):
-    """What an episode found."""
+class EpisodeResult(NamedTuple):
+    """Result of an episode."""
 
     outcome: Outcome
     joints: list[float]
-    """Finger joints [rad or m] after closing where that was a success, else as they were at first."""
+    """Finger joints [rad or m] after closing if that was a success, else as they were at first."""
     contacts: int = 0
     """Finger links that touch the object after closing."""
     penetration: float = 0.0
-    """How deep the hand and the object are in each other after closing, 0 or positive [m]."""
+    """Deepest penetration of hand and object after closing, 0 or positive [m]."""
 
     @property
     def fitness(self) -> int:
@@ -35,31 +39,31 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Episode:
-    """How poses fare in a world under a protocol."""
+    """Simulates poses in a world under a protocol."""
 
     world: World
     protocol: EvaluationProtocol
-    reach: Reach | Everywhere = EVERYWHERE
-    """What tells poses that need no closing; it changes no verdict."""
+    contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
+    """Finds poses that need no closing; it changes no verdict."""
     stops_early: bool = True
-    """Whether closing ends when the object has left; it changes no verdict."""
+    """Closing ends when the object has left; it changes no verdict."""
 
-    def run(self, trial: Trial) -> Verdict:
+    def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""
         pose = trial.pose
-        self.reach.watch(pose.synergy)
+        self.contact_filter.prepare(pose.synergy)
         if self.overlaps(trial):
-            return Verdict(Outcome.OVERLAP, pose.joints)
-        if self.reach.misses(pose):
-            return Verdict(Outcome.MISSED, pose.joints)
+            return EpisodeResult(Outcome.OVERLAP, pose.joints)
+        if self.contact_filter.misses(pose):
+            return EpisodeResult(Outcome.MISSED, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()
         if not fingers:
-            return Verdict(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
-        joints, depth = self.world.fingers(), self._penetration()
-        return Verdict(FITNESS[self._shakes_survived()], joints, len(fingers), depth)
+            return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
+        joints, depth = self.world.finger_positions(), self._penetration()
+        return EpisodeResult(OUTCOME_BY_SHAKES[self._shakes_survived()], joints, len(fingers), depth)
 
-    def overlaps(self, trial: Trial) -> bool:
+    def overlaps(self, trial: TrialSetup) -> bool:
         """Place the open hand; whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
@@ -69,12 +73,12 @@ class Episode:
             self.world.set_fingers(pose.joints)
         return overlaps
 
-    def _close(self, pose: Pose) -> bool:
+    def _close(self, pose: HandPose) -> bool:
         """Close the hand; whether a finger touched the object before the last step."""
         self.world.close_fingers(pose.synergy)
         touched = False
         for step in range(CLOSING_STEPS):
-            if self.stops_early and step % GLANCE_EVERY == 0 and self.world.has_lost_object(pose):
+            if self.stops_early and step % LOST_CHECK_EVERY == 0 and self.world.has_lost_object(pose):
                 break
             touched = touched or bool(self._touching_fingers())
             self.world.step()
@@ -101,8 +105,8 @@ class Episode:
         """One shake; it ends with the first look that finds the object lost."""
         for target in shake.targets:
             self.world.shake_to(target, shake)
-            for _ in range(0, TARGET_STEPS, self.protocol.look_every):
-                for _ in range(self.protocol.look_every):
+            for _ in range(0, TARGET_STEPS, self.protocol.contact_check_steps):
+                for _ in range(self.protocol.contact_check_steps):
                     self.world.step()
                 if not self.world.is_touching():
                     return False

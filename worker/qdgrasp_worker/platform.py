@@ -1,4 +1,4 @@
-"""The platform: what decides the bits of results besides scene and genome (docs/reproducibility.md)."""
+"""The platform: all that decides the bits of results besides scene and genome."""
 
 import hashlib
 import platform as machine
@@ -11,15 +11,15 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.syntax_digest import syntax_digest
 
 EVALUATION = (Evaluator, unpack_scene, pack)
-"""What an evaluation goes through: all code that decides its bits is reached from here."""
+"""Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
-"""What version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"e84ab162953609e284de1651806e4366e2c74313d46292f1a259797a0717cbfb": VERSION_0_1_0}
-"""Code that evaluates bit for bit as other code did before: its digest, and that of the code which was first.
+"""Digest that version 0.1.0 recorded: the sha256 over its files."""
+FIRST_RECORDED_AS = {"e9c612486cb4334bcebbfdb9472bcd77c1d3fd7a55f126cb162fe9fb2a0246b0": VERSION_0_1_0}
+"""Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
 made where the probes and the runs of tests/golden have the digests that they had.
@@ -27,11 +27,11 @@ made where the probes and the runs of tests/golden have the digests that they ha
 PROBES = 16
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
-"""Genes nu and d of the first probes: straight above the surface, so near that they reach the shakes."""
+"""Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
 
 
 def platform() -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digest of what a fixed set of probes gives."""
+    """Versions, the digest of the evaluation's code, and the digest of the probes' results."""
     return {
         "qdgrasp": version("qdgrasp"),
         "pybullet": version("pybullet"),
@@ -55,7 +55,7 @@ def evaluation_digest() -> str:
 
 
 def probe_digest() -> str:
-    """sha256 over the result bytes of the probes, nominal and disturbed; some of them reach the shakes."""
+    """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes."""
     genomes, trials = np.tile(probes(), (2, 1)), np.repeat(np.array([0, 1], dtype=np.uint16), PROBES)
     with Evaluator(probe_scene()) as evaluator:
         rows = evaluator.evaluate("approach", genomes, trials).rows

@@ -1,4 +1,4 @@
-"""The digest of code by its syntax: of what it does, not of where it stands and what it is called.
+"""The digest of code by its syntax: of its effect, not of its place or its name.
 
 1. Counted are the functions, classes and constants of this package that the entries reach by name, in
    whatever modules they stand.
@@ -20,14 +20,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-OURS = "qdgrasp"
-"""How the names of this package's modules begin."""
-REFERENCE = re.compile(r"<([\w.]+):(\w+)>")
-"""How a definition refers to another one until that has a digest."""
+OURS = "qdgrasp"  # How the names of this package's modules begin
+REFERENCE = re.compile(r"<([\w.]+):(\w+)>")  # How a definition refers to another one until that has a digest
 
 
 class Key(NamedTuple):
-    """Which definition it is."""
+    """Name of a definition."""
 
     module: str
     name: str
@@ -37,9 +35,9 @@ class Module(NamedTuple):
     """A module as it is written."""
 
     definitions: Mapping[str, list[tuple[int, ast.stmt]]]
-    """The statements that define each of its names, and which of several names in a statement it is."""
+    """Statements that define each of its names, with the name's place among several."""
     imports: Mapping[str, str]
-    """What each imported name stands for, in full, such as `numpy.typing.NDArray`."""
+    """Full name that each imported name stands for, such as `numpy.typing.NDArray`."""
     others: list[ast.stmt]
     """Statements that define nothing: they are not counted."""
 
@@ -59,7 +57,7 @@ class Definition(NamedTuple):
 
 
 def syntax_digest(*entries: Callable[..., object]) -> str:
-    """The sha256 over the classes and functions given, and over all that they reach, 64 hex digits."""
+    """The sha256 over these classes and functions and all that they reach, 64 hex digits."""
     return _sha256("".join(sorted(digests(reached(*entries)).values())))
 
 
@@ -84,11 +82,13 @@ def digests(definitions: Mapping[Key, Definition]) -> dict[Key, str]:
     found, kinds = dict.fromkeys(definitions, ""), 0
     while len(set(found.values())) > kinds:
         kinds, before = len(set(found.values())), found
-        found = {
-            key: _sha256(REFERENCE.sub(lambda match: before[Key(*match.groups())], one.text))  # noqa: B023
-            for key, one in definitions.items()
-        }
+        found = {key: _sha256(_resolved(one.text, before)) for key, one in definitions.items()}
     return found
+
+
+def _resolved(text: str, known: Mapping[Key, str]) -> str:
+    """Put the digests of definitions in place of references to them."""
+    return REFERENCE.sub(lambda match: known[Key(*match.groups())], text)
 
 
 def _sha256(text: str) -> str:
@@ -152,7 +152,7 @@ def _imported(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 def _meant(module: str, name: str) -> Key | str | None:
-    """What a name in a module stands for: a definition of ours, or something else in full; None: unknown."""
+    """The definition or full name that a name in a module stands for; None: unknown."""
     written = read(module)
     if name in written.definitions:
         return Key(module, name)
@@ -176,7 +176,7 @@ def _definition(key: Key) -> Definition:
 
 @cache
 def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
-    """What counts of a statement, which is taken to pieces, and the names in it that are unknown."""
+    """The counted part of a statement, which is taken to pieces, and its unknown names."""
     reader = _Reader(module)
     tree = reader.visit(statement)
     if isinstance(tree, ast.FunctionDef | ast.ClassDef):
@@ -201,7 +201,7 @@ class _Reader(ast.NodeTransformer):
         return node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """What a function calls its own hides what the module calls so."""
+        """Names of a function's own hide those of the module."""
         node.returns = None
         node.decorator_list = [self.visit(one) for one in node.decorator_list]
         outside, self._in_class = self._in_class, False
@@ -236,7 +236,7 @@ class _Reader(ast.NodeTransformer):
         return None if is_text else self.generic_visit(node)
 
     def visit_Raise(self, node: ast.Raise) -> ast.AST:
-        """Which error it is, and what it says, is no result."""
+        """Leave errors out: neither their kind nor their sentence is a result."""
         return ast.Raise()
 
     def visit_Import(self, node: ast.Import) -> None:
@@ -254,7 +254,7 @@ class _Reader(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
-        """What it stands for is put in its place, but for what a function or a class calls its own."""
+        """Put the definition in a name's place, unless a function or class has its own of it."""
         is_field = self._in_class and isinstance(node.ctx, ast.Store)
         if is_field or self._is_local(node.id):
             return node

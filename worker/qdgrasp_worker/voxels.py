@@ -1,32 +1,96 @@
-"""Voxels: a box of small cubes, each with a level, looked up for many points at once."""
+"""Convex hulls as half-spaces, and voxel grids that they are marked in.
+
+A voxel grid is a box of small cubes, each with a level, looked up for many points at once.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
-from qdgrasp_assets.rotation import Floats
-from qdgrasp_worker.convex import Hull
+from qdgrasp_assets.geometry.rotation import Floats
+
+PLANE_DECIMALS = 9  # Decimals in which two half-spaces agree that are one: triangles of the same face
+
+
+@dataclass(frozen=True)
+class Hull:
+    """The points x with normal . x + offset <= 0 for every plane."""
+
+    planes: Floats
+    """(p, 4): outward unit normal, and offset [m]."""
+    low: Floats
+    """(3,) [m]: the low corner of its box."""
+    high: Floats
+    triangles: Floats
+    """(t, 3, 3) [m]: its surface."""
+
+    @property
+    def normals(self) -> Floats:
+        """(p, 3)."""
+        return self.planes[:, :3]
+
+    @property
+    def areas(self) -> Floats:
+        """(t,) [m2]: the areas of the triangles of its surface."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
+    def grown(self, by: float) -> Self:
+        """The hull with its planes moved outward by `by` [m]."""
+        planes = self.planes - np.array([0.0, 0.0, 0.0, by])
+        return replace(self, planes=planes, low=self.low - by, high=self.high + by)
+
+    def shrunk(self, by: Floats) -> Self:
+        """The hull with each of its planes moved inward by `by` (p,) [m]."""
+        return replace(self, planes=np.column_stack([self.normals, self.planes[:, 3] + by]))
+
+    def moved(self, frame: Floats) -> Self:
+        """The hull in the frame that `frame` (4, 4) comes from."""
+        rotation, shift = frame[:3, :3], frame[:3, 3]
+        normals = self.normals @ rotation.T
+        offsets = self.planes[:, 3] - normals @ shift
+        triangles = self.triangles @ rotation.T + shift
+        corners = triangles.reshape(-1, 3)
+        planes = np.column_stack([normals, offsets])
+        return replace(
+            self, planes=planes, low=corners.min(axis=0), high=corners.max(axis=0), triangles=triangles
+        )
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """(n,): True for the points (n, 3) [m] that are inside."""
+        inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
+        heights = points[inside] @ self.normals.T + self.planes[:, 3]
+        inside[inside] = np.all(heights <= 0.0, axis=1)
+        return inside
+
+
+def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
+    """The hulls of the corners (v, 3) [m] of each part; flat ones hold nothing and are left out."""
+    found = []
+    for corners in parts:
+        try:
+            hull = ConvexHull(corners)
+        except (QhullError, ValueError):
+            continue
+        _, first = np.unique(hull.equations.round(PLANE_DECIMALS), axis=0, return_index=True)
+        planes = hull.equations[np.sort(first)]
+        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), corners[hull.simplices]))
+    return found
+
 
 Singles = NDArray[np.float32]
 Kind = np.uint8 | np.uint16
 
-RIM = 1
-"""Cubes around the box that nothing is marked in: whatever is outside is looked up in them."""
-LEVEL = 1e-9
-"""The z of a normal below which a plane is taken for upright."""
+RIM = 1  # Cubes around the box that nothing is marked in: whatever is outside is looked up in them
+UPRIGHT_NORMAL = 1e-9  # The z of a normal below which a plane is taken for upright
 
 
-class Voxels:
-    """Levels from 0, of cubes in a box.
-
-    Parameters
-    ----------
-    low, high
-        The corners (3,) of the box [m].
-    pitch
-        The side of a cube [m].
-    kind
-        What levels are kept in.
-    """
+class VoxelGrid:
+    """Levels from 0, of cubes of side `pitch` [m] in a box from `low` (3,) to `high` (3,) [m]."""
 
     def __init__(self, low: Floats, high: Floats, pitch: float, kind: type[Kind] = np.uint8) -> None:
         self.pitch = pitch
@@ -47,13 +111,13 @@ class Voxels:
         if (last <= first).any():
             return
         x, y, z = (self._low[i] + (np.arange(first[i], last[i]) + 0.5) * self.pitch for i in range(3))
-        bottom, top = interval(hull.planes, x[:, None], y[None, :])
+        bottom, top = column_interval(hull.planes, x[:, None], y[None, :])
         inside = (z >= bottom[..., None]) & (z <= top[..., None])
         region = self.levels[first[0] : last[0], first[1] : last[1], first[2] : last[2]]
         np.maximum(region, inside * self.levels.dtype.type(level), out=region)
 
     def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[Kind]:
-        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was set to more."""
+        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was raised."""
         flat = np.zeros(x.shape, dtype=np.int32)
         for axis, values in enumerate((x, y, z)):
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
@@ -63,15 +127,15 @@ class Voxels:
         return found
 
 
-def interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Where columns at `x` (a, 1) and `y` (1, b) enter and leave a hull: (a, b) [m].
+def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Heights (a, b) [m] at which columns at `x` (a, 1) and `y` (1, b) enter and leave a hull.
 
     A column that misses it leaves below where it enters.
     """
     slopes = planes[:, 2]
     a, b, c, offsets = (column[:, None, None] for column in planes.T)
     heights = a * x + b * y + offsets
-    up, down = slopes > LEVEL, slopes < -LEVEL
+    up, down = slopes > UPRIGHT_NORMAL, slopes < -UPRIGHT_NORMAL
     top: Floats = np.min(heights[up] / -c[up], axis=0, initial=np.inf)
     bottom: Floats = np.max(heights[down] / -c[down], axis=0, initial=-np.inf)
     bottom[(heights[~(up | down)] > 0.0).any(axis=0)] = np.inf

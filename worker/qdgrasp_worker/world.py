@@ -1,37 +1,116 @@
-"""The world: one scene in Bullet, which forgets everything between two evaluations."""
+"""One scene in Bullet, which forgets everything between two evaluations.
 
-from collections.abc import Iterator, Sequence
+Hand and object are loaded into Bullet out of a folder that is gone afterwards.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
-from qdgrasp_assets.scene import Joint, Scene, SceneGripper
-from qdgrasp_protocol.genome import NO_SYNERGY
-from qdgrasp_worker.bodies import Hand, Target
+from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
-from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
-from qdgrasp_worker.sweep import Sweep
+from qdgrasp_worker.contact_filter import SweptBox
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
+from qdgrasp_worker.hand_geometry import free_posture
 
-AWAY = [0.0, 0.0, 5.0]
-"""Where the hand is out of touch with everything [m]."""
+HAND_GROUP, OBJECT_GROUP = 1, 2
+"""Collision groups: a hand meets objects only, an object meets hands only."""
+OBJECT_URDF = """<robot name="object"><link name="object">
+<inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
+</link></robot>
+"""
+"""Inertia and contacts as in the public code's runs, with the shape off the centre of mass.
+
+Bullet takes the inertia from the collision shape, not from here. The nanometre keeps it from unwrapping
+a shape that stands alone at no offset: a bare hull of the rubiks cube has 5 % less inertia, other margins,
+and another answer to whether a finger touches it in 6 % of poses.
+"""
+
+
+class HandBody:
+    """A hand on its carrier, with the indices that Bullet gave to its links and joints.
+
+    An AssetError if Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
+    """
+
+    def __init__(self, bullet: Bullet, gripper: SceneGripper) -> None:
+        self.body = load_body(bullet, gripper.urdf, gripper.meshes, fixed=True)
+        bullet.collide(self.body, HAND_GROUP, OBJECT_GROUP)
+        links = bullet.links(self.body)
+        moving = {link.joint: index for index, link in enumerate(links) if link.moves}
+        self.carrier = indices_by_name("carrier joint", (joint.name for joint in gripper.carrier), moving)
+        self.fingers = indices_by_name("joint", (joint.name for joint in gripper.joints), moving)
+        named = {link.link: index for index, link in enumerate(links)}
+        self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, named))
+        self.shaped_links = bullet.shaped_links(self.body)
+        self.others = sorted(set(moving.values()) - {*self.carrier, *self.fingers})
+
+
+class ObjectBody:
+    """An object, with its root link at its centre of mass; an AssetError if it cannot be loaded."""
+
+    def __init__(self, bullet: Bullet, target: SceneObject) -> None:
+        urdf = OBJECT_URDF.format(mass=target.mass)
+        self.body = load_body(bullet, urdf, {"parts.obj": target.collision}, fixed=False)
+        bullet.collide(self.body, OBJECT_GROUP, HAND_GROUP)
+        self.lateral_friction = target.lateral_friction
+        self.frictions = target.rolling_friction, target.spinning_friction
+        """Its own coefficients of rolling and spinning friction."""
+        self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
+        """Largest distance of a vertex from the centre of mass [m]."""
+
+
+def obj_vertices(obj: bytes) -> Iterator[list[float]]:
+    """The vertices of an OBJ file."""
+    for line in obj.decode().splitlines():
+        if line.startswith("v "):
+            yield [float(word) for word in line.split()[1:4]]
+
+
+def load_body(bullet: Bullet, urdf: str, meshes: Mapping[str, bytes], *, fixed: bool) -> int:
+    """Load a URDF with its meshes; its index in Bullet."""
+    with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
+        folder = Path(name).resolve()
+        for mesh, content in meshes.items():
+            path = (folder / mesh).resolve()
+            if folder not in path.parents:
+                raise AssetError(f"A scene's meshes lie in its own folder, '{mesh}' does not.")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        file = folder / "body.urdf"
+        file.write_text(urdf, encoding="utf-8")
+        return bullet.load(file, fixed=fixed)
+
+
+def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int]) -> list[int]:
+    """The index of each name."""
+    chosen = list(names)
+    for name in chosen:
+        if name not in indices:
+            raise AssetError(f"The hand has no {kind} '{name}'. It has: {', '.join(sorted(indices))}.")
+    return [indices[name] for name in chosen]
+
+
+AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
 FREE_POSTURES = 13
-"""How many places of the free joints the sweep is measured at: every 15 degrees of Barrett's spread."""
+"""Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread."""
 
 
 class World:
-    """A hand on its carrier and an object, until `close`.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load the scene, or a joint or link that it names is not there.
-    """
+    """A hand on its carrier and an object, until `close`; an AssetError if one cannot be loaded."""
 
     def __init__(self, scene: Scene) -> None:
         self._bullet = Bullet()
         with ExitStack() as undo:
             undo.callback(self._bullet.close)
-            self._hand = Hand(self._bullet, scene.gripper)
-            self._target = Target(self._bullet, scene.object)
+            self._hand = HandBody(self._bullet, scene.gripper)
+            self._target = ObjectBody(self._bullet, scene.object)
             self._prepare(scene.gripper)
             undo.pop_all()
 
@@ -40,7 +119,7 @@ class World:
         self._bullet.close()
 
     def reset(
-        self, pose: Pose, posture: Sequence[float], frictions: tuple[float, float] | None = None
+        self, pose: HandPose, posture: Sequence[float], frictions: tuple[float, float] | None = None
     ) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before.
 
@@ -50,7 +129,7 @@ class World:
         the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
         bullet, hand, target = self._bullet, self._hand, self._target
-        bullet.place(hand.body, AWAY, UPRIGHT)
+        bullet.place(hand.body, AWAY_POSITION, UPRIGHT)
         bullet.set_joints(hand.body, self._joints, [*self._at_zero, *posture])
         bullet.place(target.body, STILL, UPRIGHT)
         bullet.halt(target.body)
@@ -64,13 +143,7 @@ class World:
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, the other driven ones to stay open, the carrier to hold.
-
-        Raises
-        ------
-        ValueError
-            The hand has no synergy of this label.
-        """
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold."""
         if synergy not in self._closing:
             raise ValueError(f"synergy must be one of {sorted(self._closing)}, got {synergy}")
         for index, target, motor in self._closing[synergy]:
@@ -87,19 +160,19 @@ class World:
         self._bullet.step()
 
     def is_touching(self) -> bool:
-        """Whether any link of the hand touches the object."""
+        """Return whether any link of the hand touches the object."""
         return self._bullet.touching(self._hand.body, self._target.body)
 
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object."""
         return self._bullet.contacts(self._hand.body, self._target.body)
 
-    def has_lost_object(self, pose: Pose) -> bool:
-        """Whether the hand at `pose`, while it closes, can touch the object no more."""
+    def has_lost_object(self, pose: HandPose) -> bool:
+        """Return whether the hand at `pose`, while it closes, can touch the object no more."""
         body = self._target.body
         return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
 
-    def fingers(self) -> list[float]:
+    def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
@@ -117,29 +190,29 @@ class World:
         self._sweep = self._measure_sweep(gripper)
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints as they close on nothing, before each step and after the last [rad or m]."""
-        self.reset(Pose(AWAY, UPRIGHT, self.opened, NO_SYNERGY), posture)
+        """The finger joints while they close on nothing, before each step and after the last."""
+        self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
         self.close_fingers(synergy)
-        course = [self.fingers()]
+        course = [self.finger_positions()]
         for _ in range(CLOSING_STEPS):
             self.step()
-            course.append(self.fingers())
+            course.append(self.finger_positions())
         return course
 
-    def _measure_sweep(self, gripper: SceneGripper) -> Sweep:
+    def _measure_sweep(self, gripper: SceneGripper) -> SweptBox:
         """Close the hand far from the object, with its free joints all along their ranges."""
-        away = Pose(AWAY, UPRIGHT, self.opened, NO_SYNERGY)
+        away = HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY)
         boxes = []
-        for posture in free_postures(gripper):
-            self.reset(away, posture)
+        for i in range(FREE_POSTURES if gripper.free_joints else 1):
+            self.reset(away, free_posture(gripper, i / (FREE_POSTURES - 1)))
             self.close_fingers(NO_SYNERGY)
             for _ in range(CLOSING_STEPS):
                 boxes += [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
                 self.step()
-        return Sweep.around(boxes, AWAY, self._target.radius)
+        return SweptBox.around(boxes, AWAY_POSITION, self._target.radius)
 
     def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
-        """What is commanded when the joints `closing` close; undriven joints keep Bullet's own motor."""
+        """The motor commands when the joints `closing` close; undriven ones keep Bullet's own motor."""
         held = [
             (index, 0.0, Motor(joint.force, joint.max_velocity))
             for index, joint in zip(self._hand.carrier, gripper.carrier, strict=True)
@@ -155,18 +228,6 @@ class World:
 def finger_motor(joint: Joint) -> Motor:
     """The motor of a finger joint."""
     return Motor(joint.effort, joint.velocity)
-
-
-def free_postures(gripper: SceneGripper) -> Iterator[list[float]]:
-    """Open postures with the free joints along their ranges, all at once."""
-    free = {joint.name: joint for joint in gripper.free_joints}
-    for share in (i / (FREE_POSTURES - 1) for i in range(FREE_POSTURES if free else 1)):
-        yield [
-            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-            if joint.name in free
-            else joint.opened
-            for joint in gripper.joints
-        ]
 
 
 def closing_joints(gripper: SceneGripper) -> dict[int, Sequence[str]]:

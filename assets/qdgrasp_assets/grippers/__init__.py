@@ -1,1 +1,1 @@
-"""The built-in grippers, one TOML each; the URDFs of the reference hands `ref_*` lie on the asset path."""
+"""Grippers: their files and checks, the hand model, and the built-in hands."""

@@ -1,1 +1,1 @@
-"""The command line: one module per command of `qdgrasp`, and one per process it starts."""
+"""The command line: one module per topic of `qdgrasp`, and one per process it starts."""

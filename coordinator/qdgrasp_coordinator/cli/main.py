@@ -5,37 +5,19 @@ import logging
 import typer
 
 from qdgrasp_coordinator.cli import (
-    administer,
-    analyse,
-    asset,
-    bench,
-    campaign,
-    coverage,
-    digest,
-    doctor,
-    evaluate,
-    export,
-    gripper,
-    import_,
-    info,
-    jobs,
-    merge,
-    methods,
-    prune,
-    reference,
-    render,
-    rerank,
-    resume,
-    run,
-    security,
-    show,
-    verify,
-    view,
+    asset_commands,
+    campaign_commands,
+    grasp_commands,
+    gripper_commands,
+    inspection_commands,
+    job_commands,
+    machine_commands,
+    object_commands,
+    run_commands,
 )
-from qdgrasp_coordinator.cli import object as object_
-from qdgrasp_protocol import flags
-from qdgrasp_protocol.command import run_command
-from qdgrasp_protocol.logs import speak
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.process import configure_logging
 
 app = typer.Typer(
     add_completion=False,
@@ -47,39 +29,46 @@ app = typer.Typer(
 
 
 @app.callback()
-def qdgrasp(version: flags.Version = False) -> None:
-    """Whatever the command, there are flags of its own before it."""
+def qdgrasp(version: cli_support.VersionOption = False) -> None:
+    """Define the flags that stand before a command."""
 
 
-for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
-    app.command()(command)
-app.command()(campaign.campaign)
-app.command()(analyse.analyse)
-app.command()(show.show)
-app.command()(view.view)
-app.command()(render.render)
-app.command()(verify.verify)
-app.command()(export.export)
-app.command("import")(import_.import_)
-app.command()(rerank.rerank)
-app.command()(merge.merge)
-app.command()(prune.prune)
-app.command()(methods.methods)
-app.command()(doctor.doctor)
-app.command()(bench.bench)
-app.command()(jobs.jobs)
-app.command()(administer.pause)
-app.command("continue")(administer.continue_)
-app.command()(administer.cancel)
-app.command()(administer.drain)
-app.add_typer(asset.app, name="asset")
-app.add_typer(gripper.app, name="gripper")
-app.add_typer(object_.app, name="object")
-app.add_typer(reference.app, name="reference")
-app.add_typer(security.app, name="security")
+for command in (
+    run_commands.run,
+    run_commands.resume,
+    inspection_commands.info,
+    inspection_commands.digest,
+    grasp_commands.evaluate,
+    inspection_commands.coverage,
+    campaign_commands.campaign,
+    campaign_commands.analyse,
+    inspection_commands.show,
+    inspection_commands.view,
+    inspection_commands.render,
+    inspection_commands.verify,
+    grasp_commands.export,
+    grasp_commands.import_,
+    run_commands.rerank,
+    campaign_commands.merge,
+    campaign_commands.prune,
+    inspection_commands.methods,
+    machine_commands.doctor,
+    machine_commands.bench,
+    job_commands.jobs,
+    job_commands.pause,
+    job_commands.continue_,
+    job_commands.cancel,
+    job_commands.drain,
+):
+    app.command(command.__name__.removesuffix("_"))(command)
+app.add_typer(asset_commands.asset_app, name="asset")
+app.add_typer(gripper_commands.gripper_app, name="gripper")
+app.add_typer(object_commands.object_app, name="object")
+app.add_typer(inspection_commands.reference_app, name="reference")
+app.add_typer(machine_commands.security_app, name="security")
 
 
 def main() -> None:
     """Entry point of `qdgrasp`."""
-    speak("qdgrasp", level=logging.WARNING)
+    configure_logging("qdgrasp", level=logging.WARNING)
     run_command(app, "qdgrasp")

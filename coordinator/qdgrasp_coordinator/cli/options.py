@@ -2,9 +2,11 @@
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+from qdgrasp_protocol.errors import ImpossibleValue
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
@@ -40,10 +42,29 @@ Listen = Annotated[
     typer.Option(help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one."),
 ]
 DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
+Job = Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 def cores() -> int:
-    """The cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def worker_count(workers: int | None) -> int:
+    """Return the number of workers that was given, else one per core."""
+    return cores() if workers is None else workers
+
+
+def given(**values: Any) -> dict[str, Any]:
+    """Return the values that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """Parse `127.0.0.1:8080` or `[::1]:8080`; raises ImpossibleValue for other text."""
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and int(port) < 1 << 16):
+        raise ImpossibleValue("--web", text, "HOST:PORT, such as 127.0.0.1:8080")
+    return host.removeprefix("[").removesuffix("]"), int(port)

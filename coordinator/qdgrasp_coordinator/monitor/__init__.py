@@ -1,1 +1,1 @@
-"""Watching jobs without touching them: what is heard of them, on a terminal, a page and in metrics."""
+"""The monitor: models of running jobs, and where they are shown."""

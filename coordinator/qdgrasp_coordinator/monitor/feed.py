@@ -1,136 +1,180 @@
-"""The feed: what travels on the bus for whoever watches, brought into the model of the jobs.
+"""Feed of the jobs on a bus: reads messages into the models, and queries what is missing.
 
-Messages wait in ring channels until a thread takes them: however slow a monitor is, and though it be
-stopped, nobody waits for it. Another thread asks what is to be asked: an answer that does not come delays
-nothing.
+Messages wait in ring buffers until a thread takes them: however slow a monitor is, and though it be stopped,
+no other process waits for it. Another thread sends the queries: a missing answer delays nothing.
+`query_jobs` queries once, for commands that print and end.
 """
 
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from datetime import datetime
 from queue import SimpleQueue
 from typing import Self
 
 import structlog
 
-from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
-from qdgrasp_protocol.bus import Bus, Ring
+from qdgrasp_coordinator.monitor.job_model import JobModels
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_protocol.bus import Bus, RingBuffer
 from qdgrasp_protocol.errors import BusError
 from qdgrasp_protocol.keys import AnyJob, Keys
+from qdgrasp_protocol.text import counted, first_few
 
 log = structlog.get_logger()
 
-INTERVAL = 0.1  # seconds between two looks at the rings
-ANSWER = 1.0  # seconds that coordinators may take to answer
-NEWS: dict[str, int] = {"meta": 64, "stat/job": 256, "stat/run/*": 2048, "stat/team/*": 512, "event/*": 512}
-"""What is heard, and how many messages of it may wait; first whose it is.
+INTERVAL = 0.1  # seconds between two readings of the rings
+ANSWER_SECONDS = 1.0  # seconds that coordinators may take to answer
+OVERVIEW_SECONDS = 2.0  # seconds that they may take where commands print and end
+SHOWN = 6  # The most runs and hosts that are named of each job
+SUBSCRIBED_KEYS: dict[str, int] = {
+    "meta": 64,
+    "stat/job": 256,
+    "stat/run/*": 2048,
+    "stat/team/*": 512,
+    "event/*": 512,
+}
+"""Subscribed keys below a job's, with the capacity of their rings; `meta` comes first."""
 
-Workers' own signs are not for monitors.
-"""
-
-Change = Callable[[Jobs, float], None]
+Change = Callable[[JobModels, float], None]
 
 
 class Feed:
-    """What is known of the jobs on a bus, kept up to date while its context lasts.
+    """The jobs on a bus, or one of them, kept up to date while its context lasts.
 
-    Parameters
-    ----------
-    bus
-        An open session of a monitor; who opened it closes it, after the feed.
-    job
-        The one job to watch; None: whatever there is.
+    `bus` is an open session of a monitor, to be closed by its owner after the feed.
     """
 
     def __init__(self, bus: Bus, job: str | None = None) -> None:
         self._bus = bus
         self._keys = Keys(job) if job else AnyJob()
-        self._jobs = Jobs(self._keys)
+        self._jobs = JobModels(self._keys)
         self._changes: SimpleQueue[Change] = SimpleQueue()
-        self._questions: SimpleQueue[list[str]] = SimpleQueue()
-        self._news = threading.Condition()  # held while the jobs are looked at or changed
-        self._number = 0
+        self._queries: SimpleQueue[list[str]] = SimpleQueue()
+        self._changed = threading.Condition()  # held while the jobs are read or changed
+        self._version = 0
         self._is_over = threading.Event()
-        self._doors = ExitStack()
+        self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        enter = self._doors.enter_context
-        rings = [enter(self._bus.ring(f"{self._keys.root}/{what}", most)) for what, most in NEWS.items()]
-        enter(self._bus.on_link(lambda up: self._changes.put(lambda jobs, now: jobs.linked(up, now))))
-        enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
-        for work in (lambda: self._listen(rings), self._ask):
+        enter, put = self._stack.enter_context, self._changes.put
+        rings = [enter(self._bus.ring(f"{self._keys.root}/{key}", n)) for key, n in SUBSCRIBED_KEYS.items()]
+        enter(self._bus.on_link(lambda up: put(lambda jobs, now: jobs.link_changed(up, now))))
+        token = self._keys.coordinator_token()
+        enter(self._bus.watch(
+            token, lambda key, alive: put(lambda jobs, now: jobs.coordinator_changed(key, alive, now))
+        ))  # fmt: skip
+        for work in (lambda: self._read(rings), self._query):
             thread = threading.Thread(target=work, name="feed", daemon=True)
             thread.start()
-            self._doors.callback(thread.join)
+            self._stack.callback(thread.join)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._is_over.set()
-        self._questions.put([])
-        self._doors.close()
+        self._queries.put([])
+        self._stack.close()
 
     def views(self) -> list[JobView]:
-        """The jobs as they are now, by their names; safe in any thread."""
-        with self._news:
+        """Return the jobs as they are now, by their names; safe in any thread."""
+        with self._changed:
             return self._jobs.views(time.time())
 
     @property
     def is_linked(self) -> bool:
-        """False while there is no way to the router."""
+        """False while the router cannot be reached."""
         return self._jobs.is_linked
 
     @property
-    def strangers(self) -> list[str]:
-        """Jobs that are there and cannot be shown: they speak as another version of qdgrasp does."""
-        with self._news:
-            return self._jobs.strangers
+    def foreign_jobs(self) -> list[str]:
+        """Jobs whose messages cannot be read: their coordinators are of another version of qdgrasp."""
+        with self._changed:
+            return self._jobs.foreign_jobs
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something is heard, for so many seconds at most; False where nothing was."""
-        with self._news:
-            number = self._number
-            return self._news.wait_for(lambda: self._number != number, timeout)
+        """Wait for a message, for so many seconds at most; False where none came."""
+        with self._changed:
+            version = self._version
+            return self._changed.wait_for(lambda: self._version != version, timeout)
 
-    # Its threads.
-
-    def _token_changed(self, key: str, alive: bool) -> None:
-        self._changes.put(lambda jobs, now: jobs.token(key, alive, now))
-
-    def _listen(self, rings: list[Ring]) -> None:
-        """Bring what was heard into the model, and hand out what is to be asked."""
+    def _read(self, rings: list[RingBuffer]) -> None:
+        """Thread: read messages into the models, and hand due queries to the other thread."""
         while not self._is_over.wait(INTERVAL):
             changes = [self._changes.get() for _ in range(self._changes.qsize())]
             samples = [sample for ring in rings for sample in ring.take()]
-            with self._news:
+            with self._changed:
                 now = time.time()
                 for change in changes:
                     change(self._jobs, now)
                 for sample in samples:
-                    self._jobs.heard(sample.key, sample.payload, now)
-                if questions := self._jobs.questions(now):
-                    self._questions.put(questions)
+                    self._jobs.receive(sample.key, sample.payload, now)
+                if queries := self._jobs.due_queries(now):
+                    self._queries.put(queries)
                 if changes or samples:
-                    self._tell()
+                    self._notify()
 
-    def _ask(self) -> None:
-        """Ask what is to be asked."""
+    def _query(self) -> None:
+        """Thread: send queries, and read the answers into the models."""
         while not self._is_over.is_set():
             values: dict[str, bytes] = {}
-            for pattern in self._questions.get():
+            for pattern in self._queries.get():
                 values |= {} if self._is_over.is_set() else self._answers(pattern)
-            with self._news:
-                self._jobs.answered(values, time.time())
-                self._tell()
+            with self._changed:
+                self._jobs.receive_answers(values, time.time())
+                self._notify()
 
     def _answers(self, pattern: str) -> dict[str, bytes]:
         try:
-            return self._bus.ask_all(pattern, timeout=ANSWER)
+            return self._bus.ask_all(pattern, timeout=ANSWER_SECONDS)
         except BusError as error:
             log.warning("nothing can be asked", reason=str(error))
             return {}
 
-    def _tell(self) -> None:
-        """Wake whoever waits."""
-        self._number += 1
-        self._news.notify_all()
+    def _notify(self) -> None:
+        self._version += 1
+        self._changed.notify_all()
+
+
+def query_jobs(bus: Bus) -> JobModels:
+    """Return the jobs whose coordinators answer now."""
+    jobs = JobModels()
+    queries = jobs.due_queries(time.time())
+    with ThreadPoolExecutor(len(queries)) as pool:  # a missing answer is waited for once
+        answers = list(pool.map(lambda query: bus.ask_all(query, timeout=OVERVIEW_SECONDS), queries))
+    jobs.receive_answers({key: value for values in answers for key, value in values.items()}, time.time())
+    return jobs
+
+
+def reachable_jobs(bus: Bus) -> list[JobView]:
+    """Return the jobs whose coordinators answer now, by name."""
+    return query_jobs(bus).views(time.time())
+
+
+def summary_lines(view: JobView, now: datetime) -> Iterator[str]:
+    """Yield a few lines about a job for a person; `now` is a time with its zone."""
+    meta, figures = view.meta, view.figures
+    uptime = duration_text(round((now - meta.since).total_seconds()))
+    yield f"{view.job}: {view.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch}) for {uptime}"
+    yield f"  {figures.words}, {figures.left}"
+    if figures.runs > 1:
+        runs = [f"{one.run} {one.evaluations}/{one.budget}" for one in view.runs]
+        yield f"  {counted(len(runs), 'run')} in progress" + (f": {first_few(runs, SHOWN)}" if runs else "")
+    if view.workers:
+        hosts = Counter(worker.host for worker in view.workers).most_common()
+        states = sorted(Counter(worker.state for worker in view.workers).items())
+        counts = ", ".join(f"{n} {state}" for state, n in states)
+        yield f"  workers: {first_few([f'{host} {n}' for host, n in hosts], SHOWN)} ({counts})"
+    else:
+        yield "  workers: none has joined"
+    if not figures.recorders:
+        yield "  no recorder is there: found rows wait for one"
+
+
+def duration_text(seconds: int) -> str:
+    """Return a time in words: 0:03:20, or 2 d 4:00:00."""
+    days, rest = divmod(max(0, seconds), 86_400)
+    clock = f"{rest // 3600}:{rest // 60 % 60:02d}:{rest % 60:02d}"
+    return f"{days} d {clock}" if days else clock

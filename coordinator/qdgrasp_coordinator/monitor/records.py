@@ -1,90 +1,247 @@
-"""Records: what was found in the runs of jobs, and on what; over the bus or from a folder."""
+"""Records of runs: successes and scenes, over the bus or from folders at hand."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
 from shlex import quote
+from socket import gethostname
 from typing import NamedTuple, Protocol
 
-from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.counts.curve import Curve
-from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.counts.finds import Found
-from qdgrasp_protocol.printable import printable
+import msgspec
 
-COMMANDS = (
-    "qdgrasp show {folder} --grasp {number}",
-    "qdgrasp render {folder} --grasp {number} -o grasp.png",
-)
-"""What can be done with one row of a run."""
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
+from qdgrasp_coordinator.report.row_report import RowContextCache
+from qdgrasp_coordinator.storage import atomic_files, success_pages
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
+from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import FolderError, MessageError, UnknownName
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import SuccessPage
+from qdgrasp_protocol.text import printable
+
+COMMANDS = ("qdgrasp show {folder} --grasp {number}", "qdgrasp render {folder} --grasp {number} -o grasp.png")
+"""Commands about one row of a run."""
 
 
 class JournalId(NamedTuple):
-    """Which journal it is: in another one of the same names, the same numbers are of other rows."""
+    """Identity of a journal: in another one of the same job and run, numbers are of other rows."""
 
-    scene: str
-    """sha256 of the scene bundle."""
-    began: float
-    """When it was begun [s since 1970]."""
+    scene: str  # sha256 of the scene bundle
+    began: float  # Time of its beginning [s since 1970]
 
 
-class Place(NamedTuple):
-    """Where a run lies."""
+class RunLocation(NamedTuple):
+    """Folder of a run, and its host; an empty host is this machine."""
 
     folder: str
-    """Its path."""
     host: str = ""
-    """On which machine; empty: on this one."""
 
     def commands(self, number: int) -> list[str]:
-        """The commands that print all that is known about a row, and draw it, with the machine to run on."""
+        """Return the commands that print a row and draw it, with the machine to run them on."""
         folder = quote(printable(self.folder))
-        where = f"  # on {printable(self.host)}" if self.host else ""
-        return [command.format(folder=folder, number=number) + where for command in COMMANDS]
+        host = f"  # on {printable(self.host)}" if self.host else ""
+        return [command.format(folder=folder, number=number) + host for command in COMMANDS]
 
 
 @dataclass(frozen=True)
-class Page:
+class RecordPage:
     """Nominal successes of a run, in journal order."""
 
     origin: JournalId
-    """The journal they are from."""
-    found: Found
-    """(n,)."""
-    next: int
-    """The journal number from which to read on."""
-    rows: int
-    """How many rows the journal has.
-
-    With `next` there nothing is left to read for now; nor where it does not get on, as successes that lack
-    trials are told again.
-    """
+    found: SuccessTable  # (n,)
+    next: int  # The journal number from which to read on
+    rows: int  # Number of rows in the journal
 
     def is_last(self, first: int) -> bool:
-        """Whether nothing is left to read for now, where this was read from journal number `first` on."""
+        """Return whether nothing is left to read for now, if this was read from number `first` on.
+
+        A page also does not get on where successes lack trials: these are read again.
+        """
         return self.next >= self.rows or self.next <= first
 
 
 class Records(Protocol):
-    """Finds and scenes of runs. Its methods may take a while; they may be called from several threads.
+    """Successes and scenes of runs. Its methods may take a while; any thread may call them.
 
-    Raises
-    ------
-    InputError
-        From any method: there is no such job or run, or it cannot be read.
-    BusError, MessageError
-        From any method: nobody answers, or not as agreed.
+    They raise `InputError` where there is no such job or run, or it cannot be read, and `BusError` or
+    `MessageError` where there is no answer, or not as agreed.
     """
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
-        """What a run grasps, and with which hand: the scene that `page` told of."""
+        """Return the scene of a run that `page` named."""
 
-    def page(self, job: str, run: str, first: int) -> Page:
-        """Some successes of a run from journal number `first` on; more by asking again with `next`."""
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Return some successes of a run from journal number `first` on; `next` leads to more."""
 
-    def entries(self, job: str) -> RunEntries:
-        """The runs of a job, finished ones too; those that are not counted yet are left out for now."""
+    def entries(self, job: str) -> RunListings:
+        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
 
-    def curve(self, job: str, run: str) -> Curve:
-        """How the run grew from its beginning on, also where it is over; no points: nobody knows."""
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Return the curve of a run from its beginning on; without points where it is not known."""
 
-    def place(self, job: str, run: str) -> Place:
-        """Where the run lies."""
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return the location of a run."""
+
+
+@dataclass(frozen=True)
+class FolderJob:
+    """A job in a folder."""
+
+    folder: JobFolder
+    named: frozenset[Path] | None = None
+    """Folders of the runs that are shown; None: all, also those that begin later."""
+
+    @property
+    def runs(self) -> dict[str, RunFolder]:
+        """Its runs by their names, printable."""
+        paths = self.folder.run_paths if self.named is None else sorted(self.named)
+        folders = [RunFolder(path) for path in paths if RunFolder.is_run(path)]
+        return {printable(folder.run): folder for folder in folders}
+
+
+class FolderIndex:
+    """The jobs in folders: runs, campaigns, runs of campaigns, and folders of such folders.
+
+    A path that is no folder, or holds no job, raises a `FolderError`.
+    """
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        found: dict[Path, FolderJob] = {}
+        for path in paths:
+            for folder, run in _jobs_at(path):
+                place = folder.path.resolve()
+                known = found.get(place, FolderJob(folder, frozenset()))
+                named = None if run is None or known.named is None else known.named | {run}
+                found[place] = FolderJob(known.folder if run else folder, named)
+        self.jobs: dict[str, FolderJob] = {}
+        for job in found.values():
+            self.jobs[_free_name(job.folder.name, self.jobs)] = job
+
+    def job(self, name: str) -> FolderJob:
+        """Return a job, or raise `UnknownName`."""
+        if name not in self.jobs:
+            raise UnknownName("job", name, self.jobs)
+        return self.jobs[name]
+
+    def run(self, job: str, run: str) -> RunFolder:
+        """Return the folder of a run, or raise `UnknownName`."""
+        runs = self.job(job).runs
+        if run not in runs:
+            raise UnknownName("run", run, runs)
+        return runs[run]
+
+
+def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
+    """Yield the jobs at a path, with the run that is named where it is one."""
+    if JobFolder.is_job(path):
+        yield JobFolder(path), None
+        return
+    if RunFolder.is_run(path):
+        yield RunFolder(path).job, path.absolute()
+        return
+    atomic_files.check_folder(path)
+    inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each))
+    if not inside:
+        raise FolderError(
+            f"{path} holds no run and no campaign, nor does a folder in it: there is no job.json."
+        )
+    for each in inside:
+        yield JobFolder(each), None
+
+
+def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
+    """Return a free name: of several jobs of one name the second is called name-2."""
+    return next(each for n in count(1) if (each := name if n == 1 else f"{name}-{n}") not in taken)
+
+
+class BusRecords:
+    """`Records` over the bus: answers of the recorder; the coordinator is not involved."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """Unpack the bundle that the recorder has."""
+        key = Keys(job).recorded_asset(digest)
+        return unpack_scene(bundle_transfer.fetch_bundle_from(self._bus, key, digest))
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Return one answer of the recorder."""
+        payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
+        message = messages.decode(payload, SuccessPage)
+        origin = JournalId(message.scene, message.began)
+        return RecordPage(origin, page_from_message(message), message.next, message.rows)
+
+    def entries(self, job: str) -> RunListings:
+        """Read all pages of the recorder's list, as far as it has counted."""
+        first, uncounted, runs = 0, 0, list[RunListing]()
+        while True:
+            page = self._entries(job, f"from={first}")
+            runs += page.runs
+            uncounted += page.uncounted
+            if page.next <= first:
+                return RunListings(runs=runs, uncounted=uncounted, host=page.host)
+            first = page.next
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Return the curve as far as the recorder has counted the run."""
+        return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
+
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return the recorder's folder; DIR as a placeholder while it has not counted the run."""
+        listings = self._entries(job, f"run={run}")
+        folders = {entry.run: entry.folder for entry in listings.runs}
+        host = "" if listings.host == gethostname() else listings.host
+        return RunLocation(folders.get(run) or "DIR", host)
+
+    def _entries(self, job: str, parameters: str) -> RunListings:
+        answer = self._bus.ask(Keys(job).entries, parameters=parameters)
+        try:
+            return msgspec.json.decode(answer, type=RunListings)
+        except msgspec.DecodeError as error:
+            raise MessageError(f"not a list of runs: {error}") from None
+
+
+class FolderRecords:
+    """`Records` of the jobs in folders, read from their journals as they are now."""
+
+    def __init__(self, index: FolderIndex) -> None:
+        self._index = index
+        self._contexts = RowContextCache()
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """Unpack the bundle in the run's folder."""
+        return self._index.run(job, run).scene()
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Read one page from the journal."""
+        folder = self._index.run(job, run)
+        with folder.journal() as journal:
+            origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
+            context = self._contexts.get(folder, journal)
+            return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
+
+    def entries(self, job: str) -> RunListings:
+        """Count the rows of all journals."""
+        listings = []
+        for name, folder in self._index.job(job).runs.items():
+            with folder.journal() as journal:
+                found = count_rows(folder.spec, journal.blocks())
+            listings.append(RunListing.of(name, folder.spec, folder.bundle().digest, found))
+        return RunListings(runs=listings)
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Count the rows of the journal; a merged or pruned one has no curve."""
+        folder = self._index.run(job, run)
+        with folder.journal() as journal:
+            return count_rows(folder.spec, () if journal.sources else journal.blocks()).curve(run)
+
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return its folder, here."""
+        return RunLocation(str(self._index.run(job, run).path.absolute()))

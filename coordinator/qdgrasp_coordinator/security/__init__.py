@@ -1,1 +1,1 @@
-"""Certificates, access lists, and the proof that they hold (docs/security.md)."""
+"""Certificates, access lists, and the check that they hold (docs/security.md)."""

@@ -14,12 +14,11 @@ from qdgrasp_protocol.errors import SecurityError
 
 Key = ec.EllipticCurvePrivateKey
 AUTHORITY = "qdgrasp authority"
-SKEW = timedelta(hours=1)
-"""Certificates begin so long ago, for clocks that are slow."""
+CLOCK_SKEW = timedelta(hours=1)  # Certificates begin so long ago, for clocks that are slow
 
 
 @dataclass(frozen=True)
-class Identity:
+class CertificateIdentity:
     """A certificate and its private key."""
 
     certificate: x509.Certificate
@@ -38,14 +37,8 @@ class Identity:
         )
 
     @classmethod
-    def from_pem(cls, certificate: bytes, key: bytes) -> "Identity":
-        """Read both from PEM.
-
-        Raises
-        ------
-        SecurityError
-            They are not PEM, or the key is of another kind.
-        """
+    def from_pem(cls, certificate: bytes, key: bytes) -> "CertificateIdentity":
+        """Read both from PEM; raises SecurityError for other text or another kind of key."""
         try:
             private = serialization.load_pem_private_key(key, None)
             public = x509.load_pem_x509_certificate(certificate)
@@ -58,7 +51,7 @@ class Identity:
         return cls(public, private)
 
 
-def found(days: int, now: datetime | None = None) -> Identity:
+def create_authority(days: int, now: datetime | None = None) -> CertificateIdentity:
     """Make an authority that is good for `days`."""
     key = ec.generate_private_key(ec.SECP256R1())
     usage = x509.KeyUsage(
@@ -79,30 +72,28 @@ def found(days: int, now: datetime | None = None) -> Identity:
         .add_extension(usage, critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
     )
-    return Identity(builder.sign(key, hashes.SHA256()), key)
+    return CertificateIdentity(builder.sign(key, hashes.SHA256()), key)
 
 
-def issue(
-    authority: Identity,
+def issue_certificate(
+    authority: CertificateIdentity,
     common_name: str,
     days: int,
     *,
     hosts: Iterable[str] = (),
     holder: str = "",
     now: datetime | None = None,
-) -> Identity:
-    """Issue a certificate.
+) -> CertificateIdentity:
+    """Issue a certificate that is good for `days`.
 
     Parameters
     ----------
     common_name
-        What it allows: a role's common name.
-    days
-        How long.
+        A role's common name, which decides on its rights.
     hosts
-        Names and addresses that it may be shown by: a router's.
+        Names and addresses of the router that shows it.
     holder
-        Whose it is, for people: a node's name, for example.
+        Its owner, for people: a node's name, for example.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     names = [_alternative(host) for host in hosts]
@@ -118,7 +109,7 @@ def issue(
     )
     if names:
         builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
-    return Identity(builder.sign(authority.key, hashes.SHA256()), key)
+    return CertificateIdentity(builder.sign(authority.key, hashes.SHA256()), key)
 
 
 def _builder(
@@ -129,7 +120,7 @@ def _builder(
         subject_name=subject,
         public_key=key.public_key(),
         serial_number=x509.random_serial_number(),
-        not_valid_before=now - SKEW,
+        not_valid_before=now - CLOCK_SKEW,
         not_valid_after=now + timedelta(days=days),
     )
 

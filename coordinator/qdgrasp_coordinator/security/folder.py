@@ -1,9 +1,4 @@
-"""The folder that `qdgrasp security init` writes: an authority, and what each role proves itself with.
-
-ca.pem  ca.key                    the authority; the key stays where the folder is
-ROLE.pem  ROLE.key  ROLE.json5    for each role: certificate, key, zenoh configuration
-NAME/                             what one more node needs, and nothing else
-"""
+"""The folder that `qdgrasp security init` writes: authority and certificates of all roles."""
 
 import ipaddress
 import os
@@ -12,44 +7,33 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_coordinator.security import authority
-from qdgrasp_coordinator.security.authority import Identity
-from qdgrasp_coordinator.security.configuration import configuration
-from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_coordinator.security.access_list import role_configuration
+from qdgrasp_coordinator.security.authority import CertificateIdentity
+from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_protocol.errors import ImpossibleValue, SecurityError
 from qdgrasp_protocol.keys import NAME
+from qdgrasp_protocol.session import Credentials, Role
 
 PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
-AUTHORITY_DAYS = 3650
-"""An authority outlives what it issues."""
+AUTHORITY_DAYS = 3650  # An authority outlives what it issues
 HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
 )
 
 
 class SecurityFolder:
-    """Certificates and keys in a folder that only its owner can read.
-
-    Parameters
-    ----------
-    path
-        Where.
-    """
+    """Certificates and keys in a folder that only its owner can read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def create(cls, path: Path, *, hosts: Sequence[str], days: int) -> "SecurityFolder":
-        """Found an authority and issue a certificate for each role; the folder appears whole or not at all.
+        """Create an authority and a certificate for each role, all files or none.
 
-        Parameters
-        ----------
-        hosts
-            Names and addresses by which routers are reached; the first stands in clients' configurations.
-        days
-            How long the certificates are good.
+        The first of `hosts`, by which routers are reached, stands in clients' configurations. Certificates
+        are good for `days`.
 
         Raises
         ------
@@ -61,23 +45,17 @@ class SecurityFolder:
             path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`"
         )
         output.check()
-        root = authority.found(max(days, AUTHORITY_DAYS))
+        root = authority.create_authority(max(days, AUTHORITY_DAYS))
         with output.writing() as made:
-            _begin(made, root)
-            write(made / "ca.key", root.key_pem)
+            _make_folder(made, root)
+            write_private_file(made / "ca.key", root.key_pem)
             for role in Role:
                 _issue(made, Credentials(path.absolute(), role), root, hosts, days)
         return cls(path)
 
     @property
-    def authority(self) -> Identity:
-        """The authority.
-
-        Raises
-        ------
-        SecurityError
-            Its files are not here, or cannot be read.
-        """
+    def authority(self) -> CertificateIdentity:
+        """The authority; raises SecurityError if its files are missing or cannot be read."""
         try:
             files = [(self.path / name).read_bytes() for name in ("ca.pem", "ca.key")]
         except OSError as error:
@@ -85,7 +63,7 @@ class SecurityFolder:
                 f"{error.filename} cannot be read ({error.strerror}); certificates are issued in the folder "
                 "that `qdgrasp security init` wrote."
             ) from None
-        return Identity.from_pem(*files)
+        return CertificateIdentity.from_pem(*files)
 
     def add(self, role: Role, name: str, *, hosts: Sequence[str], days: int) -> Path:
         """Issue one more certificate of a role, in a folder of its own that a node can be given.
@@ -108,37 +86,36 @@ class SecurityFolder:
                 f"{days}; choose fewer with --days, or begin anew with `qdgrasp security init`."
             )
         with OutFolder(place, "choose another name").writing() as made:
-            _begin(made, root)
+            _make_folder(made, root)
             _issue(made, Credentials(place.absolute(), role), root, hosts, days, name)
         return place
 
 
-def _begin(made: Path, root: Identity) -> None:
+def _make_folder(made: Path, root: CertificateIdentity) -> None:
     """Make a folder that only its owner can look into, with the authority's certificate."""
     made.mkdir(PRIVATE_FOLDER)
     made.chmod(PRIVATE_FOLDER)  # whatever the umask takes away
-    write(made / "ca.pem", root.certificate_pem)
+    write_private_file(made / "ca.pem", root.certificate_pem)
 
 
 def _issue(
-    made: Path, files: Credentials, root: Identity, hosts: Sequence[str], days: int, holder: str = ""
+    made: Path,
+    files: Credentials,
+    root: CertificateIdentity,
+    hosts: Sequence[str],
+    days: int,
+    holder: str = "",
 ) -> None:
-    """Write what a role proves itself with into a folder that will be that of `files`."""
+    """Write certificate, key and configuration of a role into a folder that `files` will name."""
     names = hosts if files.role is Role.ROUTER else ()
-    identity = authority.issue(root, files.role.common_name, days, hosts=names, holder=holder)
-    write(made / files.certificate.name, identity.certificate_pem)
-    write(made / files.key.name, identity.key_pem)
-    write(made / files.configuration.name, configuration(files, hosts[0]).encode())
+    identity = authority.issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
+    write_private_file(made / files.certificate.name, identity.certificate_pem)
+    write_private_file(made / files.key.name, identity.key_pem)
+    write_private_file(made / files.configuration.name, role_configuration(files, hosts[0]).encode())
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
-    """See that every host is a name or an address.
-
-    Raises
-    ------
-    ImpossibleValue
-        One is not, or there is none.
-    """
+    """Check that there is a host and that each is a name or an address; else ImpossibleValue."""
     if not hosts:
         raise ImpossibleValue("--host", "", "at least one name or address")
     for host in hosts:
@@ -149,7 +126,7 @@ def check_hosts(hosts: Sequence[str]) -> None:
                 raise ImpossibleValue("--host", host, "a host's name or address, without a port") from None
 
 
-def write(path: Path, content: bytes) -> None:
-    """Write a file that is there for the first time, readable by its owner only from the start."""
+def write_private_file(path: Path, content: bytes) -> None:
+    """Write a new file that only its owner can read from the start."""
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file:
         file.write(content)

@@ -1,5 +1,6 @@
-"""Where the commands begin."""
+"""Where the commands begin, and what they load before they know what to do."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -10,6 +11,17 @@ from pathlib import Path
 import pytest
 
 from qdgrasp import entry
+
+HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
+"""What takes a tenth of a second or more to import; commands import it where they need it."""
+
+
+@pytest.mark.parametrize("module", ["main", "coordinator_process", "recorder_process"])
+def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
+    statements = f"import json, sys, qdgrasp_coordinator.cli.{module}; print(json.dumps(sorted(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", statements], capture_output=True, check=True, text=True)
+    assert not HEAVY & set(json.loads(said.stdout))
+
 
 SCRIPTS = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]
 
@@ -45,7 +57,7 @@ from qdgrasp import entry
 getattr(entry, function)()
 """
 """A command that is sent a signal when it begins to load a module, or when Python ends."""
-FIRST, WITHIN = "typer", "qdgrasp_coordinator.exchange.exporting"
+FIRST, WITHIN = "typer", "qdgrasp_coordinator.export.exporter"
 EXPORT = ("export", "run", "--format", "csv", "-o", "out.csv")
 
 

@@ -1,4 +1,4 @@
-"""What every command says of a path that it cannot write to, before it does anything."""
+"""What every command says of a path that it cannot read or write."""
 
 import os
 from collections.abc import Callable
@@ -6,15 +6,46 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.assets.hands import jaw
-from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
-from tests.coordinator.exchange.foreign import ISAAC
+from tests.assets import example_hands
+from tests.coordinator.export.foreign_files import ISAAC
+from tests.coordinator.report.test_row_report import OUTCOMES, run_of
 from tests.coordinator.scenes import SceneMaker
 from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.folders import outputs
-from qdgrasp_protocol.errors import OutputError
+from qdgrasp_coordinator.storage import outputs
+from qdgrasp_protocol.errors import NoFolder, OutputError
+
+READERS = {
+    "info": (),
+    "digest": (),
+    "show": ("--grasp", "0"),
+    "view": ("--no-open",),
+    "export": ("--format", "csv", "--out", "never"),
+    "render": ("--grasp", "0", "--out", "never.png"),
+    "verify": (),
+    "prune": (),
+    "resume": (),
+    "rerank": ("--top", "1"),
+}
+
+
+def refusal(command: str, path: Path) -> str:
+    error = CliRunner().invoke(app, [command, str(path), *READERS[command]]).exception
+    assert isinstance(error, NoFolder), (command, error)
+    return str(error)
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_a_folder_that_is_not_there_and_a_file_are_told_apart(command: str, tmp_path: Path) -> None:
+    nowhere, file = tmp_path / "nowhere", tmp_path / "run.sqlite"
+    file.write_bytes(b"")
+    assert refusal(command, nowhere) == (
+        f"There is no folder {nowhere}; `qdgrasp run --out {nowhere}` would begin a run there."
+    )
+    assert refusal(command, file) == f"{file} is no folder; name that of a run."
+    assert list(tmp_path.iterdir()) == [file]
+
 
 FILES = {
     "evaluate": "evaluate --gripper panda --object mug --poses poses.npz --out OUT.npz",
@@ -58,7 +89,7 @@ MAKING = ("export", "export graspgen", "import", "object check", "security init"
 def home(tmp_path: Path, make_scene: SceneMaker, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with all that the commands read."""
     run_of(tmp_path / "run", make_scene(), OUTCOMES)
-    (tmp_path / "jaw.urdf").write_text(jaw.URDF)
+    (tmp_path / "jaw.urdf").write_text(example_hands.JAW_URDF)
     (tmp_path / "grasps.yaml").write_text(ISAAC)
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "part.stl")

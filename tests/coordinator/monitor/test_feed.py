@@ -1,4 +1,4 @@
-"""The feed: from the bus into the model, at nobody's cost."""
+"""The feed: from the bus into the model of the jobs; and the overview."""
 
 import threading
 import time
@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from tests.coordinator.monitor.shown import curve, figures, run, values
-from tests.endpoints import own_endpoint
-from tests.patience import PATIENCE
+from tests.common import PATIENCE, own_endpoint
+from tests.coordinator.monitor.sample_jobs import NOW, curve, figures, run, values, views
 
-from qdgrasp_coordinator.counts.figures import to_json
-from qdgrasp_coordinator.monitor.feed import NEWS, Feed
-from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.metrics.job_status import to_json
+from qdgrasp_coordinator.monitor.feed import SUBSCRIBED_KEYS, Feed, summary_lines
+from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.keys import Keys, matches
-from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 MUGS = Keys("mugs")
@@ -37,7 +36,7 @@ def coordinator(
 
     with ExitStack() as stack:
         for pattern in (keys.stat(), keys.meta, keys.recent):
-            stack.enter_context(bus.show(pattern, answer))
+            stack.enter_context(bus.answer_values(pattern, answer))
         stack.enter_context(bus.token(keys.coordinator_token(epoch)))
         yield
 
@@ -60,15 +59,13 @@ def is_whole(views: list[JobView]) -> bool:
     return bool(views) and "a" in views[0].curves and len(views[0].curves["a"].points) == 3
 
 
-def test_a_feed_that_begins_late_knows_all_that_there_is() -> None:
-    network = LocalNetwork()
+def test_a_feed_that_begins_late_knows_all_that_there_is(network: MemoryNetwork) -> None:
     with coordinator(network.session()), Feed(network.session()) as feed:
         (view,) = until(feed, is_whole)
     assert (view.state, view.meta.epoch, len(view.runs), len(view.workers)) == ("running", 2, 2, 9)
 
 
-def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over() -> None:
-    network = LocalNetwork()
+def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over(network: MemoryNetwork) -> None:
     with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
         until(feed, is_whole)
         say(bus, MUGS.stat("job"), figures(evaluations=1234))
@@ -79,8 +76,8 @@ def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over() -> Non
     assert feed.views()[0].figures.evaluations == 1234
 
 
-def test_a_feed_of_one_job_hears_and_asks_nothing_of_others() -> None:
-    network, asked = LocalNetwork(), []
+def test_a_feed_of_one_job_hears_and_asks_nothing_of_others(network: MemoryNetwork) -> None:
+    asked: list[str] = []
     with ExitStack() as stack:
         bus = stack.enter_context(network.session())
         stack.enter_context(coordinator(bus, "cubes", asked=asked))
@@ -94,8 +91,7 @@ def test_a_feed_of_one_job_hears_and_asks_nothing_of_others() -> None:
     assert asked == []
 
 
-def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
-    network = LocalNetwork()
+def test_a_coordinator_that_goes_and_one_that_comes_are_seen(network: MemoryNetwork) -> None:
     with network.session() as bus, Feed(network.session()) as feed:
         with coordinator(bus, epoch=2):
             until(feed, is_whole)
@@ -105,31 +101,29 @@ def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
             assert view.silent < PATIENCE
 
 
-def test_a_feed_survives_that_it_is_cut_off() -> None:
-    network = LocalNetwork()
+def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
     near = network.session()
     with network.session() as bus, Feed(near) as feed, coordinator(bus):
         until(feed, is_whole)
-        near.cut()
+        near.disconnect()
         until(feed, lambda _: not feed.is_linked)
         assert feed.views()[0].state != "gone"
-        near.mend()
+        near.reconnect()
         say(bus, MUGS.stat("job"), figures(evaluations=1234))
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
 
 
-def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known() -> None:
-    network = LocalNetwork()
+def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known(network: MemoryNetwork) -> None:
     with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
         until(feed, is_whole)
-        for number in range(2 * NEWS["stat/job"]):
+        for number in range(2 * SUBSCRIBED_KEYS["stat/job"]):
             say(bus, MUGS.stat("job"), figures(evaluations=5000 + number))
-        last = 5000 + 2 * NEWS["stat/job"] - 1
+        last = 5000 + 2 * SUBSCRIBED_KEYS["stat/job"] - 1
         until(feed, lambda views: views[0].figures.evaluations == last)
 
 
-def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
-    network, done = LocalNetwork(), threading.Event()
+def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: MemoryNetwork) -> None:
+    done = threading.Event()
     with network.session() as bus, Feed(network.session()) as feed:
 
         def put() -> None:
@@ -137,13 +131,12 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
                 say(bus, MUGS.stat("job"), figures(evaluations=number))
             done.set()
 
-        with feed._news:  # a reader that does not get on
+        with feed._changed:  # a reader that does not get on
             threading.Thread(target=put).start()
             assert done.wait(PATIENCE)
 
 
-def test_waiting_ends_with_news_and_without_them() -> None:
-    network = LocalNetwork()
+def test_waiting_ends_with_news_and_without_them(network: MemoryNetwork) -> None:
     with network.session() as bus, Feed(network.session()) as feed:
         while feed.wait(0.5):  # its first questions, which nobody answers
             pass
@@ -171,3 +164,44 @@ def test_a_feed_survives_restarts_of_the_router(restarts: int) -> None:
 
             (view,) = until(feed, is_heard)
             assert view.state == "running"
+
+
+def text(shown: dict[str, bytes]) -> str:
+    return "\n".join(line for view in views(shown) for line in summary_lines(view, NOW))
+
+
+def test_a_job_is_told_in_a_few_lines() -> None:
+    assert text(values(recorders=1)) == (
+        "mugs: running on head (process 7, epoch 2) for 1 d 1:02:03\n"
+        "  0 of 3 runs, 1000 of 3000 evaluations, 100/s, 0 successes in 5 cells, "
+        "0 simulated of 0 proposals, 0 overlaps, 0 dead ends, 9 workers, 00:20 left\n"
+        "  2 runs in progress: a 10/1000, b 10/1000\n"
+        "  workers: n0 2, n1 2, n2 1, n3 1, n4 1, n5 1 and 1 more (4 idle, 5 working)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"recorders": 0}, "no recorder is there"),
+        ({"workers": 0}, "workers: none has joined"),
+        ({"state": "paused"}, "paused until `qdgrasp continue mugs`"),
+        ({"trouble": "the disk is full"}, "paused: the disk is full"),
+    ],
+)
+def test_what_keeps_a_job_from_going_on_is_told(more: dict[str, object], words: str) -> None:
+    assert words in text(values(**more))
+
+
+def test_jobs_are_told_by_name_and_values_of_others_are_left_out() -> None:
+    shown = values("mugs") | values("cubes") | {"qdgrasp/v1/odd/meta": b"[]", "else/where": b"{}"}
+    shown[Keys("mugs").stat("run/a")] = b"not JSON"
+    assert [(view.meta.job, len(view.runs)) for view in views(shown)] == [("cubes", 2), ("mugs", 1)]
+
+
+@pytest.mark.parametrize("since", [b"yesterday", b"2026-11-21T12:00:00", b"9999-99-99T00:00:00Z"])
+def test_a_job_that_began_at_no_time_is_left_out(since: bytes) -> None:
+    shown, key = values("mugs"), Keys("mugs").meta
+    shown[key] = shown[key].replace(b"2026-11-21T12:00:00Z", since)
+    assert since in shown[key]
+    assert views(shown) == []

@@ -1,4 +1,4 @@
-"""Records: the same answers from a folder and over the bus."""
+"""Records: the same answers from folders and over the bus."""
 
 import json
 import os
@@ -11,24 +11,92 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from tests.coordinator.analysis.test_legends import closing
-from tests.coordinator.analysis.test_legends import run_of as run_of_synergies
-from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
 from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.report.test_row_report import OUTCOMES, closing, run_of, run_of_synergies
 
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.counts.niches import synergies
-from qdgrasp_coordinator.counts.tally import successes
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.monitor.bus_records import BusRecords
-from qdgrasp_coordinator.monitor.collection import Collection
-from qdgrasp_coordinator.monitor.folder_records import FolderRecords
-from qdgrasp_coordinator.monitor.records import Place, Records
-from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
-from qdgrasp_coordinator.recording import register
-from qdgrasp_coordinator.recording.librarian import Librarian
-from qdgrasp_protocol.errors import QdgraspError
-from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_coordinator.metrics.niches import synergies
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.monitor.records import BusRecords, FolderIndex, FolderRecords, Records, RunLocation
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_coordinator.recorder import queries
+from qdgrasp_coordinator.recorder.queries import QueryServer
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, make_scene) -> Path:
+    job = JobFolder.create(tmp_path / "paper", "paper")
+    for run in ("one", "two"):
+        folder = record(tmp_path / "made" / run, make_scene(), random_rows(20))
+        RunFolder.add(job, run, folder.spec, folder.bundle())
+    return job.path
+
+
+def names(*paths: Path) -> dict[str, list[str]]:
+    return {job: list(one.runs) for job, one in FolderIndex(paths).jobs.items()}
+
+
+def test_a_run_is_a_job_of_one(tmp_path: Path, make_scene) -> None:
+    assert names(record(tmp_path / "mug", make_scene(), random_rows(5)).path) == {"mug": ["run"]}
+
+
+def test_of_a_campaign_all_runs_are_shown_also_those_that_begin_later(campaign: Path, tmp_path: Path) -> None:
+    shown = FolderIndex([campaign])
+    run = RunFolder.open(campaign / "runs" / "one")
+    assert list(shown.jobs["paper"].runs) == ["one", "two"]
+    RunFolder.add(JobFolder(campaign), "three", run.spec, run.bundle())
+    assert list(shown.jobs["paper"].runs) == ["one", "three", "two"]
+
+
+def test_of_a_campaign_one_run_may_be_named(campaign: Path) -> None:
+    assert names(campaign / "runs" / "two") == {"paper": ["two"]}
+    assert names(campaign / "runs" / "two", campaign / "runs" / "one") == {"paper": ["one", "two"]}
+    assert names(campaign / "runs" / "two", campaign) == {"paper": ["one", "two"]}
+    assert names(campaign, campaign / "runs" / "two") == {"paper": ["one", "two"]}
+
+
+def test_a_folder_that_holds_folders_of_jobs_stands_for_all_of_them(campaign: Path, tmp_path: Path) -> None:
+    assert names(tmp_path) == {"paper": ["one", "two"]}
+    assert names(tmp_path / "made") == {"one": ["run"], "two": ["run"]}
+
+
+def test_jobs_of_one_name_are_told_apart(tmp_path: Path, make_scene) -> None:
+    paths = [record(tmp_path / place / "mug", make_scene(), random_rows(5)).path for place in "abc"]
+    shown = FolderIndex(paths)
+    assert list(shown.jobs) == ["mug", "mug-2", "mug-3"]
+    assert [shown.run(job, "run").path for job in shown.jobs] == paths
+
+
+def test_a_folder_that_is_named_twice_is_shown_once(tmp_path: Path, make_scene) -> None:
+    path = record(tmp_path / "mug", make_scene(), random_rows(5)).path
+    assert names(path, path / ".." / "mug") == {"mug": ["run"]}
+
+
+def test_what_holds_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds no run and no campaign, nor does a folder in it"):
+        FolderIndex([tmp_path])
+    with pytest.raises(FolderError, match="There is no folder"):
+        FolderIndex([tmp_path / "nowhere"])
+
+
+def test_what_is_not_there_is_named(campaign: Path) -> None:
+    shown = FolderIndex([campaign])
+    with pytest.raises(UnknownName, match="Unknown run 'three'"):
+        shown.run("paper", "three")
+    with pytest.raises(UnknownName, match="Unknown job 'papers'"):
+        shown.run("papers", "one")
+
+
+def test_a_run_whose_name_is_no_text_can_be_named_all_the_same(campaign: Path) -> None:
+    os.rename(os.fsencode(campaign / "runs" / "two"), os.fsencode(campaign / "runs") + b"/t\xffwo")  # noqa: PTH104
+    shown = FolderIndex([campaign])
+    assert list(shown.jobs["paper"].runs) == ["one", r"t\udcffwo"]
+    assert shown.run("paper", r"t\udcffwo").spec.gripper == "jaw"
+
 
 ROWS = random_rows(300)
 
@@ -39,11 +107,11 @@ def folder(tmp_path: Path, make_scene) -> RunFolder:
 
 
 @pytest.fixture(params=["folder", "bus"])
-def records(request: pytest.FixtureRequest, folder: RunFolder, network: LocalNetwork) -> Iterator[Records]:
+def records(request: pytest.FixtureRequest, folder: RunFolder, network: MemoryNetwork) -> Iterator[Records]:
     if request.param == "folder":
-        yield FolderRecords(Collection([folder.path]))
+        yield FolderRecords(FolderIndex([folder.path]))
         return
-    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         yield BusRecords(ours)
 
 
@@ -63,12 +131,12 @@ def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> Non
     assert np.array_equal(ROWS[page.found["number"]]["joints"], page.found["joints"])
 
 
-def test_the_synergy_of_each_success_comes_along(tmp_path: Path, make_scene, network: LocalNetwork) -> None:
+def test_the_synergy_of_each_success_comes_along(tmp_path: Path, make_scene, network: MemoryNetwork) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
-    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         told = [
             records.page("mug", "run", 0).found["synergy"].tolist()
-            for records in (FolderRecords(Collection([folder.path])), BusRecords(ours))
+            for records in (FolderRecords(FolderIndex([folder.path])), BusRecords(ours))
         ]
     assert told[0] == told[1] == synergies(folder.scene(), "spherical").labels(rows["genome"]).tolist()
     assert len(set(told[0])) == 3
@@ -89,7 +157,7 @@ def test_behind_the_last_row_there_is_nothing_yet(records: Records, first: int) 
 
 def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = records.page("mug", "run", 0).found
-    monkeypatch.setattr("qdgrasp_coordinator.folders.journal_finds.limit", lambda joints: 7)
+    monkeypatch.setattr("qdgrasp_coordinator.storage.success_pages.page_limit", lambda joints: 7)
     first, parts = 0, []
     while first < 300:
         page = records.page("mug", "run", first)
@@ -114,15 +182,15 @@ def test_how_a_run_grew_is_told_generation_by_generation(records: Records) -> No
 
 
 def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:
-    assert records.place("mug", "run") == Place(str(folder.path.absolute()))
+    assert records.place("mug", "run") == RunLocation(str(folder.path.absolute()))
 
 
 def test_the_command_that_is_shown_prints_the_grasp(
-    tmp_path: Path, make_scene, network: LocalNetwork
+    tmp_path: Path, make_scene, network: MemoryNetwork
 ) -> None:
     path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
-    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", path):
-        library = Exhibits(BusRecords(ours))
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", path):
+        library = RunCaches(BusRecords(ours))
         shown = json.loads(library.grasp("mug", "run", 3))
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     command = ["sh", "-c", shown["commands"][0]]
@@ -133,33 +201,33 @@ def test_the_command_that_is_shown_prints_the_grasp(
 
 
 def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(
-    folder: RunFolder, network: LocalNetwork
+    folder: RunFolder, network: MemoryNetwork
 ) -> None:
     odd = folder.path.rename(os.fsdecode(os.fsencode(folder.path.parent) + b"/m\xffug"))
-    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", odd):
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", odd):
         records = BusRecords(ours)
         (entry,) = records.entries("mug").runs
         assert entry.folder.endswith(r"m\udcffug")
         number = int(records.page("mug", "run", 0).found["number"][0])
-        told = json.loads(Exhibits(records).grasp("mug", "run", number))
+        told = json.loads(RunCaches(records).grasp("mug", "run", number))
     assert r"m\udcffug" in told["commands"][0]
 
 
 @pytest.mark.parametrize(
     ("place", "command"),
     [
-        (Place("/data/mug", "head"), "qdgrasp show /data/mug --grasp 7  # on head"),
-        (Place("/data/$(date)\n"), "qdgrasp show '/data/$(date)\\n' --grasp 7"),
-        (Place("DIR", "a\nb"), "qdgrasp show DIR --grasp 7  # on a\\nb"),
+        (RunLocation("/data/mug", "head"), "qdgrasp show /data/mug --grasp 7  # on head"),
+        (RunLocation("/data/$(date)\n"), "qdgrasp show '/data/$(date)\\n' --grasp 7"),
+        (RunLocation("DIR", "a\nb"), "qdgrasp show DIR --grasp 7  # on a\\nb"),
     ],
 )
-def test_a_command_is_one_line_that_says_on_which_machine(place: Place, command: str) -> None:
+def test_a_command_is_one_line_that_says_on_which_machine(place: RunLocation, command: str) -> None:
     assert place.commands(7)[0] == command
 
 
 def test_the_commands_that_are_shown_are_commands() -> None:
     known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    for command in Place("runs/my mug").commands(7):
+    for command in RunLocation("runs/my mug").commands(7):
         program, name, *rest = shlex.split(command)
         given = known[name].make_context(name, rest).params
         assert (program, given["directory"], given["grasp"]) == ("qdgrasp", Path("runs/my mug"), 7)
@@ -171,9 +239,9 @@ def test_what_is_not_there_is_refused(records: Records) -> None:
 
 
 def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
-    folder: RunFolder, network: LocalNetwork, monkeypatch: pytest.MonkeyPatch
+    folder: RunFolder, network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(register, "ROWS", 100)
-    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         told = [BusRecords(ours).entries("mug") for _ in range(3)]
     assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]

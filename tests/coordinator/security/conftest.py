@@ -2,10 +2,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.endpoints import own_endpoint
+from tests.common import own_endpoint
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 HOSTS = ("localhost", "127.0.0.1")
@@ -19,7 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def encrypted_endpoint() -> str:
     """One on a port that is free now."""
-    return own_endpoint().replace("tcp/", "tls/")
+    return own_endpoint("tls")
 
 
 @pytest.fixture(scope="session")

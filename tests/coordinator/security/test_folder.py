@@ -11,8 +11,8 @@ from cryptography import x509
 
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.errors import ImpossibleValue, OutputError, SecurityError
+from qdgrasp_protocol.session import Credentials, Role
 
 HOSTS = ["head", "10.0.0.1", "::1"]
 
@@ -129,8 +129,8 @@ def test_what_is_no_name_of_a_node_is_refused(tmp_path: Path, name: str) -> None
 
 
 def test_two_authorities_do_not_know_each_other() -> None:
-    ours, theirs = authority.found(1), authority.found(1)
-    issued = authority.issue(theirs, Role.WORKER.common_name, 1)
+    ours, theirs = authority.create_authority(1), authority.create_authority(1)
+    issued = authority.issue_certificate(theirs, Role.WORKER.common_name, 1)
     with pytest.raises(Exception):  # noqa: B017, PT011 - the signature is another's
         issued.certificate.verify_directly_issued_by(ours.certificate)
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from tests.worker.aiming import CANDIDATES, WEIGHTS, encoded, facing
+from tests.worker.aimed_genomes import CANDIDATES, WEIGHTS, encoded, facing
 
-from qdgrasp_worker.decode import Decoder
-from qdgrasp_worker.surface import Surface
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.object_geometry import ObjectSurface
 
 N, K = 40, 32
 
 
 def decode(scene, values):
-    return Decoder(scene, "aimed", Surface(scene))(encoded(scene, values))
+    return Decoder(scene, "aimed", ObjectSurface(scene))(encoded(scene, values))
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +36,12 @@ def test_a_genome_has_as_many_candidates_as_it_asks_for(cube, values) -> None:
     some = values[:5].copy()
     some[:, CANDIDATES] = 1, 2.4, 7.6, 31, 32
     grasps = decode(cube, some)
-    assert np.bincount(grasps.rows).tolist() == [1, 2, 8, 31, 32]
-    assert (np.diff(grasps.rows) >= 0).all()
+    assert np.bincount(grasps.genome_of).tolist() == [1, 2, 8, 31, 32]
+    assert (np.diff(grasps.genome_of) >= 0).all()
 
 
 def test_hands_stand_anywhere_in_the_cell_of_the_target_and_nowhere_else(values, grasps, poses) -> None:
-    offsets = grasps.positions[poses] * 100.0 - np.rint(values[grasps.rows[poses], :3] * 100.0)
+    offsets = grasps.positions[poses] * 100.0 - np.rint(values[grasps.genome_of[poses], :3] * 100.0)
     assert np.abs(offsets).max() <= 0.5 + 1e-4
     np.testing.assert_allclose(offsets.std(axis=0), 1 / 12**0.5, rtol=0.1)
 
@@ -49,7 +49,7 @@ def test_hands_stand_anywhere_in_the_cell_of_the_target_and_nowhere_else(values,
 def test_contact_points_are_surface_points_beside_the_hint(cube, values, grasps, poses) -> None:
     distances, _ = KDTree(cube.surface_points).query(grasps.surface_points[poses])
     assert distances.max() == 0.0
-    apart = np.linalg.norm(grasps.surface_points[poses] - values[grasps.rows[poses], 3:6], axis=1)
+    apart = np.linalg.norm(grasps.surface_points[poses] - values[grasps.genome_of[poses], 3:6], axis=1)
     assert 0.005 < np.sqrt((apart**2).mean()) < 0.015
 
 
@@ -108,13 +108,13 @@ def test_loose_candidates_take_contact_points_from_all_over_the_surface(cube, va
 
 def test_candidates_depend_on_the_bytes_of_their_genome_alone(cube, values, grasps) -> None:
     genomes = encoded(cube, values)
-    alone = Decoder(cube, "aimed", Surface(cube))(genomes[7:8])
-    mine = grasps.rows == 7
+    alone = Decoder(cube, "aimed", ObjectSurface(cube))(genomes[7:8])
+    mine = grasps.genome_of == 7
     np.testing.assert_array_equal(alone.positions, grasps.positions[mine])
     np.testing.assert_array_equal(alone.quaternions, grasps.quaternions[mine])
     other = genomes[7:8].copy()
     other[0, -1] = np.nextafter(other[0, -1], np.float32(1.0))  # the weight of the constant
-    changed = Decoder(cube, "aimed", Surface(cube))(other)
+    changed = Decoder(cube, "aimed", ObjectSurface(cube))(other)
     assert not (changed.positions == alone.positions).all(axis=1).any()
 
 

@@ -1,12 +1,8 @@
-"""Priors: what a genome is taken to mean. One module each, and the table of them."""
+"""Priors: decoding of a genome's leading genes to hand poses; interface, kinds and table."""
 
 from qdgrasp_worker.priors.aimed import AIMED
-from qdgrasp_worker.priors.antipodal import ANTIPODAL
-from qdgrasp_worker.priors.approach import APPROACH
-from qdgrasp_worker.priors.contact import CONTACT
-from qdgrasp_worker.priors.given import GIVEN
-from qdgrasp_worker.priors.prior import Drawn, Poses, Prior
-from qdgrasp_worker.priors.spherical import SPHERICAL
+from qdgrasp_worker.priors.base import GIVEN, SPHERICAL, Prior
+from qdgrasp_worker.priors.surface_priors import ANTIPODAL, APPROACH, CONTACT
 
 PRIORS: dict[str, Prior] = {
     prior.name: prior for prior in (AIMED, ANTIPODAL, APPROACH, CONTACT, GIVEN, SPHERICAL)
@@ -20,7 +16,5 @@ __all__ = [
     "GIVEN",
     "PRIORS",
     "SPHERICAL",
-    "Drawn",
-    "Poses",
     "Prior",
 ]

@@ -3,13 +3,13 @@
 Where a hand stands is what its pose is kept by, so that a search may choose the place and leave the rest to
 geometry. A genome names a target, whose cell of 1 cm the hand stands in, a contact point and a roll to take,
 and how many candidates are drawn. A candidate's position is uniform in the cell; its contact point is the
-surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is not
-scattered: it stands at the target itself and looks at the hint, unless that is drawn from anywhere. Distance
-and direction follow: candidates out of the stand-off are dead ends. Which of the others is simulated, the
-screen says.
+surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is
+not scattered: it stands at the target itself and looks at the hint, unless that is drawn from anywhere.
+Distance and direction follow: candidates out of the stand-off are dead ends. Which of the others is
+simulated, the screen says.
 
-The roll is about the direction from the target's own position to the hint. It is carried over to those of the
-candidates as a vector, for its zero jumps between directions (`rotation.tangents`).
+The roll is about the direction from the target's own position to the hint. It is carried over to those of
+the candidates as a vector, for its zero jumps between directions (`rotation.tangents`).
 
 What is drawn depends on the genome's bytes alone.
 """
@@ -21,42 +21,41 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from qdgrasp_assets import genes as known
-from qdgrasp_assets.rotation import Floats, dot, rolls, tangents, turned
+from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, tangents, turned
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_worker.exits import cross
-from qdgrasp_worker.priors.cone import looking
-from qdgrasp_worker.priors.prior import Drawn, Poses, Prior
-from qdgrasp_worker.surface import Surface
+from qdgrasp_worker.object_geometry import ObjectSurface, cross
+from qdgrasp_worker.priors.base import Prior, PriorCandidates, PriorPoses
+from qdgrasp_worker.priors.surface_priors import look_along
 
-PER_METRE = 100
-"""Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm."""
-POINT_SIGMA = 0.007
-"""How far a tightly drawn contact point is from the hint, along each axis [m]."""
+PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm
+POINT_SIGMA = 0.007  # How far a tightly drawn contact point is from the hint, along each axis [m]
 ROLL_SIGMA = 0.15  # rad
 TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, WEIGHTS = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 15)
 """The places of the prior's own genes."""
 
 
-class Aimed(Prior):
+class AimedPrior(Prior):
     """A prior of which a genome stands for several candidates."""
 
     name = known.AIMED
 
-    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: Surface) -> Drawn:
+    def candidates(
+        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
+    ) -> PriorCandidates:
         """Candidates, as genes whose target is the hand's position, and whose hints are exact."""
         asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
         counts = np.rint(asked).astype(np.int64)
         rows = np.repeat(np.arange(len(genes)), counts)
-        asides, _ = turned(*tangents(looks(genes[:, TARGET], genes[:, HINT])), genes[:, OMEGA])
+        asides, _ = turned(*tangents(unit_directions(genes[:, TARGET], genes[:, HINT])), genes[:, OMEGA])
         candidates = genes[rows]
         starts = np.cumsum(counts) - counts
         for genome, start, count in zip(genomes, starts.tolist(), counts.tolist(), strict=True):
-            vary(candidates[start : start + count], generator(genome), surface)
+            scatter_candidates(candidates[start : start + count], genome_generator(genome), surface)
         points = surface.points[surface.nearest(candidates[:, HINT])]
-        candidates[:, OMEGA] += rolls(asides[rows], looks(candidates[:, TARGET], points))
-        return Drawn(rows, candidates, genes[:, WEIGHTS])
+        candidates[:, OMEGA] += rolls(asides[rows], unit_directions(candidates[:, TARGET], points))
+        return PriorCandidates(rows, candidates, genes[:, WEIGHTS])
 
-    def poses(self, genes: Floats, surface: Surface, hand: SceneGripper) -> Poses:
+    def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
         """The poses that candidates (m, 15) stand for; dead ends are zeros."""
         positions, nearest = genes[:, TARGET], surface.nearest(genes[:, HINT])
         points, normals = surface.points[nearest], surface.normals[nearest]
@@ -68,8 +67,8 @@ class Aimed(Prior):
         outward = np.where(found[:, None], offsets / distances[:, None], normals)
         aside = cross(normals, outward)
         nu = np.arctan2(np.sqrt(dot(aside, aside)), dot(normals, outward))
-        quaternions = looking(-outward, genes[:, OMEGA], hand)
-        return Poses(
+        quaternions = look_along(-outward, genes[:, OMEGA], hand)
+        return PriorPoses(
             np.where(found[:, None], positions, 0.0),
             np.where(found[:, None], quaternions, 0.0),
             np.where(found[:, None], points, 0.0),
@@ -78,8 +77,8 @@ class Aimed(Prior):
         )
 
 
-def vary(genes: Floats, random: Generator, surface: Surface) -> None:
-    """Draw the candidates (k, g) of one genome in place: position, contact point, roll beside the hint's."""
+def scatter_candidates(genes: Floats, random: Generator, surface: ObjectSurface) -> None:
+    """Draw candidates (k, g) of one genome in place: position, contact point, roll by the hint."""
     k = len(genes)
     genes[:, OMEGA] = 0.0
     if k > 1:
@@ -93,17 +92,17 @@ def vary(genes: Floats, random: Generator, surface: Surface) -> None:
     genes[:, OMEGA] = np.where(is_loose, random.uniform(0.0, 2.0 * np.pi, k), genes[:, OMEGA])
 
 
-def looks(positions: Floats, points: Floats) -> Floats:
+def unit_directions(positions: Floats, points: Floats) -> Floats:
     """The unit vectors (n, 3) from positions to points; z where both are the same."""
     ways = points - positions
     lengths = np.sqrt(dot(ways, ways))[:, None]
     return np.where(lengths > 0.0, ways / lengths, np.array([0.0, 0.0, 1.0]))
 
 
-def generator(genome: NDArray[np.float32]) -> Generator:
+def genome_generator(genome: NDArray[np.float32]) -> Generator:
     """The generator that a genome's bytes stand for."""
     digest = hashlib.sha256(genome.astype("<f4").tobytes()).digest()
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
 
 
-AIMED = Aimed()
+AIMED = AimedPrior()

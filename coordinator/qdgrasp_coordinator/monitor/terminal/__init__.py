@@ -1,1 +1,1 @@
-"""Jobs on a terminal: tables, curves and events that fit the room there is."""
+"""The monitor on a terminal: tables, curves and events that fit its size."""

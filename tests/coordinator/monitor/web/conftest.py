@@ -1,25 +1,318 @@
-"""A server of the page, with jobs made by hand behind it."""
+"""Jobs, finds and records made by hand, and a server of the page with these behind it."""
 
-import socket
 import threading
+import time
+from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from queue import Queue
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
+from msgspec.structs import replace
+from numpy.typing import ArrayLike
 from starlette.testclient import TestClient
 from tests import browser
-from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
-from tests.patience import PATIENCE
+from tests.common import PATIENCE, free_port
+from tests.coordinator.monitor import sample_jobs
 
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.job_status import JobEvent, RunListings, RunStatus, WorkerStatus, to_json
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.monitor.job_model import JobModels
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, RunLocation
 from qdgrasp_coordinator.monitor.web.access import Access
-from qdgrasp_coordinator.monitor.web.app import Site, application, serve
-from qdgrasp_coordinator.monitor.web.libraries import Library
-from qdgrasp_coordinator.monitor.web.live_site import LiveSite
-from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_coordinator.monitor.web.routes import Site, live_site
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_coordinator.monitor.web.scene_data import (
+    HEADER,
+    MARK,
+    BrowserScene,
+    LinkMesh,
+    SuccessKind,
+    TriangleMesh,
+)
+from qdgrasp_coordinator.monitor.web.server import application, serve
+from qdgrasp_coordinator.storage.success_pages import SuccessTable, success_dtype
+from qdgrasp_protocol.errors import NoReply, UnknownName
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Outcome
 
 HERE = "127.0.0.1"
+BUDGET = 90_000
+STEP = 60
+SUMMED = ("evaluations", "successes", "cells", "grasps", "robust", "simulated", "overlaps", "budget")
+
+
+class FakeFeed:
+    """A single run `mug`, and a job `hands` of six."""
+
+    def __init__(self) -> None:
+        self.now = time.time()
+        self.jobs = JobModels()
+        self.steps = 0
+        self.gone: set[int] = set()
+        self.lock = threading.Lock()
+
+    @property
+    def is_linked(self) -> bool:
+        return self.jobs.is_linked
+
+    @property
+    def foreign_jobs(self) -> list[str]:
+        return self.jobs.foreign_jobs
+
+    def views(self) -> list[JobView]:
+        with self.lock:
+            return self.jobs.views(self.now)
+
+    def step(self, at: float | None = None) -> "FakeFeed":
+        """Go on by some evaluations."""
+        self.steps += 1
+        with self.lock:
+            self.now = time.time()
+            at = self.now if at is None else at
+            self.jobs.receive_answers(_values("mug", ["mug"], self.steps, self.gone, at), at)
+            names = [f"panda-{what}-aimed-s{seed}" for what in ("mug", "drill", "banana") for seed in (0, 1)]
+            self.jobs.receive_answers(_values("hands", names, self.steps, set(), at), at)
+        return self
+
+    def happen(self, words: str, kind: str = "worker") -> None:
+        """Have something happen in the job `mug`."""
+        event = JobEvent(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
+        with self.lock:
+            self.now = time.time()
+            self.jobs.receive_answers({Keys("mug").event(kind): to_json(event)}, self.now)
+
+    @contextmanager
+    def going_on(self, interval: float = 0.2) -> Iterator[None]:
+        """Go on by itself, from some way along."""
+        now = time.time()
+        for number in range(40, 0, -1):
+            self.step(now - number)
+        over = threading.Event()
+
+        def go() -> None:
+            while not over.wait(interval):
+                self.step()
+
+        thread = threading.Thread(target=go)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) -> dict[str, bytes]:
+    keys, told = Keys(job), min(steps * STEP, BUDGET)
+    courses = [_run(name, told, steps, number) for number, name in enumerate(runs)]
+    sums = {name: sum(getattr(one, name) for one in courses) for name in SUMMED}
+    done = len(runs) if told == BUDGET else 0
+    figures = sample_jobs.figures(
+        job=job,
+        runs=len(runs),
+        runs_open=len(runs) - done,
+        runs_done=done,
+        workers=4 - len(gone),
+        recorders=1,
+        waiting=told % 37,
+        seconds=steps * 1.0,
+        rate=sums["evaluations"] / max(1, steps),
+        **sums,
+    )
+    team = [_worker(number, number in gone, told) for number in range(4)]
+    values = {
+        keys.meta: replace(
+            sample_jobs.meta(job, len(runs)), since=datetime.fromtimestamp(at - 40 - steps, UTC)
+        ),
+        keys.stat("job"): figures,
+        **{keys.stat(f"run/{one.run}"): one for one in courses},
+        **{keys.stat(f"team/{page.page}"): page for page in sample_jobs.team(*team)},
+    }
+    return {key: to_json(value) for key, value in values.items()}
+
+
+def _run(name: str, told: int, steps: int, number: int) -> RunStatus:
+    share = 0.28 + 0.04 * number
+    held, shaken, dropped = int(told * share * 0.4), int(told * share * 0.15), int(told * share * 0.45)
+    rest = told - held - shaken - dropped
+    parts = {"dead_end": 0.1, "overlap": 0.47, "missed": 0.25, "brushed": 0.18}
+    failed = {outcome: int(rest * part) for outcome, part in parts.items()}
+    outcomes = {
+        "error": rest - sum(failed.values()),
+        **failed,
+        "dropped": dropped,
+        "shaken": shaken,
+        "held": held,
+    }
+    return sample_jobs.run(
+        name,
+        evaluations=told,
+        budget=BUDGET,
+        rows=told,
+        seed=number % 2,
+        object=name.split("-")[1] if "-" in name else name,
+        outcomes=outcomes,
+        simulated=told - failed["overlap"] - failed["dead_end"],
+        proposals=2 * told,
+        successes=held + shaken + dropped,
+        grasps=held + shaken,
+        robust=held,
+        cells=int(90 * (1 + number / 6) * (told / 1000) ** 0.6),
+        durable=told - told % 37,
+        seconds=steps * 1.0,
+        rate=told / max(1, steps),
+        finished="its budget is spent" if told == BUDGET else "",
+    )
+
+
+def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
+    return sample_jobs.worker(
+        number,
+        host=f"node{number // 2 + 1}",
+        pid=4100 + number,
+        state="gone" if is_gone else "working",
+        rate=0.0 if is_gone else 43.7 + number,
+        rows=told // 4,
+        batches=0 if is_gone else 2,
+        seen=3.0 if is_gone else 0.2 * number,
+        memory=(180 + 7 * number) << 20,
+    )
+
+
+class FakeLibrary:
+    """A library of runs in which nothing was found; nobody lists those of the job `hands`."""
+
+    def runs(self, job: str) -> bytes:
+        if job == "hands":
+            raise NoReply("nobody answers")
+        return b'{"runs":[],"next":0,"uncounted":0}'
+
+    def curve(self, job: str, run: str) -> bytes:
+        return b'{"run":"","points":[]}'
+
+    def scene(self, job: str, run: str) -> bytes:
+        if run != "mug" and not run.startswith("panda"):
+            raise UnknownName("run", run, ["mug"])
+        return msgspec.json.encode(STAGE)
+
+    def cells(self, job: str, run: str, since: int) -> bytes:
+        return HEADER.pack(MARK, 0, since, 0, 0, 7)
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        return b'{"number":%d}' % number
+
+
+CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
+SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4")
+MESH = TriangleMesh(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
+STAGE = BrowserScene(
+    gripper="panda",
+    object="mug",
+    base="palm",
+    com_in_mesh=(0, 0, 0.02),
+    synergies=("pinch", "power"),
+    scored=True,
+    cell=0.01,
+    low=(0, 0, 0),
+    high=(0.05, 0.05, 0.05),
+    reach=0.2,
+    kinds=[
+        SuccessKind(5, "no shake survived", "#bdb7ad"),
+        SuccessKind(6, "one", "#f2a431"),
+        SuccessKind(7, "both", "#2a73b9"),
+    ],
+    mesh=MESH,
+    links=[LinkMesh("palm", False, MESH)],
+    origin=7,
+)
+
+
+def finds(
+    numbers: ArrayLike,
+    places: ArrayLike,
+    outcomes: ArrayLike,
+    joints: int = 2,
+    synergies: ArrayLike = -1,
+    etas: ArrayLike = -1,
+) -> SuccessTable:
+    """Finds with these journal numbers (n,), in these cells (n, 3), with these outcomes (n,) and so on."""
+    made = np.zeros(len(np.asarray(numbers)), success_dtype(joints))
+    made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
+    made["descriptor"] = np.asarray(places) / 100
+    made["base_to_object"][:, :3] = made["descriptor"]
+    made["base_to_object"][:, 6] = 1
+    made["fitness"] = made["outcome"].astype(int) - Outcome.DROPPED
+    return made
+
+
+def random_finds(n: int, reach: int = 3, seed: int = 0) -> SuccessTable:
+    """So many finds in few cells, so that many of them meet; every other row of the journal is one."""
+    random = np.random.default_rng(seed)
+    places = random.integers(-reach, reach + 1, (n, 3))
+    outcomes = random.integers(Outcome.DROPPED, Outcome.HELD + 1, n)
+    labels, etas = random.integers(-1, 2, n), random.choice([-1, 0, 0.25, 0.5, 1], n)
+    return finds(2 * np.arange(n), places, outcomes, synergies=labels, etas=etas)
+
+
+ORIGIN = JournalId("1" * 64, 1.0)
+
+
+@dataclass
+class HandMadeRecords:
+    """A single run, of whose finds each page has a few; counts what it was asked."""
+
+    a_scene: Scene
+    found: SuccessTable = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
+    rows: int = 0
+    on_a_page: int = 4
+    asked: int = 0
+    run: str = "run"
+    origin: JournalId = ORIGIN
+    listed: int = 0
+
+    def record(self, found: SuccessTable) -> None:
+        """Have found these too."""
+        self.found = np.concatenate([self.found, found])
+        self.rows = int(self.found["number"][-1]) + 1
+
+    def become(self, scene: Scene, origin: JournalId, found: SuccessTable) -> None:
+        """Be the records of another job of the same name."""
+        self.a_scene, self.origin, self.found = scene, origin, found
+        self.rows = int(found["number"][-1]) + 1
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        assert digest == self.origin.scene
+        return self.a_scene
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        self.asked += 1
+        if run != self.run:
+            raise UnknownName("run", run, [self.run])
+        start = int(np.searchsorted(self.found["number"], first))
+        shown = self.found[start : start + self.on_a_page]
+        more = start + self.on_a_page < len(self.found)
+        return RecordPage(
+            self.origin, shown, int(shown["number"][-1]) + 1 if more else max(first, self.rows), self.rows
+        )
+
+    def entries(self, job: str) -> RunListings:
+        self.listed += 1
+        return RunListings(runs=[])
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        return GrowthCurve(run=run, points=[])
+
+    def place(self, job: str, run: str) -> RunLocation:
+        return RunLocation("runs/mug")
 
 
 @pytest.fixture(scope="module")
@@ -47,34 +340,26 @@ def look(chromium: Any) -> Iterator[Callable[..., Any]]:
 @pytest.fixture
 def feed() -> FakeFeed:
     """Jobs that have done a little."""
-    made = FakeFeed()
-    for _ in range(3):
-        made.step()
-    return made
+    return FakeFeed().step().step().step()
 
 
 def client(feed: FakeFeed, access: Access | None = None) -> TestClient:
     """A client on this machine."""
-    app = application(LiveSite(feed, FakeLibrary()), access or Access(local=True))
+    app = application(live_site(feed, FakeLibrary()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 
-def free_port() -> int:
-    with socket.create_server((HERE, 0)) as found:
-        port: int = found.getsockname()[1]
-        return port
-
-
 def serving(
-    feed: FakeFeed, port: int, token: str = "", library: Library | None = None
+    feed: FakeFeed, port: int = 0, token: str = "", library: FakeLibrary | RunCaches | None = None
 ) -> AbstractContextManager[str]:
     """A server of a live page in a thread; gives its address, and ends it in the end."""
-    return serving_site(LiveSite(feed, library or FakeLibrary()), port, token)
+    return serving_site(live_site(feed, library or FakeLibrary()), port, token)
 
 
 @contextmanager
-def serving_site(site: Site, port: int, token: str = "") -> Iterator[str]:
-    """The same of any site."""
+def serving_site(site: Site, port: int = 0, token: str = "") -> Iterator[str]:
+    """The same of any site; without a port at any that is free."""
+    port = port or free_port()
     stop, open_at = Stop(), Queue[str]()
     thread = threading.Thread(target=serve, args=(site, HERE, port, token, stop, open_at.put))
     thread.start()

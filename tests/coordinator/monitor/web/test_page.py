@@ -1,4 +1,4 @@
-"""The page in a browser: what a person sees of jobs made by hand."""
+"""The page in a browser: jobs made by hand."""
 
 import re
 import time
@@ -7,11 +7,15 @@ from itertools import count
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from tests import browser
-from tests.browser import PATIENCE, PHONE, figure, number
-from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
-from tests.coordinator.serving.served import until
+from tests.browser import PHONE, expect, figure, number
+from tests.common import free_port
+from tests.coordinator.monitor.sample_jobs import curve, run, values
+from tests.coordinator.monitor.web.conftest import BUDGET, STEP, FakeFeed, FakeLibrary, serving
+from tests.coordinator.scheduler.fakes import until
+
+from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings, to_json
 
 pytestmark = browser.needed
 Page = Any
@@ -50,24 +54,29 @@ FOCUSED = """() => {
 }"""
 
 
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
+def reached_by_keys(page: Page, steps: int) -> set[str]:
+    """Names of the parts to which the tab key leads in so many steps; the focus is seen at each."""
+    reached = set()
+    for _ in range(steps):
+        page.keyboard.press("Tab")
+        seen, outline = page.evaluate(FOCUSED)
+        reached.add(seen)
+        assert seen in (None, "body") or outline != "none", f"where the focus is cannot be seen: {seen}"
+    return reached
 
 
 @pytest.fixture(scope="module")
 def place() -> Iterator[str]:
     """A page of jobs that go on."""
     feed = FakeFeed()
-    with feed.going_on(), serving(feed, free_port()) as address:
+    with feed.going_on(), serving(feed) as address:
         feed.happen("Worker 7 joined from node1.")
         yield address
 
 
 def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
-    expect(page).to_have_title(re.compile("^mug, running . qdgrasp$"), timeout=PATIENCE)
+    expect(page).to_have_title(re.compile("^mug, running . qdgrasp$"))
     found = figure(page, "Successes")
     before = number(found.inner_text())
     page.wait_for_function(
@@ -81,7 +90,7 @@ def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
 def test_where_evaluations_end_adds_up(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
     entries = page.locator("#outcomes li")
-    expect(entries).to_have_count(8, timeout=PATIENCE)
+    expect(entries).to_have_count(8)
     counts, whole = page.evaluate(
         "() => [[...document.querySelectorAll('#outcomes .number')].map((node) => node.textContent), "
         "document.querySelector('#outcomes-words').textContent]"
@@ -96,7 +105,7 @@ def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str)
         "successes": ["Successes", "Robust"],
         "speed": ["Evaluations/s"],
     }.items():
-        expect(page.locator(f"#{plot} canvas")).to_be_visible(timeout=PATIENCE)
+        expect(page.locator(f"#{plot} canvas")).to_be_visible()
         expect(page.locator(f"#{plot}-legend dt")).to_have_text(names)
         expect(page.locator(f"#{plot}-legend dd")).to_have_text([re.compile("[1-9]")] * len(names))
 
@@ -119,19 +128,18 @@ def near(page: Page, nudge: int) -> bool:
 
 def test_the_view_in_3d_stands_there(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
-    expect(page.locator("#scene-words")).to_have_text("Nothing found yet.", timeout=PATIENCE)
+    expect(page.locator("#scene-words")).to_have_text("Nothing found yet.")
     expect(page.locator("#scene-empty")).to_be_hidden()
 
 
 def test_a_worker_that_was_killed_is_shown_as_gone(look: Look) -> None:
-    feed = FakeFeed()
-    feed.step()
-    with serving(feed, free_port()) as place:
+    feed = FakeFeed().step()
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
-        expect(page.locator("#workers-words")).to_have_text("4 working", timeout=PATIENCE)
+        expect(page.locator("#workers-words")).to_have_text("4 working")
         feed.gone = {2}
         feed.step()
-        expect(page.locator("#workers tr[data-state=gone] th")).to_have_text("node2 4102", timeout=PATIENCE)
+        expect(page.locator("#workers tr[data-state=gone] th")).to_have_text("node2 4102")
         expect(page.locator("#workers-words")).to_have_text("3 working, 1 gone")
 
 
@@ -140,15 +148,13 @@ def test_the_page_goes_on_by_itself_when_the_monitor_is_back(look: Look) -> None
     feed.step()
     with serving(feed, port) as place:
         page = look(f"{place}/#job=mug")
-        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        expect(page.locator("#link")).to_have_text("live")
         page.evaluate("() => (window.kept = true)")
-    expect(page.locator("#link")).to_have_text(
-        re.compile(r"^not connected since \d\d:\d\d:\d\d$"), timeout=PATIENCE
-    )
+    expect(page.locator("#link")).to_have_text(re.compile(r"^not connected since \d\d:\d\d:\d\d$"))
     before = number(figure(page, "Successes").inner_text())
     feed.step()
     with serving(feed, port):
-        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        expect(page.locator("#link")).to_have_text("live")
         assert number(figure(page, "Successes").inner_text()) > before
         assert page.evaluate("() => window.kept"), "the page was loaded again"
         page.context.close()
@@ -157,42 +163,38 @@ def test_the_page_goes_on_by_itself_when_the_monitor_is_back(look: Look) -> None
 def test_the_address_keeps_what_was_chosen(look: Look, place: str) -> None:
     page = look(f"{place}/")
     page.get_by_role("link", name=re.compile("^hands")).click()
-    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("hands")
     page.get_by_role("link", name="panda-drill-aimed-s1").click()
-    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1")
     assert page.url.endswith("#job=hands&run=panda-drill-aimed-s1")
     page.reload()
-    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1")
     page.go_back()
-    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("hands")
 
 
 def test_a_job_that_is_not_heard_of_is_waited_for(look: Look) -> None:
     feed = FakeFeed()
-    with serving(feed, free_port()) as place:
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
-        expect(page.get_by_role("heading", name="Nothing is heard of the job mug")).to_be_visible(
-            timeout=PATIENCE
-        )
+        expect(page.get_by_role("heading", name="Nothing is heard of the job mug")).to_be_visible()
         feed.step()
-        expect(page.locator("#name")).to_have_text("mug", timeout=PATIENCE)
+        expect(page.locator("#name")).to_have_text("mug")
 
 
 def test_it_says_when_the_monitor_does_not_reach_its_router(look: Look) -> None:
-    feed = FakeFeed()
-    feed.step()
-    with serving(feed, free_port()) as place:
+    feed = FakeFeed().step()
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#link")).to_have_text("live")
-        feed.jobs.linked(False, time.time())
+        feed.jobs.link_changed(False, time.time())
         expect(page.locator("#link")).to_have_text("the monitor does not reach its router")
 
 
 def test_of_workers_of_a_silent_job_it_says_since_when_nobody_tells(look: Look) -> None:
-    feed = FakeFeed()
-    feed.step(time.time() - 40)
-    feed.jobs.linked(False, time.time())
-    with serving(feed, free_port()) as place:
+    feed = FakeFeed().step(time.time() - 40)
+    feed.jobs.link_changed(False, time.time())
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#workers-words")).to_have_text(
             re.compile(r"^nobody tells of them for 0:0\d:\d\d$")
@@ -203,9 +205,8 @@ def test_of_workers_of_a_silent_job_it_says_since_when_nobody_tells(look: Look) 
 
 
 def test_a_job_that_nobody_carries_out_has_no_workers(look: Look) -> None:
-    feed = FakeFeed()
-    feed.step(time.time() - 40)
-    with serving(feed, free_port()) as place:
+    feed = FakeFeed().step(time.time() - 40)
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#workers-words")).to_have_text("nobody works: the job has no coordinator")
         expect(page.locator("#workers tbody tr")).to_have_count(0)
@@ -216,8 +217,8 @@ def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step()
-    feed.jobs.linked(False, time.time())
-    with serving(feed, free_port()) as place:
+    feed.jobs.link_changed(False, time.time())
+    with serving(feed) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#state")).to_contain_text("ended")
         expect(page.locator("#link")).to_have_text("all is over")
@@ -240,7 +241,7 @@ def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str
 @pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
 def test_words_stand_out_from_what_is_behind_them(look: Look, place: str, theme: str, phone: bool) -> None:
     page = look(f"{place}/#job=hands", color_scheme=theme, phone=phone)
-    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("hands")
     page.wait_for_function(f"() => ({CONTRAST})().length > 60")
     contrasts = page.evaluate(CONTRAST)
     assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
@@ -261,7 +262,7 @@ def test_the_switch_wins_over_the_system_and_is_remembered(look: Look, place: st
 @pytest.mark.parametrize("job", ["mug", "hands"])
 def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: str, job: str) -> None:
     page = look(f"{place}/#job={job}", phone=True)
-    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("#workers tbody tr").first).to_be_visible()
     assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
     panels = (
         "() => [...document.querySelectorAll('.panel')].map((node) => node.getBoundingClientRect().right)"
@@ -271,7 +272,7 @@ def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: 
 
 def test_whatever_can_be_used_has_a_name(look: Look, place: str) -> None:
     page = look(f"{place}/#job=hands")
-    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("#workers tbody tr").first).to_be_visible()
     assert page.evaluate(NAMELESS) == []
     assert page.evaluate("() => document.documentElement.lang") == "en"
     for only in ("h1", "main", "nav"):
@@ -280,21 +281,15 @@ def test_whatever_can_be_used_has_a_name(look: Look, place: str) -> None:
 
 def test_the_keyboard_reaches_everything_and_shows_where_it_is(look: Look, place: str) -> None:
     page = look(f"{place}/#job=hands")
-    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("#workers tbody tr").first).to_be_visible()
     page.keyboard.press("Tab")
     assert page.evaluate("() => document.activeElement.id") == "skip"
-    reached = set()
-    for _ in range(60):
-        page.keyboard.press("Tab")
-        seen, outline = page.evaluate(FOCUSED)
-        reached.add(seen)
-        assert seen in (None, "body") or outline != "none", f"where the focus is cannot be seen: {seen}"
-    assert {"theme", "jobs", "runs", "scene", "workers", "events"} <= reached
+    assert {"theme", "jobs", "runs", "scene", "workers", "events"} <= reached_by_keys(page, 60)
 
 
 def test_the_skip_link_leads_to_the_job_and_keeps_the_choice(look: Look, place: str) -> None:
     page = look(f"{place}/#job=hands")
-    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    expect(page.locator("#name")).to_have_text("hands")
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     assert page.evaluate("() => document.activeElement.id") == "main"
@@ -302,12 +297,50 @@ def test_the_skip_link_leads_to_the_job_and_keeps_the_choice(look: Look, place: 
 
 
 def test_the_token_opens_the_page_and_leaves_the_address(look: Look) -> None:
-    feed = FakeFeed()
-    feed.step()
-    with serving(feed, free_port(), "a-token-of-some-length") as place:
+    feed = FakeFeed().step()
+    with serving(feed, 0, "a-token-of-some-length") as place:
         page = look(place)
         page.get_by_label("Token").fill("a-token-of-some-length")
         page.keyboard.press("Enter")
-        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        expect(page.locator("#link")).to_have_text("live")
         assert page.url == f"{place}/"
         page.context.close()
+
+
+OVER = run("over", evaluations=1000, cells=100, finished="its budget is spent")
+
+
+class Recorded(FakeLibrary):
+    """A library that knows how the run `over` of `mugs` grew: all its cells came at once."""
+
+    def runs(self, job: str) -> bytes:
+        known = {name: getattr(OVER, name) for name in RunListing.__struct_fields__}
+        return to_json(RunListings(runs=[RunListing(**known)]))
+
+    def scene(self, job: str, run: str) -> bytes:
+        return super().scene(job, "mug")
+
+    def curve(self, job: str, run: str) -> bytes:
+        grown = curve(run, *range(100, 1001, 100))
+        points = [replace(point, cells=100) for point in grown.points]
+        return to_json(replace(grown, points=points))
+
+
+def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: Any) -> None:
+    feed = FakeFeed()
+    feed.jobs.receive_answers(values(), time.time())
+    with serving(feed, library=Recorded()) as place:
+        visit = browser.Visit(chromium, f"{place}/#job=mugs&run=over")
+        over, legend = visit.page.locator("#cells .u-over"), visit.page.locator("#cells-legend dd")
+        over.wait_for()
+        box, nudges = over.bounding_box(), count()
+        assert box is not None
+        until(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
+        visit.context.close()
+        assert visit.complaints == []
+
+
+def under(page: Any, legend: Any, x: float) -> str:
+    """What the legend says of the cells where the cursor is."""
+    page.mouse.move(x, page.locator("#cells .u-over").bounding_box()["y"] + 9)
+    return str(legend.inner_text())

@@ -3,19 +3,30 @@
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests import browser
-from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
-from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
+from tests.browser import expect
+from tests.common import PATIENCE
+from tests.coordinator.monitor.web.conftest import (
+    BUDGET,
+    STEP,
+    FakeFeed,
+    HandMadeRecords,
+    finds,
+    random_finds,
+    serving,
+)
 from tests.coordinator.scenes import made_scene
 
+from qdgrasp_assets.scene import Scene, Synergy
 from qdgrasp_coordinator.monitor.records import JournalId
-from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_protocol.rows import Outcome
 
 pytestmark = browser.needed
 FEW = finds(
@@ -34,28 +45,28 @@ ALONE = """async () => {
   stage.append(canvas);
   Object.assign(stage.style, { position: "relative", width: "600px", height: "500px" });
   Object.assign(canvas.style, { position: "absolute", width: "600px", height: "500px" });
-  const { SceneView } = await import("/static/scene.js");
+  const { SceneView } = await import("/static/scene/scene_view.js");
   window.view = new SceneView(canvas, "/api", "mug", "mug");
   view.onselect = (grasp) => (window.grasp = grasp);
   view.onstatus = (words) => (window.words = words);
   await view.start();
 }"""
 PLACE = """(number) => {
-  const { stage, cells } = view, place = view.cast.mark.position.clone();
-  place.fromArray(cells.cell(cells.slotOf(number))).multiplyScalar(0.01).project(stage.lens.camera);
+  const { renderer, cells } = view, place = view.objects.mark.position.clone();
+  place.fromArray(cells.cell(cells.slotOf(number))).multiplyScalar(0.01).project(renderer.projection.camera);
   const { left, top, width, height } = view.canvas.getBoundingClientRect();
   return [left + (width * (1 + place.x)) / 2, top + (height * (1 - place.y)) / 2];
 }"""
 RESTS = """() => new Promise((done) => {
   let drawn = -1, frames = 0;
   const look = () => {
-    frames = view.stage.drawn === drawn ? frames + 1 : 0;
-    drawn = view.stage.drawn;
+    frames = view.renderer.drawn === drawn ? frames + 1 : 0;
+    drawn = view.renderer.drawn;
     frames < 40 ? requestAnimationFrame(look) : done(drawn);
   };
   look();
 })"""
-STAND = """(are) => view.cast.hand.visible === are && view.cast.mark.visible === are"""
+STAND = """(are) => view.objects.hand.visible === are && view.objects.mark.visible === are"""
 """Whether the hand, and the mark at its cell, are there."""
 CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
   (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
@@ -69,12 +80,17 @@ def records() -> HandMadeRecords:
     return made
 
 
+@contextmanager
+def serving_records(records: HandMadeRecords) -> Iterator[str]:
+    feed = FakeFeed().step(time.time() + PATIENCE)  # it stays live however slow the browser is
+    with serving(feed, library=RunCaches(records)) as address:
+        yield f"{address}/#job=mug"
+
+
 @pytest.fixture
 def place(records: HandMadeRecords) -> Iterator[str]:
-    feed = FakeFeed()
-    feed.step()
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
-        yield f"{address}/#job=mug"
+    with serving_records(records) as found:
+        yield found
 
 
 @pytest.fixture
@@ -97,12 +113,6 @@ def visited(chromium: Any, place: str, **looks: Any) -> Iterator[Page]:
     assert [words for words in visit.complaints if not (BARE in place and FAVICON in words)] == []
 
 
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
-
-
 def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
     expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     expect(page.locator("#scene-key li b")).to_have_text(["1", "1", "2"])
@@ -119,7 +129,7 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step(time.time() - 40)
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
+    with serving(feed, library=RunCaches(records)) as address:
         for page in visited(chromium, f"{address}/#job=mug"):
             expect(page.locator("#state")).to_contain_text("ended")
             expect(page.locator("#scene-words")).to_have_text(
@@ -130,10 +140,10 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
 def test_another_job_of_the_same_name_is_shown_with_its_own_object(
     alone: Page, records: HandMadeRecords
 ) -> None:
-    assert alone.evaluate("[view.told.gripper, view.cells.size]") == ["jaw", 4]
+    assert alone.evaluate("[view.description.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
     records.become(made_scene("claw"), JournalId("2" * 64, 2.0), many)
-    alone.wait_for_function("() => view.cast?.told.gripper === 'claw' && view.cells.size === 30")
+    alone.wait_for_function("() => view.objects?.description.gripper === 'claw' && view.cells.size === 30")
 
 
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
@@ -186,7 +196,7 @@ def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
 
 def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     alone.mouse.click(20, 20)
     alone.wait_for_function("() => window.grasp === null")
     alone.wait_for_function(STAND, arg=False)
@@ -194,10 +204,10 @@ def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
 
 def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     told = alone.evaluate("grasp.links")
     stands = alone.evaluate(
-        "() => { view.stage.things.updateMatrixWorld(); return view.cast.hand.children.map("
+        "() => { view.renderer.scene.updateMatrixWorld(); return view.objects.hand.children.map("
         "(link) => link.matrixWorld.clone().transpose().toArray()) }"
     )
     assert np.allclose(stands, list(told.values()), atol=1e-9)
@@ -231,12 +241,12 @@ def test_nothing_is_drawn_while_nothing_changes(alone: Page) -> None:
 
 
 def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
-    alone.evaluate("window.card = view.stage.renderer.getContext().getExtension('WEBGL_lose_context')")
+    alone.evaluate("window.card = view.renderer.webgl.getContext().getExtension('WEBGL_lose_context')")
     alone.evaluate("card.loseContext()")
     alone.wait_for_function("() => window.words.startsWith('The graphics were lost')")
-    drawn = alone.evaluate("view.stage.drawn")
+    drawn = alone.evaluate("view.renderer.drawn")
     alone.evaluate("card.restoreContext()")
-    alone.wait_for_function("(drawn) => view.stage.drawn > drawn", arg=drawn)
+    alone.wait_for_function("(drawn) => view.renderer.drawn > drawn", arg=drawn)
     alone.mouse.click(*alone.evaluate(PLACE, 9))
     alone.wait_for_function("() => window.grasp")
     assert alone.evaluate("grasp.number") == 9
@@ -244,11 +254,11 @@ def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
 
 def test_a_view_that_was_stopped_holds_nothing(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     alone.evaluate(RESTS)
-    assert alone.evaluate("view.stage.renderer.info.memory.geometries") > 0
+    assert alone.evaluate("view.renderer.webgl.info.memory.geometries") > 0
     alone.evaluate("view.stop()")
-    assert alone.evaluate("view.stage.renderer.info.memory.geometries") == 0
+    assert alone.evaluate("view.renderer.webgl.info.memory.geometries") == 0
     assert alone.evaluate("document.querySelectorAll('.scene-axes').length") == 0
 
 
@@ -257,13 +267,13 @@ def test_where_motion_is_unwelcome_new_cells_do_not_flash(chromium: Any, place: 
         page.evaluate(ALONE)
         records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
         page.wait_for_function("() => window.words === '5 cells of 1 cm'")
-        assert not page.evaluate("view.cast.voxels.glows(performance.now() / 1000)")
+        assert not page.evaluate("view.objects.voxels.glows(performance.now() / 1000)")
 
 
 def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> None:
     state = (
-        "[...view.stage.lens.camera.position.toArray(), view.stage.lens.scale, "
-        "...view.stage.controls.target.toArray()]"
+        "[...view.renderer.projection.camera.position.toArray(), view.renderer.projection.scale, "
+        "...view.renderer.controls.target.toArray()]"
     )
     first = alone.evaluate(state)
     alone.locator("canvas").focus()
@@ -279,7 +289,7 @@ def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> N
 
 
 def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
-    scale = "view.stage.lens.scale"
+    scale = "view.renderer.projection.scale"
     alone.locator("canvas").focus()
     first = alone.evaluate(scale)
     alone.keyboard.press("+")
@@ -292,11 +302,11 @@ def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
 def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
     finest, coarsest, again = alone.evaluate(
         """async () => {
-          const { Pace } = await import("/static/scene/pace.js");
-          const pace = new Pace(), levels = [pace.level];
+          const { RenderQuality } = await import("/static/scene/renderer.js");
+          const quality = new RenderQuality(), levels = [quality.level];
           for (const ms of [90, 8]) {
-            for (let frame = 0; frame < 40; frame++) pace.took(ms);
-            levels.push(pace.level);
+            for (let frame = 0; frame < 40; frame++) quality.addFrame(ms);
+            levels.push(quality.level);
           }
           return levels;
         }"""
@@ -310,7 +320,7 @@ def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
     alone.evaluate("view.stop()")
     alone.evaluate(
         """async () => {
-          const { SceneView } = await import("/static/scene.js");
+          const { SceneView } = await import("/static/scene/scene_view.js");
           window.view = new SceneView(document.querySelector("canvas"), "/api", "mug", "mug");
           view.onselect = (grasp) => (window.grasp = grasp);
           await view.start();
@@ -324,3 +334,179 @@ def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
 def _words(records: HandMadeRecords) -> str:
     """What the view says when it has them all."""
     return f"{len(np.unique(records.found['descriptor'], axis=0))} cells of 1 cm"
+
+
+pytestmark = browser.needed
+SCORED_NUMBERS = [2, 3, 5, 8, 9, 12]
+SCORED = finds(
+    SCORED_NUMBERS,
+    [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3), (0, 9, -4)],
+    [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED],
+    synergies=[0, 1, 1, 0, 0, 1],
+    etas=[0.9, 0.1, 0.5, 0.4, 0.7, 0.0],
+)
+Page = Any
+
+
+def robust_scene() -> Scene:
+    scene = made_scene()
+    named = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
+    return replace(scene, protocol="robust", gripper=replace(scene.gripper, synergies=named))
+
+
+@pytest.fixture
+def scored() -> HandMadeRecords:
+    made = HandMadeRecords(robust_scene(), run="mug")
+    made.record(SCORED)
+    return made
+
+
+@pytest.fixture
+def filtered(chromium: Any, scored: HandMadeRecords) -> Iterator[Page]:
+    with serving_records(scored) as found:
+        for page in visited(chromium, found):
+            expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+            page.locator("#scene-filters summary").click()
+            yield page
+
+
+def slide(filtered: Page, name: str, to: float) -> None:
+    """Move a handle, as the arrow keys would."""
+    filtered.get_by_label(name).evaluate(
+        "(node, to) => { node.value = to; node.dispatchEvent(new Event('input', { bubbles: true })); }", to
+    )
+
+
+def kinds(filtered: Page) -> Any:
+    """What is expected of the numbers of cells that show each kind, from worst to best."""
+    return expect(filtered.locator("#scene-key li b"))
+
+
+def test_of_each_cell_the_best_grasp_is_shown_at_first(filtered: Page) -> None:
+    kinds(filtered).to_have_text(["1", "1", "3"])
+
+
+def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    kinds(filtered).to_have_text(["2", "0", "1"])
+    filtered.get_by_label("Synergy").select_option("any")
+    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+
+
+def test_a_kind_that_is_left_out_uncovers_what_else_is_in_its_cells(filtered: Page) -> None:
+    filtered.get_by_role("button", name="both survived").click()
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    kinds(filtered).to_have_text(["2", "1", "\N{EN DASH}"])
+
+
+def test_only_grasps_with_the_least_eta_are_shown(filtered: Page) -> None:
+    slide(filtered, "eta at least", 0.5)
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 1 in use")
+    slide(filtered, "eta at least", 0.75)
+    expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+
+
+def test_a_box_shows_what_is_in_it(filtered: Page) -> None:
+    slide(filtered, "y lowest", 1)
+    expect(filtered.locator("#scene-words")).to_have_text("2 of 5 cells of 1 cm")
+    slide(filtered, "z highest", 0)
+    expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+    expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 2 in use")
+
+
+def test_one_handle_takes_the_other_along_rather_than_go_beyond_it(filtered: Page) -> None:
+    slide(filtered, "x highest", -3)
+    slide(filtered, "x lowest", 5)
+    has_values(filtered, "5", "5")
+    expect(filtered.locator("#scene-words")).to_have_text("0 of 5 cells of 1 cm")
+
+
+def test_two_handles_in_one_place_are_drawn_either_way(filtered: Page) -> None:
+    for name in ("x lowest", "x highest"):
+        slide(filtered, name, 0)
+    drag(filtered, "x highest", -4)
+    has_values(filtered, "-4", "-4")
+    drag(filtered, "x highest", 6)
+    has_values(filtered, "-4", "6")
+
+
+def drag(filtered: Page, name: str, to: float) -> None:
+    """Draw a handle of the axis, from -9 to 9, with the mouse."""
+    handle = filtered.get_by_label(name)
+    handle.scroll_into_view_if_needed()
+    place = handle.bounding_box()
+    height = place["y"] + place["height"] / 2
+    at = [
+        place["x"] + 8 + (value + 9) / 18 * (place["width"] - 16) for value in (int(handle.input_value()), to)
+    ]
+    filtered.mouse.move(at[0], height)
+    filtered.mouse.down()
+    filtered.mouse.move(at[1], height, steps=4)
+    filtered.mouse.up()
+
+
+def has_values(filtered: Page, lowest: str, highest: str) -> None:
+    """Wait until the handles of x are there."""
+    expect(filtered.get_by_label("x lowest")).to_have_value(lowest)
+    expect(filtered.get_by_label("x highest")).to_have_value(highest)
+
+
+def test_show_all_takes_every_filter_back(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("pinch")
+    slide(filtered, "x lowest", 0)
+    slide(filtered, "eta at least", 0.3)
+    filtered.get_by_role("button", name="Show all").click()
+    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+    expect(filtered.get_by_label("Synergy")).to_have_value("")
+    expect(filtered.get_by_label("x lowest")).to_have_value("-9")
+    expect(filtered.get_by_role("button", name="Show all")).to_be_disabled()
+
+
+def test_the_next_grasp_is_among_those_that_are_shown_the_best_first(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    for number, synergy in ((5, "power"), (3, "power"), (12, "power"), (5, "power")):
+        filtered.locator("#scene").press("n")
+        expect(filtered.locator("#grasp h4")).to_have_text(f"Grasp {number}")
+        expect(filtered.locator("#grasp")).to_contain_text(synergy)
+
+
+def test_what_is_found_while_one_looks_passes_the_filters_too(
+    filtered: Page, scored: HandMadeRecords
+) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    more = finds([20, 21], [(9, 9, 9), (8, 8, 8)], [Outcome.HELD] * 2, synergies=[0, 1], etas=[0.2, 0.2])
+    scored.record(more)
+    expect(filtered.locator("#scene-words")).to_have_text("4 of 7 cells of 1 cm")
+    expect(filtered.get_by_label("y highest")).to_have_attribute("max", "9")
+    expect(filtered.get_by_label("z highest")).to_have_value("9")
+
+
+def test_the_card_says_which_frame_is_meant(filtered: Page) -> None:
+    filtered.locator("#scene").press("n")
+    card = filtered.locator("#grasp")
+    expect(card.locator("h5")).to_have_text("Pose of palm")
+    expect(card).to_contain_text("From the centre of mass [mm]0.0, -90.0, 30.0")
+    expect(card).to_contain_text("eta0.900")
+    names = filtered.locator(".scene-frames .name")
+    expect(names).to_have_text(["object (centre of mass)", "hand (palm)"])
+
+
+def test_frames_may_be_left_out(filtered: Page) -> None:
+    filtered.locator("#scene").press("n")
+    expect(filtered.locator(".scene-frames")).to_be_visible()
+    filtered.locator("#scene").press("f")
+    expect(filtered.locator(".scene-frames")).to_be_hidden()
+    expect(filtered.get_by_role("button", name="Draw the frames")).to_have_attribute("aria-pressed", "false")
+
+
+def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> None:
+    records = HandMadeRecords(made_scene(), run="mug")
+    records.record(SCORED)
+    with serving_records(records) as found:
+        for page in visited(chromium, found):
+            page.locator("#scene-filters summary").click()
+            expect(page.get_by_label("x lowest")).to_be_visible()
+            expect(page.get_by_label("Synergy")).to_be_hidden()
+            expect(page.get_by_label("eta at least")).to_be_hidden()

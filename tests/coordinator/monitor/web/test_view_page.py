@@ -6,17 +6,16 @@ from typing import Any
 
 import pytest
 from tests import browser
-from tests.browser import PHONE
-from tests.coordinator.monitor.web.conftest import free_port, serving_site
-from tests.coordinator.monitor.web.test_page import CONTRAST, FOCUSED, NAMELESS
-from tests.coordinator.monitor.web.test_scene import expect
+from tests.browser import PHONE, expect
+from tests.coordinator.monitor.web.conftest import serving_site
+from tests.coordinator.monitor.web.test_page import CONTRAST, NAMELESS, reached_by_keys
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.counts.tally import successes
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.monitor.collection import Collection
-from qdgrasp_coordinator.monitor.web.folder_site import FolderSite
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.monitor.records import FolderIndex
+from qdgrasp_coordinator.monitor.web.routes import folder_site
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 
 pytestmark = browser.needed
 ROWS = random_rows(60, reach=0.3)
@@ -33,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[RunFolder]:
 @pytest.fixture(scope="module")
 def place(runs: list[RunFolder]) -> Iterator[str]:
     """Two runs."""
-    with serving_site(FolderSite(Collection([runs[0].path.parent])), free_port()) as address:
+    with serving_site(folder_site(FolderIndex([runs[0].path.parent]))) as address:
         yield address
 
 
@@ -77,7 +76,7 @@ def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(
 
 
 def test_a_run_alone_needs_no_list(look: Look, runs: list[RunFolder]) -> None:
-    with serving_site(FolderSite(Collection([runs[0].path])), free_port()) as address:
+    with serving_site(folder_site(FolderIndex([runs[0].path]))) as address:
         page = look(address)
         expect(page.get_by_role("navigation")).to_be_hidden()
         expect(page.locator("#name")).to_have_text("bowl")
@@ -90,14 +89,14 @@ def test_of_many_runs_some_are_found_by_parts_of_their_names(
     for name in names:
         RunFolder.create(tmp_path / name, runs[0].spec, runs[0].bundle())
     paths = [runs[0].path, *(tmp_path / name for name in names)]
-    with serving_site(FolderSite(Collection(paths)), free_port()) as address:
+    with serving_site(folder_site(FolderIndex(paths))) as address:
         page = look(address)
         page.get_by_label("Find a run").fill("mug s3")
         expect(page.locator("#shelf a:visible")).to_have_text(["panda-mug-s3"])
 
 
 def test_it_says_when_its_server_has_ended(chromium: Any, runs: list[RunFolder]) -> None:
-    with serving_site(FolderSite(Collection([runs[0].path])), free_port()) as address:
+    with serving_site(folder_site(FolderIndex([runs[0].path]))) as address:
         visit = browser.Visit(chromium, address)
         expect(visit.page.locator("#scene-words")).to_have_text(CELLS)
     expect(visit.page.locator("#scene-words")).to_contain_text("Nobody answers: the page's server has ended")
@@ -124,13 +123,7 @@ def test_words_stand_out_and_nothing_is_wider_than_the_window(
 def test_whatever_can_be_used_has_a_name_and_is_reached_by_keys(look: Look, place: str) -> None:
     page = look(place)
     assert page.evaluate(NAMELESS) == []
-    reached = set()
-    for _ in range(40):
-        page.keyboard.press("Tab")
-        seen, outline = page.evaluate(FOCUSED)
-        reached.add(seen)
-        assert seen in (None, "body") or outline != "none", f"where the focus is cannot be seen: {seen}"
-    assert {"skip", "theme", "shelf", "scene", "scene-key", "scene-filters"} <= reached
+    assert {"skip", "theme", "shelf", "scene", "scene-key", "scene-filters"} <= reached_by_keys(page, 40)
 
 
 def test_all_of_it_fits_a_desk_s_window(look: Look, place: str) -> None:

@@ -1,53 +1,48 @@
-// The page: what the stream tells is shown by panels, each of which knows one thing about the chosen job.
+// The monitor's page: each state of the stream is shown by panels, one for each part of the selected job.
 
-import { Choice } from "./choice.js";
-import { Curves } from "./curves.js";
-import { say } from "./element.js";
-import { Entries } from "./entries.js";
-import { Events } from "./events.js";
-import { Grasps } from "./grasps.js";
-import { JobList } from "./joblist.js";
-import { Link } from "./link.js";
-import { Outcomes } from "./outcomes.js";
-import { OVER, settled } from "./over.js";
-import { Runs } from "./runs.js";
-import "./skip.js";
-import { Stream } from "./stream.js";
-import { Summary } from "./summary.js";
-import { Workers } from "./workers.js";
+import { CurvePanels } from "./charts.js";
+import { ConnectionStatus, StateStream } from "./connection.js";
+import { setText } from "./dom.js";
+import { GraspPanel } from "./grasp_panel.js";
+import { OVER, Selection, withEndedState } from "./job_state.js";
+import { OutcomePanel, SummaryPanel } from "./job_summary.js";
+import { EventPanel, JobList, RunPanel, WorkerPanel } from "./lists.js";
+import { RecordedRuns } from "./run_queries.js";
 
 const API = "api";
 const find = (id) => document.getElementById(id);
-const choice = new Choice(show);
-const entries = new Entries(API, show);
+const selection = new Selection(show);
+const recorded = new RecordedRuns(API, show);
 const list = new JobList(find("jobs"));
-const panels = [Summary, Runs, Curves, Outcomes, Workers, Events, Grasps].map((Panel) => new Panel(find, API));
-const link = new Link(find("link"));
+const panels = [SummaryPanel, RunPanel, CurvePanels, OutcomePanel, WorkerPanel, EventPanel, GraspPanel].map(
+  (Panel) => new Panel(find, API),
+);
+const connection = new ConnectionStatus(find("link"));
 let state = null;
 
-/** The chosen job; the first that goes on where none is chosen. */
-function chosen(jobs) {
-  if (choice.job) return jobs.find(({ job }) => job === choice.job);
+/** The selected job; the first that goes on where none is selected. */
+function selected(jobs) {
+  if (selection.job) return jobs.find(({ job }) => job === selection.job);
   return jobs.find((each) => !OVER.includes(each.state)) ?? jobs[0];
 }
 
 function show() {
   if (!state) return;
-  const told = chosen(state.jobs);
-  const job = told && { ...told, runs: entries.of(told) };
-  const run = job?.runs.find((each) => each.run === choice.run) ?? null;
+  const shown = selected(state.jobs);
+  const job = shown && { ...shown, runs: recorded.of(shown) };
+  const run = job?.runs.find((each) => each.run === selection.run) ?? null;
   list.show(state.jobs, job?.job);
-  say(find("strangers"), state.strangers.length ? `Of another version, and not shown: ${state.strangers.join(", ")}` : "");
+  setText(find("strangers"), state.strangers.length ? `Of another version, and not shown: ${state.strangers.join(", ")}` : "");
   find("empty").hidden = Boolean(job);
   find("chosen").hidden = !job;
-  say(find("empty").querySelector("h2"), choice.job ? `Nothing is heard of the job ${choice.job}` : "No job yet");
+  setText(find("empty").querySelector("h2"), selection.job ? `Nothing is heard of the job ${selection.job}` : "No job yet");
   document.title = job ? `${job.job}, ${job.state} – qdgrasp` : "qdgrasp monitor";
   if (job) for (const panel of panels) panel.show(job, run, state.at);
 }
 
-function heard(told) {
-  state = { ...told, jobs: told.jobs.map(settled) };
+function receive(news) {
+  state = { ...news, jobs: news.jobs.map(withEndedState) };
   show();
 }
 
-new Stream(`${API}/stream`, heard, (lost) => link.show(lost, state));
+new StateStream(`${API}/stream`, receive, (lost) => connection.show(lost, state));

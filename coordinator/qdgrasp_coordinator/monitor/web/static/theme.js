@@ -5,7 +5,7 @@
   const root = document.documentElement;
   const system = matchMedia("(prefers-color-scheme: dark)");
 
-  function kept() {
+  function stored() {
     try {
       const name = localStorage.getItem("theme");
       return ORDER.includes(name) ? name : "auto";
@@ -14,35 +14,35 @@
     }
   }
 
-  function keep(name) {
+  function store(name) {
     try {
       localStorage.setItem("theme", name);
     } catch {
-      // a browser that keeps nothing shows it for now
+      // without storage the choice lasts until the page is closed
     }
   }
 
-  function wear(name) {
+  function apply(name) {
     if (name === "auto") delete root.dataset.theme;
     else root.dataset.theme = name;
     document.dispatchEvent(new Event("themechange"));
   }
 
-  let name = kept();
-  wear(name);
-  system.addEventListener("change", () => wear(name));
+  let name = stored();
+  apply(name);
+  system.addEventListener("change", () => apply(name));
   document.addEventListener("DOMContentLoaded", () => {
     const button = document.getElementById("theme");
-    const say = () => {
+    const label = () => {
       button.textContent = name[0].toUpperCase() + name.slice(1);
       button.setAttribute("aria-label", `Colours: ${NAMES[name]}`);
     };
     button.addEventListener("click", () => {
       name = ORDER[(ORDER.indexOf(name) + 1) % ORDER.length];
-      keep(name);
-      wear(name);
-      say();
+      store(name);
+      apply(name);
+      label();
     });
-    say();
+    label();
   });
 })();

@@ -1,10 +1,49 @@
-// Cells: what was found in each, the best of every kind and synergy, and the best of that which a filter lets pass.
+// The best grasp of every kind and synergy in each cell, and the best of those that the filter lets pass.
 
-import { Filter } from "./filter.js";
+export const ANY = null;
+
+/** The filter of grasps: each cell shows the best of its grasps that pass. */
+export class CellFilter {
+  /** @param kinds how many kinds of grasps there are */
+  constructor(kinds) {
+    /** A flag for each kind: whether it is shown. */
+    this.kinds = Array(kinds).fill(true);
+    /** The least eta; 0 lets pass what has none, too. */
+    this.eta = 0;
+    /** The synergy by its place in the gripper; `ANY`: all. */
+    this.synergy = ANY;
+    /** The box of cells that are shown, both ends in it. */
+    this.low = [-Infinity, -Infinity, -Infinity];
+    this.high = [Infinity, Infinity, Infinity];
+  }
+
+  /** Whether a grasp is shown. */
+  passes(kind, eta, synergy) {
+    return this.kinds[kind] && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy);
+  }
+
+  /** Whether a cell is in the box. */
+  holds(x, y, z) {
+    const { low, high } = this;
+    return x >= low[0] && x <= high[0] && y >= low[1] && y <= high[1] && z >= low[2] && z <= high[2];
+  }
+
+  /** Whether there are cells that are not in the box. */
+  get isBoxed() {
+    return this.low.some(Number.isFinite) || this.high.some(Number.isFinite);
+  }
+
+  /** The number of criteria in use, the kinds apart. */
+  get narrowed() {
+    const sides = [0, 1, 2].filter((axis) => Number.isFinite(this.low[axis]) || Number.isFinite(this.high[axis]));
+    return Number(this.eta > 0) + Number(this.synergy !== ANY) + sides.length;
+  }
+}
 
 const FIRST = 4096; // cells that there is room for at first
 const NONE = -1;
 
+/** The successes of a run by cell, and the one that each cell shows. */
 export class Cells {
   #slots = new Map(); // of cells
   #firsts = new Int32Array(0); // the first grasp in each slot
@@ -19,7 +58,7 @@ export class Cells {
   /** @param kinds the scene's kinds of success, from worst to best */
   constructor(kinds) {
     this.worst = kinds[0].outcome;
-    this.filter = new Filter(kinds.length);
+    this.filter = new CellFilter(kinds.length);
     /** Of each slot its cell, and the kind that is shown there; -1 where nothing is. */
     this.places = new Int16Array(0);
     /** How many cells show each kind. */
@@ -40,7 +79,7 @@ export class Cells {
     return this.counts.reduce((sum, count) => sum + count, 0);
   }
 
-  /** Take a page in; gives the slots, in order, that show another grasp now. */
+  /** Add a page of successes; gives the slots, in order, that show another grasp now. */
   update({ n, numbers, etas, cells, synergies, outcomes }) {
     const changed = new Set();
     if (this.size + n > this.#firsts.length) this.#makeRoom(room(this.size + n));
@@ -54,7 +93,7 @@ export class Cells {
   }
 
   /** Choose again what is shown in each cell: the filter is another. */
-  sift() {
+  applyFilter() {
     for (let slot = 0; slot < this.size; slot++) this.#choose(slot);
   }
 
@@ -107,7 +146,7 @@ export class Cells {
     return kind !== before || this.number(slot) !== number;
   }
 
-  /** Have this grasp be that of its slot, kind and synergy. */
+  /** Set the grasp of a slot, kind and synergy. */
   #put(slot, kind, synergy, number, eta) {
     let grasp = this.#firsts[slot];
     while (grasp !== NONE && (this.#kinds[grasp] !== kind || this.#synergies[grasp] !== synergy)) grasp = this.#nexts[grasp];

@@ -4,8 +4,7 @@
 import {
   BufferAttribute, BufferGeometry, DynamicDrawUsage, GLSL3, Matrix4, Points, RawShaderMaterial, Vector3, Vector4,
 } from "../vendor/three/three.module.min.js";
-import { FRAGMENT, GLOW, NAMED_FRAGMENT, NAMED_VERTEX, VERTEX } from "./shaders.js";
-import { raw } from "./solid.js";
+import { drawnColour } from "./meshes.js";
 
 export const CELL = 0.01; // m
 const EDGE = 0.0078; // m: less than a cell, so that voxels stay apart
@@ -21,8 +20,8 @@ export class Voxels extends Points {
   #uniforms = {
     seen: { value: new Matrix4() }, sideways: { value: new Vector4() }, onward: { value: new Vector4() },
     cut: { value: 0 }, size: { value: 1 }, now: { value: 0 },
-    colours: { value: [] }, flash: { value: raw("#ffffff") },
-    paper: { value: raw("#ffffff") }, faded: { value: 0 },
+    colours: { value: [] }, flash: { value: drawnColour("#ffffff") },
+    paper: { value: drawnColour("#ffffff") }, faded: { value: 0 },
     across: { value: new Vector3() }, down: { value: new Vector3() }, enter: { value: new Vector3() },
     thick: { value: new Vector3() }, light: { value: new Vector3() },
   };
@@ -39,7 +38,7 @@ export class Voxels extends Points {
     this.frustumCulled = false;
     this.renderOrder = 1;
     this.middle = new Vector3(...middle);
-    this.#uniforms.colours.value = kinds.map(({ colour }) => raw(colour));
+    this.#uniforms.colours.value = kinds.map(({ colour }) => drawnColour(colour));
     this.fine = this.#material(VERTEX, FRAGMENT);
     this.plain = this.#material(VERTEX, FRAGMENT, { PLAIN: 1 });
     this.named = this.#material(NAMED_VERTEX, NAMED_FRAGMENT);
@@ -56,7 +55,7 @@ export class Voxels extends Points {
     if (now !== null) this.#newest = now;
   }
 
-  /** Show all anew. */
+  /** Send all voxels to the graphics card anew. */
   renew() {
     this.#renewed = true;
     for (const attribute of this.#attributes) {
@@ -80,7 +79,7 @@ export class Voxels extends Points {
     return this.#most;
   }
 
-  /** Whether those toward the viewer's right are left out, so that one sees inside. */
+  /** Whether those toward the viewer's right are left out, which shows the inside. */
   set cut(value) {
     this.#uniforms.cut.value = Number(value);
   }
@@ -89,17 +88,17 @@ export class Voxels extends Points {
     return Boolean(this.#uniforms.cut.value);
   }
 
-  /** Whether they are small and pale and behind everything, to let one see what stands among them. */
+  /** Whether they are small and pale and behind everything, so that the hand among them can be seen. */
   set small(value) {
     this.renderOrder = value ? BEHIND : 1;
     this.#edge = value ? DOT : EDGE;
     this.#uniforms.faded.value = value ? FADED : 0;
   }
 
-  /** Look so when new, and fade into this paper. */
-  wear(flash, paper) {
-    this.#uniforms.flash.value = raw(flash);
-    this.#uniforms.paper.value = raw(paper);
+  /** Set the colour of new voxels, and the one that faded voxels are mixed with. */
+  recolour(flash, paper) {
+    this.#uniforms.flash.value = drawnColour(flash);
+    this.#uniforms.paper.value = drawnColour(paper);
   }
 
   /** Make ready to be drawn along these axes, with so many drawn pixels in a metre; gives the size of each [px].
@@ -147,7 +146,7 @@ export class Voxels extends Points {
     return new RawShaderMaterial({ glslVersion: GLSL3, uniforms: this.#uniforms, vertexShader, fragmentShader, defines });
   }
 
-  /** Have these slots, in order, sent to the graphics card, those close to each other together. */
+  /** Send these slots, in order, to the graphics card, those close to each other in one piece. */
   #send(slots) {
     if (this.#renewed) return; // all of them are sent anyway
     let first = slots[0], last = slots[0];
@@ -167,7 +166,7 @@ export class Voxels extends Points {
     return Object.values(this.geometry.attributes);
   }
 
-  /** Have room for all cells. */
+  /** Make room for all cells. */
   #fit() {
     const { places } = this.cells;
     if (this.geometry.attributes.position?.array === places) return;
@@ -187,3 +186,67 @@ function lit(k, toward, right, up) {
   const seen = side * (-0.4 * right[k] + 0.62 * up[k] + 0.68 * toward[k]);
   return 0.62 + 0.42 * Math.max(0, seen);
 }
+
+const GLOW = 1.2; // s: how long a new one shows that it is new
+
+// Cells become places on the screen by one matrix; what lies behind both planes is left out.
+const PLACE = `
+in vec4 position;
+uniform mat4 seen;
+uniform vec4 sideways, onward;
+uniform float size, cut;
+float place(vec4 cell) {
+  float near = dot(cell, onward);
+  bool open = cut > 0.5 && near > 0.0 && dot(cell, sideways) > 0.0;
+  gl_PointSize = size;
+  gl_Position = position.w > -0.5 && !open ? seen * cell : vec4(2.0);
+  return near;
+}`;
+
+const VERTEX = `
+in float born;
+uniform vec3 colours[3], flash, paper;
+uniform float now, faded;
+flat out vec3 colour;
+${PLACE}
+void main() {
+  float near = place(vec4(position.xyz, 1.0)), kind = position.w;
+  colour = kind < 0.5 ? colours[0] : kind < 1.5 ? colours[1] : colours[2];
+#ifndef PLAIN
+  colour = mix(colour, flash, 0.85 * clamp(1.0 - (now - born) / ${GLOW.toFixed(1)}, 0.0, 1.0));
+#endif
+  colour = mix(colour * clamp(0.9 + 0.14 * near, 0.72, 1.06), paper, faded);
+}`;
+
+// The ray through a pixel enters the cube where the last of its three slabs is entered, if none was left before.
+const FRAGMENT = `
+precision highp float;
+uniform vec3 across, down, enter, thick, light;
+flat in vec3 colour;
+out vec4 painted;
+void main() {
+#ifdef PLAIN
+  painted = vec4(colour * light.x, 1.0);
+#else
+  vec2 p = gl_PointCoord - 0.5;
+  vec3 near = p.x * across + p.y * down + enter, far = near + thick;
+  float hit = max(max(near.x, near.y), near.z);
+  if (hit > min(min(far.x, far.y), far.z)) discard;
+  painted = vec4(colour * (hit == near.x ? light.x : hit == near.y ? light.y : light.z), 1.0);
+#endif
+}`;
+
+const NAMED_VERTEX = `
+flat out vec4 name;
+${PLACE}
+void main() {
+  place(vec4(position.xyz, 1.0));
+  int number = gl_VertexID + 1;
+  name = vec4(number & 255, (number >> 8) & 255, (number >> 16) & 255, 255) / 255.0;
+}`;
+
+const NAMED_FRAGMENT = `
+precision highp float;
+flat in vec4 name;
+out vec4 painted;
+void main() { painted = name; }`;

@@ -1,0 +1,70 @@
+"""Places of assets: the folders of the asset path, downloaded data, and the cache."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+ASSET_PATH = "QDGRASP_ASSET_PATH"
+CACHE = "QDGRASP_CACHE"
+DATA = "QDGRASP_DATA"
+NOT_THERE, A_FOLDER, SPECIAL = "does not exist", "is a folder", "is no ordinary file"
+"""Reasons why a path has no ordinary file, as the end of a sentence."""
+
+
+def named_path(name: str | Path) -> Path:
+    """Return the path that a user names, with `~` expanded where there is a home."""
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:  # the home of an unknown user
+        return Path(name)
+
+
+def path_problem(path: Path) -> str:
+    """Return why a path has no ordinary file, as the end of a sentence; empty if it has one.
+
+    A pipe is never waited for, and a device never read.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        is_absent = error.errno in (errno.ENOENT, errno.ENOTDIR)
+        return NOT_THERE if is_absent else f"cannot be looked at ({error.strerror})"
+    except ValueError:  # a name that no file can have
+        return NOT_THERE
+    if stat.S_ISREG(mode):
+        return ""
+    return A_FOLDER if stat.S_ISDIR(mode) else SPECIAL
+
+
+def asset_folders() -> tuple[Path, ...]:
+    """Return the folders that `QDGRASP_ASSET_PATH` names, separated by colons, in order."""
+    return tuple(Path(part).expanduser() for part in os.environ.get(ASSET_PATH, "").split(os.pathsep) if part)
+
+
+def on_asset_path(relative: str) -> Path | None:
+    """Return the first match of a relative name on the asset path; None if not found."""
+    return next((found for folder in asset_folders() if (found := folder / relative).exists()), None)
+
+
+def searched() -> str:
+    """Describe the asset path that was searched, for an error."""
+    value = os.environ.get(ASSET_PATH)
+    return f"{ASSET_PATH} is '{value}'" if value else f"{ASSET_PATH} is not set"
+
+
+def cache_folder() -> Path:
+    """Return the folder of derived data, deletable at any time: `QDGRASP_CACHE`, else XDG's."""
+    return _own_folder(CACHE, "XDG_CACHE_HOME", "~/.cache")
+
+
+def data_folder() -> Path:
+    """Return the folder of fetched data: `QDGRASP_DATA`, else XDG's."""
+    return _own_folder(DATA, "XDG_DATA_HOME", "~/.local/share")
+
+
+def _own_folder(variable: str, xdg: str, default: str) -> Path:
+    own = os.environ.get(variable)
+    if own:
+        return Path(own).expanduser()
+    return Path(os.environ.get(xdg) or default).expanduser() / "qdgrasp"

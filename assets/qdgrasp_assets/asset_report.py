@@ -1,0 +1,373 @@
+"""Reports on grippers and objects of one's own: all that is known before a run.
+
+An object's report comes from its mesh file, a gripper's from its TOML file and URDF, or from a URDF and the
+file that would be guessed of it. Whatever is wrong is listed in the report, in words.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from qdgrasp_assets.geometry.collision_parts import (
+    TIME_LIMIT,
+    FingerClearance,
+    Tell,
+    collision_parts,
+    ignore_progress,
+)
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
+from qdgrasp_assets.geometry.mesh_io import scale_in_words
+from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes, gap_note
+from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
+from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
+from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
+from qdgrasp_assets.grippers.gripper import Gripper
+from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, read_gripper_file, urdf_path
+from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
+from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
+from qdgrasp_assets.object_model import ObjectDraft
+from qdgrasp_assets.scene import Vector, vector
+from qdgrasp_assets.ycb import lengths_in_words
+from qdgrasp_protocol.errors import AssetError, QdgraspError
+from qdgrasp_protocol.text import counted
+
+
+class AssetReport(Struct, frozen=True, kw_only=True):
+    """Base of the results of an examination; each kind adds fields and lines."""
+
+    name: str
+    notes: tuple[str, ...] = ()
+    """Unlikely things that do not prevent its use."""
+    faults: tuple[str, ...] = ()
+    """Reasons why it cannot be used; empty where it can."""
+
+    @property
+    def table(self) -> str:
+        """All facts, one on each line."""
+        notes, faults = (("note", words) for words in self.notes), (("WRONG", words) for words in self.faults)
+        return "\n".join(f"{label:<16} {words}" for label, words in (*self._lines(), *notes, *faults))
+
+    def _lines(self) -> Iterator[tuple[str, str]]:
+        """Return the lines of the table as label and text, without notes and faults."""
+        yield "name", self.name
+
+
+WATER = 1000.0  # Density of water [kg/m3]
+LIGHTEST, HEAVIEST = 20.0, 12_000.0  # Plausible densities of an object: foam to lead [kg/m3]
+ROUNDING = 1e-9
+MANY_TRIANGLES = 100_000
+"""Triangles above which decomposition takes minutes; half as many take 14 s of one core."""
+
+
+class ConvexPartsReport(Struct, frozen=True, kw_only=True):
+    """The convex parts that stand for an object in the simulator."""
+
+    count: int
+    source: str
+    """"own hull" or "coacd"."""
+    filled: float
+    """Share of the surface in front of which they fill free space, 0 to 1."""
+    bare: float
+    """Share of the surface that is outside all of them, 0 to 1."""
+
+    @property
+    def words(self) -> str:
+        """Description in words."""
+        return (
+            f"{self.count}, {self.source}: fill the room before {100 * self.filled:.1f} % of the surface, "
+            f"leave {100 * self.bare:.1f} % of it out"
+        )
+
+
+class ObjectReport(AssetReport, frozen=True, kw_only=True):
+    """Result of the inspection of a mesh file."""
+
+    scale: float
+    """Metres to a unit of the file."""
+    extents: Vector
+    """Sides of the bounding box [m]."""
+    triangles: int
+    closed: bool
+    """True if every edge has an even number of triangles, usually two."""
+    bodies: int
+    """Number of bodies that do not touch; they are one rigid object."""
+    hollows: int = 0
+    """Number of closed spaces within bodies."""
+    volume: float | None = None
+    """[m3]; None, as in the fields below, for a mesh that cannot be used."""
+    mass: float | None = None
+    """[kg]; None: unknown."""
+    density: float | None = None
+    """[kg/m3]; None without a mass."""
+    centre_of_mass: Vector | None = None
+    """At uniform density, in the mesh file's frame [m]."""
+    inertia: tuple[Vector, Vector, Vector] | None = None
+    """About the centre of mass, uniform density, mesh axes [kg m2]; None without a mass."""
+    surface_points: int | None = None
+    """Number of surface points of an evaluation under `paper`."""
+    convex: ConvexPartsReport | None = None
+    """None also if they were not asked for."""
+    repairs: tuple[str, ...] = ()
+
+    @property
+    def facts(self) -> tuple[str, ...]:
+        """Main facts in a few words each."""
+        volume = () if self.volume is None else (f"{self.volume * 1e6:.2f} cm3",)
+        repairs = (f"repaired: {'; '.join(self.repairs)}",) if self.repairs else ()
+        return (f"{lengths_in_words(self.extents)} m", counted(self.triangles, "triangle"), *volume, *repairs)
+
+    def _lines(self) -> Iterator[tuple[str, str]]:
+        yield "object", self.name
+        unit = "" if self.scale == 1 else f" ({scale_in_words(self.scale)})"
+        yield "size", f"{lengths_in_words(self.extents)} m{unit}"
+        yield "surface", f"{counted(self.triangles, 'triangle')}, {'closed' if self.closed else 'NOT closed'}"
+        yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
+        if self.volume is not None and self.centre_of_mass is not None:
+            yield "volume", f"{self.volume * 1e6:.2f} cm3"
+            yield "mass", "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
+            centre = " ".join(f"{round(value, 4) + 0.0:.4f}" for value in self.centre_of_mass)
+            yield "centre of mass", f"{centre} m, frame of the mesh file"
+            words = " kg m2, about the centre of mass, solid throughout"
+            for turn, row in enumerate(self.inertia or ()):
+                numbers = " ".join(f"{value:10.3e}" for value in row)
+                yield ("", numbers) if turn else ("inertia", numbers + words)
+            yield "surface points", f"{self.surface_points}"
+            yield "convex parts", self.convex.words if self.convex else "not looked for"
+        repairs = self.repairs or (() if self.faults else ("nothing had to be",))
+        yield from (("repaired", words) for words in repairs)
+
+
+def inspect_object(
+    draft: ObjectDraft,
+    name: str,
+    *,
+    scale: float | None = None,
+    mass: float | None = None,
+    glued: bool = False,
+    parts: bool = True,
+    time_limit: float = TIME_LIMIT,
+    tell: Tell = ignore_progress,
+) -> ObjectReport:
+    """Inspect a mesh file before a run is made of it.
+
+    `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
+    unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
+    parts are found, which takes minutes where they are not kept already; `time_limit` [s] and `tell` are for
+    that.
+    """
+    mesh, volumes = draft.mesh, body_volumes(draft.mesh)
+    hollows = 0 if draft.faults else int((volumes < 0).sum())
+    found = ObjectReport(
+        name=name,
+        scale=1.0 if scale is None else scale,
+        extents=vector(mesh.extents),
+        triangles=len(mesh.faces),
+        closed=MeshEdges(mesh).is_closed,
+        bodies=len(volumes) - hollows,
+        hollows=hollows,
+        repairs=draft.repairs,
+        faults=draft.faults,
+    )
+    notes = []
+    if draft.geometries > 1:
+        notes.append(f"the file holds {draft.geometries} geometries, which are taken as one object")
+    if found.faults:
+        return msgspec.structs.replace(found, notes=tuple(notes))
+    density = None if mass is None else mass / mesh.volume
+    rows = () if mass is None else _without_rounding(mass * mesh.inertia)
+    found = msgspec.structs.replace(
+        found,
+        volume=mesh.volume,
+        mass=mass,
+        density=density,
+        centre_of_mass=vector(_without_rounding(mesh.centre_of_mass)),
+        inertia=None if mass is None else tuple(vector(row) for row in rows),
+        surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
+        notes=(*notes, *_solid_notes(found, mesh, density)),
+    )
+    if not glued and (fault := gap_note(mesh)):
+        return msgspec.structs.replace(found, notes=(), faults=(fault,))
+    if not parts:
+        return found
+    try:
+        source, convex = collision_parts(mesh, name, time_limit, tell)
+    except AssetError as error:
+        return msgspec.structs.replace(found, faults=(_one_line(error),))
+    fit = FingerClearance(mesh).fit(convex)
+    fitted = ConvexPartsReport(count=len(convex), source=source, filled=fit.filled, bare=fit.bare)
+    return msgspec.structs.replace(found, convex=fitted)
+
+
+def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iterator[str]:
+    """Yield the notes on a closed mesh and its density [kg/m3]; None without a mass."""
+    if found.bodies > 1:
+        yield (
+            f"its {found.bodies} bodies are moved as one rigid object, as if they were glued: give things "
+            "that move by themselves files of their own"
+        )
+    if found.hollows:
+        yield "a hollow is aimed at, and no finger reaches it: leave it out unless it matters for the balance"
+    inside = FingerClearance(mesh).inside
+    if inside:
+        yield (
+            f"{100 * inside:.1f} % of its surface lies inside it, where it cuts itself or bodies overlap: "
+            "such room counts twice in volume and centre of mass, and is aimed at; unite the bodies"
+        )
+    if found.triangles > MANY_TRIANGLES:
+        yield f"{found.triangles} triangles: convex parts take minutes; 20 000 show a finger as much"
+    if density is None:
+        yield f"a run needs its mass (--mass); of water it would be {WATER * mesh.volume:.3g} kg"
+    elif not LIGHTEST <= density <= HEAVIEST:
+        kind = "denser than lead" if density > HEAVIEST else "lighter than foam"
+        yield f"at {density:.3g} kg/m3 it is {kind}: is its mass in kg, and its size right?"
+
+
+def _without_rounding(values: Floats) -> Floats:
+    """Return the matrix with zeros for values that are rounding beside the largest."""
+    return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
+
+
+NO_OVERRIDES = DraftOverrides()
+
+
+class GripperReport(AssetReport, frozen=True, kw_only=True):
+    """Result of the examination of a hand."""
+
+    urdf: str = ""
+    base_link: str = ""
+    licence: str = ""
+    joints: int = 0
+    """Number of moving joints."""
+    followers: int = 0
+    """Number of these that mimic another one."""
+    fingers: int = 0
+    finger_links: tuple[str, ...] = ()
+    synergies: tuple[str, ...] = ()
+    mass: float | None = None
+    """[kg]"""
+    extents: tuple[float, float, float] | None = None
+    """Sides of the box around the open hand, base link's frame [m]."""
+    parts: int = 0
+    """Convex parts that the simulator makes of the collision shapes."""
+
+    @property
+    def facts(self) -> tuple[str, ...]:
+        """Main facts in a few words each."""
+        if not self.base_link:
+            return ()
+        fingers = f"fingers {', '.join(self.finger_links)}"
+        return (f"base {self.base_link}", counted(self.joints, "joint"), fingers, f"licence {self.licence}")
+
+    def _lines(self) -> Iterator[tuple[str, str]]:
+        yield "gripper", self.name
+        if self.base_link:
+            yield "URDF", self.urdf
+            yield "base link", self.base_link
+            mimics = f", {self.followers} of them mimic others" if self.followers else ""
+            yield "joints", f"{self.joints} move{mimics}"
+            yield "fingers", f"{self.fingers}, with {counted(len(self.finger_links), 'finger link')}"
+            if self.synergies:
+                yield "synergies", ", ".join(self.synergies)
+            yield "licence", self.licence
+        if self.extents is not None:
+            yield "size", f"{' x '.join(f'{side:.4f}' for side in self.extents)} m, open"
+            yield "mass", f"{self.mass:.4g} kg"
+            yield "shapes", f"{self.parts} convex parts"
+
+
+def examine(path: Path, name: str) -> GripperReport:
+    """Examine a gripper's TOML file and its URDF; all faults are in the result."""
+    try:
+        file = read_gripper_file(path)
+        urdf = urdf_path(path, file)
+        robot, faults = read_robot(urdf, read_robot_element(urdf))
+    except QdgraspError as error:
+        return GripperReport(name=name, faults=(_one_line(error),))
+    return GripperReport(name=name, faults=faults) if robot is None else examine_hand(robot, file, name)
+
+
+def examine_urdf(
+    urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
+) -> tuple[GripperReport, Gripper | None]:
+    """Examine a URDF with the gripper file guessed for it, and return the gripper too.
+
+    None where they do not make a usable gripper.
+    """
+    try:
+        robot, faults = read_robot(urdf, read_robot_element(urdf))
+        if robot is not None:
+            base = overrides.base_link or guess_base(robot)[0]
+            faults = hand_faults(robot, base)
+            if not faults:
+                file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
+                return examine_hand(robot, file, name), Gripper(name, urdf.name, file, robot)
+    except QdgraspError as error:
+        faults = (_one_line(error),)
+    return GripperReport(name=name, faults=faults), None
+
+
+def read_robot(urdf: Path, element: ET.Element) -> tuple[Urdf | None, tuple[str, ...]]:
+    """Return the links and joints of a `<robot>`, and its faults; None if they are not a tree."""
+    faults = structure_faults(element)
+    if faults:
+        return None, (*faults, *motion_faults(element), *weight_faults(element))
+    try:
+        return parse_robot(urdf, element), ()
+    except AssetError as error:
+        return None, (_one_line(error), *motion_faults(element), *weight_faults(element))
+
+
+def hand_faults(robot: Urdf, base: str) -> tuple[str, ...]:
+    """Return the faults of joints, masses and shapes of the hand from link `base` on."""
+    if base not in robot.links:
+        return ()
+    hand = robot.subtree(base)
+    return (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand))
+
+
+def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
+    """Examine a hand whose file and URDF are read already."""
+    impossible = (*gripper_faults(file, robot), *hand_faults(robot, file.base_link))
+    if impossible:
+        return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)))
+    body = read_hand_model(robot, file.base_link)
+    hand = HandPostures(file, body)
+    corners = body.corners(body.parts, hand.posture(0.0))
+    faults = posture_faults(file, body)
+    notes = () if faults else (*posture_notes(file, body), *_hollow_notes(body.robot))
+    return GripperReport(
+        name=name,
+        urdf=str(body.robot.path),
+        base_link=file.base_link,
+        licence=file.licence,
+        joints=len(body.moving),
+        followers=len(body.followers),
+        fingers=len(hand.closing.fingers),
+        finger_links=file.finger_links,
+        synergies=tuple(synergy.name for synergy in file.synergies),
+        mass=body.robot.mass,
+        extents=vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0),
+        parts=sum(map(len, body.parts.values())),
+        notes=notes,
+        faults=faults,
+    )
+
+
+def _hollow_notes(hand: Urdf) -> Iterator[str]:
+    if hollow := ", ".join(f"{link} {100 * filled:.0f} %" for link, filled in hollow_meshes(hand)):
+        yield (
+            "the simulator wraps each collision mesh in its convex hull, which fills the room before "
+            f"much of the surface of {hollow}: "
+            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
+        )
+
+
+def _one_line(error: Exception) -> str:
+    return str(error).rstrip(".")

@@ -1,0 +1,350 @@
+"""Convex collision parts of a mesh: as few as leave a finger its clearance.
+
+One hull where that will do, else what CoACD finds, coarse to fine
+(docs/decisions/0008-collision-decomposition.md). What parts fill beyond the mesh, no finger can reach: the
+hollow of a mug and the eye of its handle are what most of its grasps need. CoACD runs in a process of its
+own, which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
+THRESHOLD OUT.obj`) this is that process.
+
+Parts are cached on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
+The last line is a remark, which readers of OBJ files leave aside.
+"""
+
+import hashlib
+import logging
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.asset_paths import cache_folder, path_problem
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
+from qdgrasp_assets.geometry.primitives import heights, hull
+from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
+from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_protocol.errors import AssetError
+
+CLEARANCE_POINTS = 10_000
+AHEAD = 3e-3  # Distance in front of the surface at which free space is checked [m]
+CLEAR = 2 * AHEAD  # Least free distance in front [m]: no finger enters a narrower gap
+OFF = 2e-3  # Largest distance of a part's surface behind the mesh's [m]
+LIFT = 1e-6  # Offset above the surface at which rays begin, so that they do not meet it again [m]
+OUT = 1e-5  # Offset in front of the surface of the points tested for being inside [m]
+FEW = 1e-3  # Share of the surface that seems to be inside below which it is rounding
+PAIRS = 1 << 26  # Pairs of point and face that are compared at once: half a gigabyte
+MOST = 0.01  # Largest share of the surface that is wrong in a good fit; a mug's handle, filled: 2 %
+
+
+@dataclass(frozen=True)
+class PartsFit:
+    """Quality of convex parts as a stand-in for a mesh, in shares of its surface."""
+
+    filled: float
+    """Share in front of which the parts fill free space."""
+    bare: float
+    """Share that is outside all parts."""
+
+    @property
+    def is_good(self) -> bool:
+        """True if the parts change few outcomes."""
+        return max(self.filled, self.bare) <= MOST
+
+
+class FingerClearance:
+    """The free space in front of the surface of a mesh."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+        self._points, drawn = sample_surface(mesh, CLEARANCE_POINTS, seed=0)
+        self._normals = mesh.normals[drawn]
+
+    def fit(self, parts: tuple[Mesh, ...]) -> PartsFit:
+        """Return the fit of convex `parts`, in the frame of the mesh."""
+        filled = np.any([is_within(part, self._clear_points, 0.0) for part in parts], axis=0)
+        covered = np.any([is_within(part, self._points, OFF) for part in parts], axis=0)
+        return PartsFit(float(filled.mean()) if len(filled) else 0.0, float(1.0 - covered.mean()))
+
+    @property
+    def inside(self) -> float:
+        """Share of the surface that is inside the mesh, where it cuts itself or bodies overlap."""
+        share = float(self._inside.mean())
+        return share if share > FEW else 0.0
+
+    @cached_property
+    def _inside(self) -> NDArray[np.bool_]:
+        """(n,): True for points that have the mesh's inside in front of them."""
+        return inside_count(self._mesh, self._points + OUT * self._normals, self._normals) > 0
+
+    @cached_property
+    def _clear_points(self) -> Floats:
+        """Points (n, 3) [m], `AHEAD` in front of the surface, in free space."""
+        clear = ray_distance(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
+        if self.inside:
+            clear &= ~self._inside
+        free: Floats = self._points[clear] + AHEAD * self._normals[clear]
+        return free
+
+
+def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the points within `margin` [m] of a convex part, by its planes."""
+    low, high = part.bounds
+    within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
+    near = points[within]
+    rows = max(1, PAIRS // len(part.faces))
+    blocks = [near[start : start + rows] for start in range(0, len(near), rows)] or [near]
+    within[within] = np.concatenate([(heights(part, block) <= margin).all(axis=1) for block in blocks])
+    return within
+
+
+CORNER_TOLERANCE = 5e-4  # A corner that is not farther outside the hull of others is left out [m]
+MOST_CORNERS = 128  # Most corners of a part
+COACD_ITERATIONS = 50
+"""Iterations of CoACD's search per cut; its own 150 take half as long again, parts no fewer."""
+CORNERS_AT_ONCE = 1 << 17
+"""Corners compared at once: their distances from `CORNERS` and their faces fill 300 MB."""
+OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
+"""The directions in which a part keeps its extent, in the unit cube."""
+
+
+class DecompositionTimeout(AssetError):
+    """Error of CoACD when it does not finish in time."""
+
+    def __init__(self, name: str, seconds: float) -> None:
+        super().__init__(
+            f"CoACD did not decompose the mesh '{name}' into convex parts within {seconds:g} s; simplify the "
+            "mesh, for example to 20 000 triangles."
+        )
+
+
+def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tuple[Mesh, ...]:
+    """Decompose a mesh into convex parts that together fill it, with few corners each.
+
+    `mesh` is a closed surface [m], one or several bodies, called `name` in errors. `threshold` is CoACD's
+    concavity: the smaller, the more parts. Raises `DecompositionTimeout` after `time_limit` [s], and
+    `AssetError` if CoACD fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="qdgrasp-") as folder:
+        given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
+        np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
+        command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
+        pipe, null = subprocess.PIPE, subprocess.DEVNULL
+        with (
+            tempfile.TemporaryFile() as errors,  # not a pipe, which would fill while it is not read
+            subprocess.Popen(command, stdin=pipe, stdout=null, stderr=errors) as process,
+        ):
+            try:
+                process.wait(max(0.0, time_limit))
+            except subprocess.TimeoutExpired:
+                raise DecompositionTimeout(name, time_limit) from None
+            finally:
+                process.kill()
+            if process.returncode:
+                errors.seek(0)
+                last = " ".join(errors.read().decode(errors="replace").split())[-200:]
+                raise AssetError(
+                    f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
+                    f"{process.returncode}): {last or 'it says nothing'}."
+                )
+        if not found.is_file():
+            raise AssetError(f"CoACD found no convex parts of the mesh '{name}'.")
+        return read_parts(found)
+
+
+def simplify_part(part: Mesh) -> Mesh:
+    """Simplify a convex part so that no corner left out is farther outside than the tolerance.
+
+    Greedy: it begins with the corners that are farthest in a few directions, and adds the one that is
+    farthest outside the hull so far, until all are within the tolerance, or it has `MOST_CORNERS`.
+    """
+    corners = part.vertices
+    blocks = [corners[start : start + CORNERS_AT_ONCE] for start in range(0, len(corners), CORNERS_AT_ONCE)]
+    kept = _outermost(corners)
+    while True:
+        found = hull(corners[kept])
+        outside = np.concatenate([heights(found, block).max(axis=1) for block in blocks])
+        if outside.max() <= CORNER_TOLERANCE or len(kept) >= MOST_CORNERS:
+            return found
+        kept.append(int(outside.argmax()))
+
+
+def _outermost(corners: Floats) -> list[int]:
+    """Return the indices of some outermost corners of a solid (v, 3), not all in one plane."""
+    places = (corners / np.ptp(corners, axis=0) @ OUTWARD_DIRECTIONS.T).argmax(axis=0)
+    some = corners[places]
+    across = corners @ np.linalg.svd(some - some.mean(axis=0))[2][-1]
+    return sorted({*places.tolist(), int(across.argmin()), int(across.argmax())})
+
+
+def main() -> None:
+    """Decompose the mesh in the first file into the last; exit when the parent process is gone."""
+    import coacd
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    coacd.set_log_level("error")
+    given = np.load(sys.argv[1], allow_pickle=False)
+    mesh = coacd.Mesh(given["vertices"], given["faces"])
+    found = coacd.run_coacd(mesh, threshold=float(sys.argv[2]), mcts_iterations=COACD_ITERATIONS, seed=0)
+    parts = [simplify_part(hull(np.asarray(points, dtype=np.float64))) for points, _ in found]
+    Path(sys.argv[3]).write_bytes(parts_to_obj(parts))
+
+
+def _end_with_parent() -> None:
+    """Exit once standard input, whose other end the parent process holds, is closed."""
+    while os.read(0, 1024):
+        pass
+    os._exit(1)
+
+
+log = logging.getLogger(__name__)
+
+COACD_THRESHOLDS = (0.1, 0.05, 0.025)
+"""Concavities for CoACD, in the order tried: the first whose parts fit is taken."""
+TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
+Tell = Callable[[str], None]
+_unfinished: dict[str, tuple[Mesh, ...]] = {}
+"""Parts of meshes for which time ran out, by key; valid in this process only, not on disk."""
+
+
+def ignore_progress(_sentence: str) -> None:
+    """Ignore a progress message."""
+
+
+def collision_parts(
+    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = ignore_progress
+) -> tuple[str, tuple[Mesh, ...]]:
+    """Return the source, "own hull" or "coacd", and the convex parts that stand for a mesh.
+
+    `mesh` is a closed surface [m], one or several bodies, called `name` in messages. The parts are in its
+    frame, and deterministic. Where none fit, or CoACD's `time_limit` [s] runs out, the finest that were found
+    are taken, with a warning; those for which time ran out are not kept on disk. `tell` is called with a
+    sentence before each attempt. Raises `AssetError` if CoACD failed, or found nothing in time; or the parts
+    cannot be kept.
+    """
+    known = _known_parts(mesh)
+    if known is not None:
+        return known
+    cached = _cache_file(mesh)
+    log.warning(
+        "Decomposing '%s' (%d triangles) into convex parts, once%s; this takes up to a few minutes.",
+        name,
+        len(mesh.faces),
+        f" again, as '{cached}' does not hold them whole" if cached.exists() else "",
+    )
+    with _keeping(cached.parent, name):
+        cached.parent.mkdir(parents=True, exist_ok=True)
+    parts, is_final = _coarsest_parts(mesh, name, time_limit, tell)
+    if not is_final:
+        return "coacd", _unfinished.setdefault(_cache_key(mesh), parts)
+    content = parts_to_obj(parts)
+    with _keeping(cached.parent, name), tempfile.TemporaryDirectory(dir=cached.parent) as folder:
+        file = Path(folder) / cached.name
+        with file.open("wb") as stream:
+            stream.write(content + _digest_line(content))
+            stream.flush()
+            os.fsync(stream.fileno())
+        file.replace(cached)
+    return "coacd", read_parts(cached)
+
+
+def available_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
+    """Return the parts of `collision_parts` if that takes no time; None: CoACD has not run yet."""
+    known = _known_parts(mesh)
+    return None if known is None else known[1]
+
+
+def _known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
+    """Return source and parts that CoACD need not run for: found before, or the mesh's own hull."""
+    file, key = _cache_file(mesh), _cache_key(mesh)
+    if not path_problem(file) and _is_whole(file):
+        return "coacd", read_parts(file)
+    if key in _unfinished:
+        return "coacd", _unfinished[key]
+    own = hull(mesh.vertices)
+    # convex for a finger: the hull leaves the same free space
+    return ("own hull", (simplify_part(own),)) if FingerClearance(mesh).fit((own,)).is_good else None
+
+
+def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:
+    """Return the fewest parts that fit, or the last found; and whether there was time for all."""
+    space, deadline = FingerClearance(mesh), time.monotonic() + time_limit
+    found: tuple[Mesh, ...] = ()
+    is_final, reason = True, "finer ones are not tried"
+    for number, threshold in enumerate(COACD_THRESHOLDS, start=1):
+        tell(f"convex parts with a concavity of {threshold:g} ({number} of at most {len(COACD_THRESHOLDS)})")
+        try:
+            found = decompose(mesh, name, threshold, deadline - time.monotonic())
+        except DecompositionTimeout:
+            if not found:
+                raise DecompositionTimeout(name, time_limit) from None
+            is_final, reason = False, "there was no time for finer ones, which the next command tries again"
+            break
+        if space.fit(found).is_good:
+            return found, True
+    fit = space.fit(found)
+    log.warning(
+        "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, and leave %.0f %% "
+        "of it out, where grasps may be lost; %s.",
+        len(found),
+        name,
+        100 * fit.filled,
+        100 * fit.bare,
+        reason,
+    )
+    return found, is_final
+
+
+@contextmanager
+def _keeping(folder: Path, name: str) -> Iterator[None]:
+    """Raise an `AssetError` where the parts of `name` cannot be written to the cache's folder."""
+    try:
+        yield
+    except OSError as error:
+        raise AssetError(
+            f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
+            "name another folder with QDGRASP_CACHE."
+        ) from None
+
+
+def _digest_line(content: bytes) -> bytes:
+    """Return the last line of a cached file: the digest of the lines before."""
+    return f"# sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
+
+
+def _is_whole(file: Path) -> bool:
+    """Return whether a cached file ends with the digest of what stands before."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return False
+    start = content.rfind(b"#")
+    return start > 0 and content[start:] == _digest_line(content[:start])
+
+
+def _cache_file(mesh: Mesh) -> Path:
+    return cache_folder() / "convex" / f"{_cache_key(mesh)}.obj"
+
+
+def _cache_key(mesh: Mesh) -> str:
+    """Return the cache key of a decomposition: of this mesh, by this version, with this rule."""
+    decomposition = COACD_THRESHOLDS, COACD_ITERATIONS, CORNER_TOLERANCE, MOST_CORNERS
+    rule = (*decomposition, CLEARANCE_POINTS, AHEAD, OFF, MOST)
+    geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
+    return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
+
+
+if __name__ == "__main__":
+    main()

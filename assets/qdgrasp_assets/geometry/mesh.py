@@ -1,0 +1,193 @@
+"""Triangle meshes, and readers of OBJ and binary STL files that need no library.
+
+Of an OBJ file materials, normals and texture are left aside. Its groups are those that the simulator makes
+a hull of each; a material begins none.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_protocol.errors import AssetError
+
+Floats = NDArray[np.float64]
+OBJ_GROUP = re.compile(r"[ \t]*[og][ \t]")
+"""Start of another group, as for Bullet's reader: a blank must follow the letter."""
+
+
+@dataclass(frozen=True)
+class ObjFile:
+    """Content of an OBJ file."""
+
+    vertices: Floats
+    """(v, 3), vertices of all groups."""
+    groups: tuple[NDArray[np.int64], ...]
+    """(f, 3) each: vertex indices in the file's order; groups without triangles are left out."""
+
+
+def read_obj(text: str) -> ObjFile:
+    """Read an OBJ file, polygons as fans of triangles; `ValueError` or `IndexError` otherwise."""
+    vertices: list[list[float]] = []
+    groups: list[list[tuple[int, int, int]]] = [[]]
+    for line in text.splitlines():
+        word, *values = line.split() or [""]
+        if word == "v":
+            vertices.append([float(value) for value in values[:3]])
+        elif word == "f":
+            # a corner such as 7/1/3 begins with its vertex; negative numbers count from the end
+            numbers = [int(value.split("/")[0]) for value in values]
+            first, *rest = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
+            groups[-1] += ((first, a, b) for a, b in pairwise(rest))
+        elif OBJ_GROUP.match(line):
+            groups.append([])
+    return ObjFile(np.array(vertices).reshape(-1, 3), tuple(np.array(group) for group in groups if group))
+
+
+STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
+STL_CORNERS = slice(12, 48)  # Bytes of a triangle's corners, after its normal
+
+
+def stl_triangles(content: bytes) -> Floats | None:
+    """Return the corners (t, 3, 3) of the triangles of an STL file; None if it is not binary."""
+    count = int.from_bytes(content[STL_HEADER - 4 : STL_HEADER], "little")
+    if len(content) != STL_HEADER + STL_TRIANGLE * count:
+        return None
+    records = np.frombuffer(content, np.uint8, offset=STL_HEADER).reshape(-1, STL_TRIANGLE)
+    corners = np.ascontiguousarray(records[:, STL_CORNERS]).view("<f4")
+    return corners.astype(np.float64).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh; outward normals follow from counter-clockwise winding."""
+
+    vertices: Floats
+    """(v, 3) [m]."""
+    faces: NDArray[np.int64]
+    """(f, 3), indices of vertices."""
+
+    @property
+    def corners(self) -> Floats:
+        """(f, 3, 3) [m]: the corners of each triangle."""
+        corners: Floats = self.vertices[self.faces]
+        return corners
+
+    @property
+    def crosses(self) -> Floats:
+        """(f, 3) [m2]: twice the area of each triangle, along its normal."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        crosses: Floats = np.cross(b - a, c - a)
+        return crosses
+
+    @property
+    def areas(self) -> Floats:
+        """(f,) [m2]."""
+        areas: Floats = np.linalg.norm(self.crosses, axis=1) / 2
+        return areas
+
+    @property
+    def normals(self) -> Floats:
+        """(f, 3), unit; zeros for triangles without area."""
+        crosses = self.crosses
+        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+        normals: Floats = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+        return normals
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Low and high corner of the axis-aligned bounding box [m]."""
+        used = self.vertices[np.unique(self.faces)]
+        return used.min(axis=0), used.max(axis=0)
+
+    @property
+    def extents(self) -> Floats:
+        """(3,) [m]: sides of the bounding box."""
+        low, high = self.bounds
+        return high - low
+
+    @property
+    def cone_volumes(self) -> Floats:
+        """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the origin."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        volumes: Floats = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
+        return volumes
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume [m3]; negative for a mesh that is inside out."""
+        return float(self.cone_volumes.sum())
+
+    @property
+    def centre_of_mass(self) -> Floats:
+        """(3,) [m]: centre of mass of the enclosed volume, at uniform density."""
+        moments = self.cone_volumes[:, None] * self.corners.sum(axis=1) / 4
+        centre: Floats = moments.sum(axis=0) / self.volume
+        return centre
+
+    @property
+    def inertia(self) -> Floats:
+        """(3, 3) [m2]: inertia per kg of the enclosed volume about its centre of mass."""
+        low, high = self.bounds
+        near = self.moved(-(low + high) / 2)  # far from the origin, it would be a difference of large numbers
+        corners, volumes = near.corners, near.cone_volumes
+        sums = corners.sum(axis=1)
+        moments = np.einsum("f,fi,fj->ij", volumes, sums, sums)
+        moments += np.einsum("f,fki,fkj->ij", volumes, corners, corners)
+        centre = near.centre_of_mass
+        spread = moments / 20 / near.volume - np.outer(centre, centre)
+        inertia: Floats = np.trace(spread) * np.eye(3) - (spread + spread.T) / 2
+        return inertia
+
+    def scaled(self, scale: float) -> "Mesh":
+        """Return the mesh with its coordinates multiplied by `scale`."""
+        return Mesh(self.vertices * scale, self.faces)
+
+    def moved(self, shift: Iterable[float]) -> "Mesh":
+        """Return the mesh shifted by (3,) [m]."""
+        return Mesh(self.vertices + np.array(tuple(shift)), self.faces)
+
+    def flipped(self) -> "Mesh":
+        """Return the mesh with every triangle wound the other way."""
+        return Mesh(self.vertices, self.faces[:, ::-1])
+
+
+def join(meshes: Iterable[Mesh]) -> Mesh:
+    """Return all triangles of several meshes as one."""
+    meshes = tuple(meshes)
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
+    )
+
+
+def read_parts(path: Path) -> tuple[Mesh, ...]:
+    """Read the convex parts in an OBJ file, one for each group; else `AssetError`."""
+    parts = []
+    try:
+        read = read_obj(path.read_text(encoding="utf-8"))
+        for group in read.groups:
+            used, local = np.unique(group, return_inverse=True)
+            parts.append(Mesh(read.vertices[used], local.reshape(-1, 3)))
+    except OSError as error:
+        raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
+    except (ValueError, IndexError) as error:
+        raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
+    return tuple(parts)
+
+
+def parts_to_obj(parts: Iterable[Mesh]) -> bytes:
+    """Return an OBJ file of convex parts, one `o` group each, coordinates to the nanometre."""
+    lines: list[str] = []
+    first = 1
+    for number, part in enumerate(parts):
+        lines.append(f"o part_{number}")
+        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in part.vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in part.faces + first]
+        first += len(part.vertices)
+    return ("\n".join(lines) + "\n").encode()

@@ -1,0 +1,371 @@
+"""Checks of whether a mesh is one closed surface, repairs, and gaps between its bodies.
+
+Checks say all that is wrong in words; each repair changes what it must, and says so. A mesh that is a
+closed surface already is left as it is, to the last bit: whatever was found with it is found again.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
+from qdgrasp_assets.geometry.mesh_io import LARGEST_OBJECT, SMALLEST_OBJECT, scale_advice
+from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, come_within, inside_count, surface_distance
+
+FLATTEST = 1e-12  # Least volume of a closed mesh with an inside [m3]
+MOST_TRIANGLES = 500_000
+"""Most triangles of an object: they travel to every worker, and are checked one by one."""
+
+Numbers = NDArray[np.int64]
+
+
+def surface_faults(mesh: Mesh) -> tuple[str, ...]:
+    """Return all faults of a mesh as a surface in metres; empty if it has no fault."""
+    if not np.isfinite(mesh.vertices).all():
+        return ("it has vertices that are not finite",)
+    if len(mesh.faces) > MOST_TRIANGLES:
+        return (
+            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: "
+            "simplify it, for example to 20 000 (quadric edge collapse decimation in MeshLab)",
+        )
+    return tuple(_surface_faults(mesh, MeshEdges(mesh)))
+
+
+@dataclass(frozen=True)
+class MeshEdges:
+    """The edges of a mesh, and the number of triangles of each."""
+
+    mesh: Mesh
+
+    @cached_property
+    def directed(self) -> Numbers:
+        """(3 f, 2): directed edges of the triangles; those of triangle i are i, f + i, 2 f + i."""
+        faces = self.mesh.faces
+        return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+    @cached_property
+    def edge_numbers(self) -> Numbers:
+        """(3 f,): index of each directed edge regardless of its direction."""
+        low, high = self.directed.min(axis=1), self.directed.max(axis=1)
+        return np.unique(low * len(self.mesh.vertices) + high, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def triangle_counts(self) -> Numbers:
+        """(e,): number of triangles of each edge."""
+        return np.bincount(self.edge_numbers)
+
+    @property
+    def is_closed(self) -> bool:
+        """True if every edge has an even number of triangles."""
+        return not (self.triangle_counts % 2).any()
+
+    @cached_property
+    def torn_edges(self) -> int:
+        """Number of edges along which more triangles run one way than the other."""
+        upward = np.where(self.directed[:, 0] < self.directed[:, 1], 1, -1)
+        return int(np.count_nonzero(np.bincount(self.edge_numbers, weights=upward)))
+
+    @cached_property
+    def open_edges(self) -> Numbers:
+        """(k, 2): directed edges with one triangle only."""
+        open_edges: Numbers = self.directed[self.triangle_counts[self.edge_numbers] == 1]
+        return open_edges
+
+    @cached_property
+    def holes(self) -> tuple[Numbers, ...]:
+        """Loose edges (k, 2) around each hole, the widest first."""
+        if not len(self.open_edges):
+            return ()
+        labels = _connected(self.open_edges, len(self.mesh.vertices))[self.open_edges[:, 0]]
+        found = [self.open_edges[labels == label] for label in np.unique(labels)]
+        return tuple(sorted(found, key=lambda hole: -edges_width(self.mesh, hole)))
+
+
+def edges_width(mesh: Mesh, edges: Numbers) -> float:
+    """Return the largest side of the bounding box of edges (k, 2) [m]."""
+    return float(np.ptp(mesh.vertices[edges.reshape(-1)], axis=0).max())
+
+
+def edges_middle(mesh: Mesh, edges: Numbers) -> Floats:
+    """Return the middle (3,) [m] of the bounding box of edges (k, 2)."""
+    points = mesh.vertices[edges.reshape(-1)]
+    centre: Floats = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre
+
+
+def bodies(mesh: Mesh) -> Numbers:
+    """Return the body (f,) of each triangle, numbered from 0; a body's triangles share vertices."""
+    faces = mesh.faces
+    labels = _connected(np.concatenate([faces[:, :2], faces[:, 1:]]), len(mesh.vertices))
+    _, numbers = np.unique(labels[faces[:, 0]], return_inverse=True)
+    return numbers.reshape(-1)
+
+
+def body_volumes(mesh: Mesh) -> Floats:
+    """Return the volume (b,) [m3] of each body; negative for an inverted one, such as a hollow."""
+    return np.bincount(bodies(mesh), weights=mesh.cone_volumes).astype(np.float64)
+
+
+def _connected(pairs: Numbers, count: int) -> Numbers:
+    """Return the connected component (count,) of each vertex, joined by pairs (k, 2)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    labels: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
+
+
+def point_in_words(point: Floats) -> str:
+    """Return a point (3,) [m] in words."""
+    return "(" + ", ".join(f"{number:.4f}" for number in point) + ")"
+
+
+def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
+    largest = float(mesh.extents.max())
+    if not SMALLEST_OBJECT <= largest <= LARGEST_OBJECT:
+        size = " x ".join(f"{side:.4g}" for side in mesh.extents)
+        kind = "larger" if largest > LARGEST_OBJECT else "smaller"
+        yield f"it is {size} m large, {kind} than what a hand grasps; {scale_advice(largest)}"
+    odd = np.flatnonzero(edges.triangle_counts % 2)
+    if len(edges.open_edges):
+        widest, count = edges.holes[0], len(edges.holes)
+        yield (
+            f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
+            f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
+            f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
+            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
+        )
+    elif len(odd):
+        where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
+        yield (
+            f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
+            f"{where}; take out the sheets that stand in it"
+        )
+    if edges.is_closed and edges.torn_edges:
+        yield (
+            f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
+            "it has no inside, like a Klein bottle; draw it again"
+        )
+    if edges.is_closed and abs(mesh.volume) < FLATTEST:
+        yield "it is flat: it encloses no volume; give it a thickness"
+
+
+TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
+SMALL_HOLE = 0.2  # Largest hole that is filled on request, as a share of the largest side
+
+
+def repair_mesh(mesh: Mesh, *, fill_holes: bool = False) -> tuple[Mesh, tuple[str, ...]]:
+    """Repair a mesh to a closed surface wound outward, if possible; returns the changes too."""
+    done = []
+    for step in (merge_vertices, drop_degenerate, wind_alike, *((fill_small_holes,) if fill_holes else ())):
+        if is_surface(mesh):
+            break
+        mesh, words = step(mesh)
+        done.append(words)
+    if is_surface(mesh):
+        mesh, words = turn_outward(mesh)
+        done.append(words)
+    return mesh, tuple(words for words in done if words)
+
+
+def is_surface(mesh: Mesh) -> bool:
+    """Return whether a mesh is closed and consistently wound."""
+    edges = MeshEdges(mesh)
+    return edges.is_closed and not edges.torn_edges
+
+
+def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
+    """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
+    places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * mesh.extents.max()))
+    _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    fewer = len(mesh.vertices) - len(first)
+    if not fewer:
+        return mesh, ""
+    return Mesh(mesh.vertices[first], merged.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
+
+
+def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
+    """Remove degenerate and duplicate triangles, and both of two that lie back to back."""
+    corners = np.sort(mesh.faces, axis=1)
+    whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
+    _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
+    groups, faces = groups.reshape(-1), mesh.faces[whole]
+    # corners rise after the lowest one, or fall: opposite for triangles back to back
+    rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    rising = rolled[:, 1] < rolled[:, 2]
+    up, down = (np.bincount(groups, weights=way, minlength=len(first)) > 0 for way in (rising, ~rising))
+    kept = np.sort(whole[first[up != down]])
+    dropped = len(mesh.faces) - len(kept)
+    if not dropped:
+        return mesh, ""
+    return Mesh(mesh.vertices, mesh.faces[kept]), f"{dropped} degenerate or duplicate triangles dropped"
+
+
+def wind_alike(mesh: Mesh) -> tuple[Mesh, str]:
+    """Wind neighbours alike, each body as most of its triangles are."""
+    edges, count = MeshEdges(mesh), len(mesh.faces)
+    order = np.argsort(edges.edge_numbers, kind="stable")
+    paired = order[edges.triangle_counts[edges.edge_numbers[order]] == 2].reshape(-1, 2)
+    one, other = paired.T % count
+    alike = edges.directed[paired[:, 0], 0] != edges.directed[paired[:, 1], 0]
+    # each triangle stands twice, as it is and turned; neighbours that fit are joined
+    mate = np.where(alike, other, other + count)
+    rows, columns = np.concatenate([one, one + count]), np.concatenate([mate, (mate + count) % (2 * count)])
+    labels = _connected(np.column_stack([rows, columns]), 2 * count)
+    votes = np.bincount(labels[:count], minlength=labels.max() + 1)
+    as_is, as_turned = votes[labels[:count]], votes[labels[count:]]
+    is_turned = (as_turned > as_is) | ((as_turned == as_is) & (labels[count:] < labels[:count]))
+    is_turned &= labels[:count] != labels[count:]
+    return _with_turned(mesh, is_turned, "wound like their neighbours")
+
+
+def turn_outward(mesh: Mesh) -> tuple[Mesh, str]:
+    """Turn bodies that are inside out."""
+    labels, wrong = bodies(mesh), inverted_bodies(mesh)
+    if not wrong.any():
+        return mesh, ""
+    if wrong.all():
+        return mesh.flipped(), "its triangles turned: it was inside out (negative volume)"
+    fixed, _ = _with_turned(mesh, wrong[labels], "")
+    return fixed, f"{wrong.sum()} of {len(wrong)} bodies turned: they were inside out (negative volume)"
+
+
+def _with_turned(mesh: Mesh, is_turned: NDArray[np.bool_], why: str) -> tuple[Mesh, str]:
+    if not is_turned.any():
+        return mesh, ""
+    faces = np.where(is_turned[:, None], mesh.faces[:, ::-1], mesh.faces)
+    return Mesh(mesh.vertices, faces), f"{is_turned.sum()} triangles turned, {why}"
+
+
+def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
+    """Return a mask (b,) of bodies of negative volume that are not a hollow within another one."""
+    wrong: NDArray[np.bool_] = body_volumes(mesh) < 0
+    labels = bodies(mesh)
+    for body in np.flatnonzero(wrong).tolist() if len(wrong) > 1 else ():
+        others = Mesh(mesh.vertices, mesh.faces[labels != body])
+        point = mesh.corners[np.flatnonzero(labels == body)[0]].mean(axis=0)
+        wrong[body] = inside_count(others, point[None], SKEW_DIRECTION[None])[0] <= 0
+    return wrong
+
+
+def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
+    """Close small holes with a fan of triangles around the middle of their rim."""
+    edges, limit = MeshEdges(mesh), SMALL_HOLE * mesh.extents.max()
+    rims = [  # those that visit each vertex once
+        hole
+        for hole in edges.holes
+        if edges_width(mesh, hole) <= limit and np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))
+    ]
+    if not rims:
+        return mesh, ""
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    for number, rim in enumerate(rims):
+        vertices.append(mesh.vertices[rim[:, 0]].mean(axis=0)[None])
+        centre = np.full(len(rim), len(mesh.vertices) + number)
+        faces.append(np.stack([rim[:, 1], rim[:, 0], centre], axis=1))
+    where = point_in_words(edges_middle(mesh, rims[0]))
+    widest = f"the widest, {edges_width(mesh, rims[0]):.4f} m, at {where}"
+    return Mesh(np.concatenate(vertices), np.concatenate(faces)), f"{len(rims)} holes filled, {widest}"
+
+
+MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]
+MANY_BODIES = 2000  # More bodies than this are noise of a scan, and are compared by their boxes alone
+
+
+def gap_note(mesh: Mesh) -> str:
+    """Return the fault sentence for bodies that are apart; empty if they all meet."""
+    gap = body_gap(mesh)
+    if not gap:
+        return ""
+    return (
+        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing: "
+        "give each a file of its own, or say with --glued that they are moved as one"
+    )
+
+
+def body_gap(mesh: Mesh) -> float:
+    """Return the distance [m] from the first body, and all connected to it, to the others.
+
+    It may be a little less; 0 where all bodies meet. Two bodies meet where their surfaces come near each
+    other, or one is in the material of the other, as a hollow is.
+    """
+    labels = bodies(mesh)
+    if not labels.any():
+        return 0.0
+    is_near = MeshBodies(mesh, labels).reached[labels]
+    return 0.0 if is_near.all() else surface_distance(mesh.corners[is_near], mesh.corners[~is_near])
+
+
+class MeshBodies:
+    """The bodies of a mesh, by the body (f,) of each triangle."""
+
+    def __init__(self, mesh: Mesh, labels: Numbers) -> None:
+        ends = np.cumsum(np.bincount(labels))[:-1]
+        self.parts = np.split(mesh.corners[np.argsort(labels, kind="stable")], ends)
+        self.volumes = np.bincount(labels, weights=mesh.cone_volumes)  # [m3]; negative of hollows
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(b,): True for bodies that are connected to the first one."""
+        low, high = self._boxes
+        reached: NDArray[np.bool_] = np.arange(len(low)) == 0
+        waiting = [0]
+        while waiting:
+            body = waiting.pop()
+            near = np.linalg.norm(_box_distance(low, high, low[body], high[body]), axis=1) <= MEETING
+            found = [int(other) for other in np.flatnonzero(near & ~reached) if self._meet(body, int(other))]
+            reached[found] = True
+            waiting += found
+        return reached
+
+    def _meet(self, body: int, other: int) -> bool:
+        """Return whether two bodies meet, given that their boxes do."""
+        if len(self.parts) > MANY_BODIES:
+            return True
+        if self._enclosing_bodies[body] == other or self._enclosing_bodies[other] == body:
+            return True
+        first, second = self._near_triangles(body, other), self._near_triangles(other, body)
+        return bool(len(first) and len(second)) and come_within(first, second, MEETING)
+
+    def _near_triangles(self, body: int, other: int) -> Floats:
+        """Return the triangles of a body that are near enough to another one's box to meet it."""
+        low, high = self._boxes
+        part = self.parts[body]
+        gaps = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
+        near: Floats = part[np.linalg.norm(gaps, axis=1) <= MEETING]
+        return near
+
+    @cached_property
+    def _boxes(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner (b, 3) [m] of the box around each body."""
+        low = np.array([part.min(axis=(0, 1)) for part in self.parts])
+        return low, np.array([part.max(axis=(0, 1)) for part in self.parts])
+
+    @cached_property
+    def _enclosing_bodies(self) -> NDArray[np.int64]:
+        """(b,): innermost body in whose material each one lies; itself if in no other."""
+        low, high = self._boxes
+        points = np.array([part[0].mean(axis=0) for part in self.parts])
+        depths, holders = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
+        sizes = np.full(len(points), np.inf)
+        for body, part in enumerate(self.parts):
+            is_held = np.all((low[body] < points) & (points < high[body]), axis=1)
+            is_held[body] = False
+            held = np.flatnonzero(is_held)
+            if len(held):
+                mesh = Mesh(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
+                found = inside_count(mesh, points[held], np.tile(SKEW_DIRECTION, (len(held), 1)))
+                depths[held] += found
+                inner = held[(found > 0) & (abs(self.volumes[body]) < sizes[held])]
+                holders[inner], sizes[inner] = body, abs(self.volumes[body])
+        return np.where(depths > 0, holders, np.arange(len(points)))
+
+
+def _box_distance(low: Floats, high: Floats, lowest: Floats, highest: Floats) -> Floats:
+    """Return the gaps (n, 3) [m] between boxes and another box along each axis; 0: overlap."""
+    gaps: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
+    return gaps

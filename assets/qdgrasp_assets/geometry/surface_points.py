@@ -1,0 +1,104 @@
+"""Surface points S_c: points on an object with normals (Huber et al. 2024, section III-B)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
+
+POINTS_PER_METRE = 10_000  # "2000 points per 0.2 m of the diagonal of the object's bounding box"
+BULLET_MARGIN = 0.004  # m: what Bullet adds on each side of a compound of convex hulls at load
+CHUNK = 1 << 20  # pairs of point and triangle that are compared at once: about 200 MB
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Surface points, with the box that the contact point finder is drawn from."""
+
+    points: Floats
+    """(n, 3) [m], CoM frame."""
+    normals: Floats
+    """(n, 3), unit, outward, CoM frame."""
+    finder_low: Floats
+    """(3,) [m], CoM frame."""
+    finder_high: Floats
+
+
+def paper_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> SurfacePoints:
+    """Sample the surface points as the paper describes.
+
+    2000 points per 0.2 m of the diagonal of the bounding box, area-uniform, each with the normal of the
+    triangle it was drawn from; the finder is drawn from the object's own bounding box. `mesh` and `parts`
+    are in the CoM frame; `parts` and `com_in_mesh` play no role here.
+    """
+    low, high = mesh.bounds
+    points, drawn = sample_surface(mesh, int(POINTS_PER_METRE * np.linalg.norm(high - low)), seed)
+    return SurfacePoints(points, mesh.normals[drawn], low, high)
+
+
+def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> SurfacePoints:
+    """Sample the surface points as the authors' code does, with our own seeded sampler.
+
+    Their number of points follows from the norm of both corners of the box instead of its diagonal; normals
+    are those of the nearest triangle of the collision mesh, faces between convex parts included; and the
+    finder's box is the collision parts' in the *mesh* frame, although the points are in the CoM frame.
+    """
+    collision = [part.bounds for part in parts]
+    low = np.min([corner for corner, _ in collision], axis=0) + com_in_mesh - BULLET_MARGIN
+    high = np.max([corner for _, corner in collision], axis=0) + com_in_mesh + BULLET_MARGIN
+    points, _ = sample_surface(mesh, int(POINTS_PER_METRE * np.sqrt(low @ low + high @ high)), seed)
+    triangles = np.concatenate([part.corners for part in parts])
+    normals = np.concatenate([part.normals for part in parts])
+    return SurfacePoints(points, normals[nearest_triangle(points, triangles)], low, high)
+
+
+SURFACES = {"paper": paper_surface, "released": released_surface, "robust": paper_surface}
+
+
+def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Draw `n` points (n, 3) [m] uniformly by area, with the face (n,) that each is from."""
+    random = np.random.default_rng(seed)
+    cumulated = np.cumsum(mesh.areas)
+    drawn = np.searchsorted(cumulated, random.random(n) * cumulated[-1], side="right")
+    root, share = np.sqrt(random.random(n)), random.random(n)
+    weights = np.stack([1 - root, root * (1 - share), root * share], axis=1)
+    points: Floats = np.einsum("nk,nkc->nc", weights, mesh.corners[drawn])
+    return points, drawn
+
+
+def nearest_triangle(points: Floats, triangles: Floats) -> NDArray[np.int64]:
+    """Return the triangle nearest to each point, exactly; the first of equals.
+
+    `points` (n, 3), `triangles` (t, 3, 3); the result (n,) are indices of triangles.
+    """
+    rows = max(1, CHUNK // len(triangles))
+    blocks = [points[start : start + rows] for start in range(0, len(points), rows)]
+    return np.concatenate([_squared_distances(block, triangles).argmin(axis=1) for block in blocks])
+
+
+def _squared_distances(points: Floats, triangles: Floats) -> Floats:
+    """Return squared distances (n, t) of points to triangles: to plane or nearest edge."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    edges = [_to_segment(points, start, end) for start, end in ((a, b), (b, c), (c, a))]
+    distances: Floats = np.minimum(np.minimum(edges[0], edges[1]), edges[2])
+    normals = np.cross(b - a, c - a)
+    squares = np.einsum("tc,tc->t", normals, normals)
+    height = points @ normals.T - np.einsum("tc,tc->t", a, normals)
+    plane = height**2 / np.where(squares > 0, squares, 1.0)
+    inside = squares > 0
+    for start, end in ((a, b), (b, c), (c, a)):
+        inward = np.cross(normals, end - start)
+        inside = inside & (points @ inward.T >= np.einsum("tc,tc->t", start, inward))
+    return np.where(inside, plane, distances)
+
+
+def _to_segment(points: Floats, start: Floats, end: Floats) -> Floats:
+    """Return squared distances (n, t) between points (n, 3) and segments, each (t, 3)."""
+    along = end - start
+    squares = np.einsum("tc,tc->t", along, along)
+    from_start = points[:, None] - start
+    place = np.einsum("ntc,tc->nt", from_start, along) / np.where(squares > 0, squares, 1.0)
+    offset = from_start - np.clip(place, 0.0, 1.0)[..., None] * along
+    distances: Floats = np.einsum("ntc,ntc->nt", offset, offset)
+    return distances

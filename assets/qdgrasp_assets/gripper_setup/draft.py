@@ -1,0 +1,270 @@
+"""Draft of a gripper's file: what its user says, the rest guessed by geometry, with reasons."""
+
+import json
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET, Struct, structs
+
+from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup.grasp_inference import ClosingMotion, find_closing, joint_motor, pinches
+from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
+from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
+from qdgrasp_assets.grippers.urdf import Urdf
+from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.text import counted
+
+AS_TOLD = "as told"
+ROUNDING = 1e-6  # Resolution to which limits are written
+
+
+@dataclass(frozen=True)
+class DraftOverrides:
+    """Values of a hand that the user states; None or absent: guessed."""
+
+    licence: str | None = None
+    base_link: str | None = None
+    base_reason: str = AS_TOLD
+    approach_axis: Vector | None = None
+    palm_offset: float | None = None
+    standoff: tuple[float, float] | None = None
+    finger_links: tuple[str, ...] | None = None
+    opened: Mapping[str, float] = field(default_factory=dict)
+    closed: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class GripperDraft:
+    """A gripper's file, with a reason for each of its lines."""
+
+    file: GripperFile
+    reasons: Mapping[str, str]
+    """Reasons by key; those of a joint by `joints.NAME`."""
+
+
+def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
+    """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
+
+    Raises `UnknownName` if `overrides` name a link or joint that the hand does not have, `ImpossibleValue`
+    for a joint beyond its limits or an approach axis that is no direction, and `AssetError` if a mesh cannot
+    be read, or no finger can be found and none is named.
+    """
+    base, base_reason = overrides.base_link, overrides.base_reason
+    if base is None:
+        base, base_reason = guess_base(robot)
+    elif base not in robot.links:
+        raise UnknownName("link", base, robot.links)
+    body = read_hand_model(robot, base)
+    _check_names(body, overrides)
+    closing = _closing(body, overrides)
+    if not closing.fingers and not overrides.finger_links:
+        limbs = [joint.child for joint in body.robot.joints if joint.moves]
+        why = f"its moving links ({', '.join(limbs)}) have no <collision>"
+        raise AssetError(
+            f"No finger can be found in '{robot.path}' beyond the link '{base}': "
+            f"{why if limbs else 'none of its joints moves'}; name another --base-link, or give the finger "
+            "links collision shapes (--mend takes the visual ones)."
+        )
+    axis, axis_reason = _axis(closing, overrides)
+    offset, offset_reason = overrides.palm_offset, AS_TOLD
+    if offset is None:
+        palm, is_met = grasp_inference.palm_surface(body, axis)
+        end = "the approach axis passes the palm by: the end of"
+        offset_reason = f"{'where the approach axis leaves' if is_met else end} the palm's shapes"
+        offset = round(palm, 4)
+    standoff, standoff_reason = overrides.standoff, AS_TOLD
+    if standoff is None:
+        far = max(grasp_inference.finger_reach(closing, axis) - offset, 0.0) if closing.fingers else 0.05
+        standoff = (0.0, round(far, 4))
+        standoff_reason = "from the palm to where the fingers reach while they close"
+    links, links_reason = overrides.finger_links, AS_TOLD
+    if links is None:
+        links = tuple(link for finger in closing.fingers for link in finger.links)
+        links_reason = f"what moves and has a shape: {counted(len(closing.fingers), 'finger')}"
+        links_reason += ", with what is fixed opposite" if fixed_limbs(body) else ""
+    free, free_reason = _free(closing, axis, overrides)
+    jaw, jaw_reason = _jaw(closing, axis)
+    synergies, synergies_reason = pinches(closing)
+    joints = {name: _joint(closing, name, set(free)) for name in body.moving}
+    file = GripperFile(
+        urdf=urdf,
+        licence=overrides.licence or "not stated",
+        base_link=base,
+        approach_axis=_rounded(axis),
+        palm_offset=offset,
+        standoff=standoff,
+        finger_links=links,
+        joints={name: table for name, (table, _) in joints.items()},
+        synergies=tuple(Synergy(name=name, joints=group) for name, group in synergies.items()),
+        free_joints=free,
+        jaw=jaw,
+    )
+    licence_advice = "" if overrides.licence else ", so state it"
+    reasons = {
+        "licence": f"of the hand's files; it goes into every export{licence_advice}",
+        "base_link": base_reason,
+        "approach_axis": axis_reason,
+        "palm_offset": offset_reason,
+        "standoff": standoff_reason,
+        "finger_links": links_reason,
+        "jaw": jaw_reason,
+        "synergies": synergies_reason,
+        "free_joints": free_reason,
+        **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
+    }
+    return GripperDraft(file, reasons)
+
+
+def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
+    """Check that links and joints exist, and positions are within limits."""
+    for link in overrides.finger_links or ():
+        if link not in body.robot.links:
+            raise UnknownName("link", link, body.robot.links)
+    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ())):
+        if name not in body.moving:
+            raise UnknownName("moving joint", name, body.moving)
+    for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
+        for joint, position in ((body.joint(name), position) for name, position in positions.items()):
+            limited = joint.kind != "continuous" and joint.lower < joint.upper
+            if limited and not joint.lower - ROUNDING <= position <= joint.upper + ROUNDING:
+                within = f"within the limits {joint.lower:g} to {joint.upper:g} of that joint"
+                raise ImpossibleValue(f"{label} {joint.name}", position, within)
+
+
+def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
+    """Return the closing of the hand, with the user's statements applied."""
+    found = find_closing(body)
+    fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
+    fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
+    opened = {**found.opened, **overrides.opened}
+    closed = {**found.closed, **overrides.closed}
+    return ClosingMotion(body, found.fingers, opened, closed, fixed)
+
+
+def _axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Floats, str]:
+    if overrides.approach_axis is not None:
+        axis = np.array(overrides.approach_axis)
+        if not np.linalg.norm(axis) > 0:
+            raise ImpossibleValue("approach-axis", overrides.approach_axis, "a direction, such as 0,0,1")
+        return axis / np.linalg.norm(axis), AS_TOLD
+    if not closing.fingers:
+        return np.array([0.0, 0.0, 1.0]), "no finger tells where the hand looks: set it"
+    way, reason = grasp_inference.closing_way(closing)
+    if np.linalg.norm(way) < grasp_inference.SHORT:
+        raise AssetError(
+            f"Where the hand in '{closing.body.robot.path}' looks cannot be guessed, as its fingers lie "
+            "around the middle of its palm: say it with --approach-axis, such as 0,0,1."
+        )
+    return grasp_inference.snap_to_axis(way), reason
+
+
+def _free(
+    closing: ClosingMotion, axis: Floats, overrides: DraftOverrides
+) -> tuple[dict[str, FreeJointTable], str]:
+    names = closing.spreads(axis) if overrides.free is None else overrides.free
+    ranges = {name: closing.body.range(name) for name in names}
+    reason = "joints that turn fingers about the approach axis: their place is a gene"
+    tables = {name: FreeJointTable(low=low, high=high) for name, (low, high) in ranges.items()}
+    return tables, AS_TOLD if overrides.free else reason
+
+
+def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[Jaw | None, str]:
+    across = grasp_inference.jaw_axis(closing, axis)
+    opening = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
+    if across is None or opening <= 0:
+        return None, ""
+    table = Jaw(axis=_rounded(across), opening=round(opening, 4))
+    return table, "two fingers that move toward each other, and the room between them when open"
+
+
+def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTable, str]:
+    """Return a joint's table, and the reason for its values."""
+    body = closing.body
+    opened, closed = (
+        round(float(np.clip(closing.posture(share)[name], *body.range(name))), 6) for share in (0.0, 1.0)
+    )
+    if name in free:
+        return JointTable(open=opened, driven=False), "a gene says where it is; the simulator holds it there"
+    follower = body.followers.get(name)
+    effort, velocity, notes = joint_motor(body, name, abs(closed - opened))
+    if follower is not None:
+        notes = (
+            f"mimics {follower.leader} ({follower.multiplier:g} times it, plus {follower.offset:g}) "
+            "by a motor of its own, as the simulator couples no joints",
+            *notes,
+        )
+    elif name in closing.fixed_joints:
+        notes = (closing.fixed_joints[name], *notes)
+    target = None if closed == opened else closed
+    return JointTable(open=opened, closed=target, effort=effort, velocity=velocity), "; ".join(notes)
+
+
+def _rounded(axis: Floats) -> Vector:
+    return vector(axis.round(6) + 0.0)
+
+
+LINE_WIDTH = 108
+TOML_HEAD = """\
+What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
+What the keys mean: docs/grippers.md.
+After a change: qdgrasp gripper check {name} --picture pictures"""
+PLAIN_KEYS = ("licence", "base_link", "approach_axis", "palm_offset", "standoff", "finger_links")
+KEY_UNITS = {"palm_offset": " [m]", "standoff": " [m]"}
+
+
+def draft_toml(draft: GripperDraft, name: str) -> str:
+    """Return the text of a gripper's TOML file that will be called `name`."""
+    file, reasons = draft.file, draft.reasons
+    lines = [*_comment(TOML_HEAD.format(urdf=file.urdf, name=name)), f"urdf = {_value(file.urdf)}"]
+    for key in PLAIN_KEYS:
+        comment = _comment(reasons[key] + KEY_UNITS.get(key, ""))
+        lines += ["", *comment, f"{key} = {_value(getattr(file, key))}"]
+    if file.jaw is not None:
+        lines += ["", *_comment(reasons["jaw"]), "[jaw]", *_table(file.jaw)]
+    for joint, table in file.joints.items():
+        comment = _comment(reasons.get(f"joints.{joint}", ""))
+        lines += ["", *comment, f"[joints.{_key(joint)}]", *_table(table)]
+    for number, synergy in enumerate(file.synergies):
+        lines += ["", *(() if number else _comment(reasons["synergies"])), "[[synergies]]", *_table(synergy)]
+    for number, (joint, free) in enumerate(file.free_joints.items()):
+        lines += ["", *(() if number else _comment(reasons["free_joints"]))]
+        lines += [f"[free_joints.{_key(joint)}]", *_table(free)]
+    return "\n".join(lines) + "\n"
+
+
+def _comment(text: str) -> Iterator[str]:
+    for line in text.splitlines():
+        yield from (f"# {part}" for part in textwrap.wrap(line, LINE_WIDTH))
+
+
+def _table(table: Struct) -> Iterator[str]:
+    """Yield the lines of a table, without values that are the default."""
+    for column in structs.fields(table):
+        value = getattr(table, column.name)
+        if column.default is UNSET or value != column.default:
+            yield f"{column.name} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Iterable):
+        values = [_value(each) for each in value]
+        short = f"[{', '.join(values)}]"
+        long = "".join(["[\n", *(f"  {each},\n" for each in values), "]"])
+        return short if len(short) < LINE_WIDTH else long
+    return repr(round(float(value), 6) + 0.0)
+
+
+def _key(name: str) -> str:
+    """Return a key in TOML's notation."""
+    is_bare = all(letter.isascii() and (letter.isalnum() or letter in "-_") for letter in name)
+    return name if is_bare and name else json.dumps(name, ensure_ascii=False)

@@ -1,0 +1,301 @@
+"""Mended copies of hands that the simulator can take: a URDF and a folder of meshes.
+
+They lie beside the gripper's file and hold the hand alone. What can be used stays as it is; each change is
+described in words. Links without a mass get that of solids of water, which hollow ones of metal are near. A
+base link in the middle is added where the fingers close beside the line on which the palm looks at objects.
+"""
+
+import copy
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import NoReturn
+
+import numpy as np
+
+from qdgrasp_assets.asset_paths import path_problem
+from qdgrasp_assets.geometry.collision_parts import Tell
+from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
+from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter
+from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
+from qdgrasp_assets.grippers.hand_model import read_hand_model
+from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
+from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.text import counted
+
+DENSITY = 1000.0  # Density of links with shapes [kg/m3]
+FRAME_MASS = 1e-3  # Mass of links without shapes: frames, tips, mounts [kg]
+LEAST_SIDE = 5e-3  # Least side of the box that gives a link its inertia [m]
+
+
+def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
+    """Give a mass and an inertia to each link of a hand that lacks them; yields the changes."""
+    given: dict[str, str] = {}
+    wrong = unweighed(hand.element)
+    for link in hand.element.findall("link"):
+        name = link.get("name", "")
+        if name not in wrong:
+            continue
+        for old in link.findall("inertial"):
+            link.remove(old)
+        mass, inertial = _inertial(splitter.corners(hand, name))
+        link.append(inertial)
+        given[name] = f"{name} {float(mass):.3g}"
+    if given:
+        yield (
+            f"{listed('link', list(given))} given a mass, by the size of the shapes at {DENSITY:g} kg/m3 "
+            f"({', '.join(given.values())} kg)"
+        )
+
+
+def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
+    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m]: the inertia of their box."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    volume = 0.0
+    for part in parts:
+        with suppress(QhullError, ValueError):  # a flat one
+            volume += float(ConvexHull(part).volume)
+    mass = max(DENSITY * volume, FRAME_MASS)
+    corners = np.concatenate([np.zeros((0, 3)), *parts])
+    low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
+    sides = np.maximum(high - low, LEAST_SIDE) ** 2
+    moments = mass / 12 * (sides.sum() - sides)
+    inertial = ET.Element("inertial")
+    ET.SubElement(inertial, "origin", xyz=" ".join(f"{value:.6g}" for value in (low + high) / 2), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=f"{mass:.6g}")
+    names = {name: f"{moment:.6g}" for name, moment in zip(("ixx", "iyy", "izz"), moments, strict=True)}
+    ET.SubElement(inertial, "inertia", {**names, "ixy": "0", "ixz": "0", "iyz": "0"})
+    return f"{mass:.6g}", inertial
+
+
+def mend(
+    robot: Urdf, base: str, folder: str, tell: Tell
+) -> tuple[ET.Element, dict[str, bytes], tuple[str, ...]]:
+    """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
+
+    Returns the mended `<robot>`, its meshes by path, and the changes in words. Meshes will lie in `folder`,
+    relative to the URDF that will be written. `tell` is called with a sentence before each slow step. Raises
+    `AssetError` if a mesh is missing or cannot be read, or CoACD failed.
+    """
+    hand = replace(robot, element=robot.subtree(base).element)
+    splitter = MeshSplitter(hand.path, folder, tell)
+    changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
+    if visuals := drop_visuals(hand.element):  # their meshes may be missing
+        changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
+    changes += weigh(parse_robot(hand.path, hand.element), splitter)
+    return hand.element, splitter.files, tuple(changes)
+
+
+def _joints(element: ET.Element) -> Iterator[str]:
+    """Fix floating joints, and swap limits that are the wrong way round."""
+    floating, turned = [], []
+    for joint in element.findall("joint"):
+        limit, name = joint.find("limit"), joint.get("name", "")
+        if joint.get("type") == "floating":
+            joint.set("type", "fixed")
+            floating.append(name)
+        elif limit is not None and float(limit.get("lower", "0")) > float(limit.get("upper", "0")):
+            lower, upper = limit.get("lower", "0"), limit.get("upper", "0")
+            limit.set("lower", upper)
+            limit.set("upper", lower)
+            turned.append(name)
+    if floating:
+        yield f"{listed('joint', floating)} fixed, as no motor drives what floats"
+    if turned:
+        yield f"{listed('joint', turned)} limited the right way round: lower and upper were swapped"
+
+
+def _shapes(element: ET.Element) -> Iterator[str]:
+    """Take the visual shapes for collision if no moving link has collision shapes."""
+    moving = {child for joint, (_, child) in zip(element.findall("joint"), edges(element), strict=True)
+              if joint.get("type") != "fixed"}  # fmt: skip
+    links = element.findall("link")
+    if any(link.find("collision") is not None for link in links if link.get("name") in moving):
+        return
+    taken = [link.get("name", "") for link in links if link.find("visual") is not None]
+    for link in links:
+        for visual in link.findall("visual"):
+            shape = ET.SubElement(link, "collision")
+            shape.extend(child for child in visual if child.tag in ("origin", "geometry"))
+    if taken:
+        yield f"{listed('link', taken)} given the visual shapes for collision, as there were no others"
+
+
+CENTRE = "_centre"  # Suffix of the name of an added base link
+
+
+@dataclass(frozen=True)
+class MendedCopy:
+    """A mended copy of a hand."""
+
+    robot: Urdf
+    base: str
+    changes: tuple[str, ...]
+
+
+def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
+    """Add a base link on the fingers' line before `base`; None where they close near its line.
+
+    Raises `AssetError` if a mesh is missing or cannot be read.
+    """
+    body = read_hand_model(robot, base)
+    closing = find_closing(body)
+    if not closing.fingers:
+        return None
+    axis, centre = grasp_inference.approach_direction(closing), grasp_inference.grasp_centre(closing)
+    if grasp_inference.axis_offset(closing, axis) <= BESIDE:
+        return None
+    place = (centre - (centre @ axis) * axis).round(3) + 0.0
+    name, words = base + CENTRE, " ".join(f"{value:g}" for value in place)
+    element = copy.deepcopy(body.robot.element)
+    link = ET.SubElement(element, "link", name=name)  # with a mass: without one Bullet would hold it still
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=f"{FRAME_MASS:g}")
+    moments = {"ixx": "1e-7", "iyy": "1e-7", "izz": "1e-7"}
+    ET.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})
+    joint = ET.SubElement(element, "joint", name=f"{name}_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=name)
+    ET.SubElement(joint, "child", link=base)
+    ET.SubElement(joint, "origin", xyz=" ".join(f"{0.0 - value:g}" for value in place), rpy="0 0 0")
+    change = (
+        f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
+        f"on the line on which the fingers close: poses are those of '{name}'"
+    )
+    return MendedCopy(parse_robot(robot.path, element), name, (change,))
+
+
+HEAD = (
+    "<!-- A mended copy, written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
+)
+"""First line of each copy; a file without it is the user's own."""
+
+
+def mended_urdf(toml: Path) -> Path:
+    """Return the path of the mended URDF of a gripper's file."""
+    return toml.with_name(f"{toml.stem}_mended.urdf")
+
+
+def mended_meshes(toml: Path) -> Path:
+    """Return the path of the folder of the mended URDF's meshes."""
+    return toml.with_name(f"{toml.stem}_meshes")
+
+
+def check_replaceable(robot: Urdf, toml: Path) -> None:
+    """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
+    urdf, folder = mended_urdf(toml), mended_meshes(toml)
+    if urdf.exists() and (path_problem(urdf) or not urdf.read_bytes().startswith(HEAD.encode())):
+        _refuse(urdf, "was not written by --mend")
+    if folder.exists() and not _holds_copies(folder, urdf):
+        _refuse(folder, "holds what was not written by --mend")
+    if urdf.exists() and urdf.samefile(robot.path):
+        _refuse(urdf, "is the URDF itself")
+    if folder.exists() and any(_is_in(folder, robot, name) for name in _mesh_names(robot.element)):
+        _refuse(folder, f"holds the meshes of '{robot.path}'")
+
+
+@contextmanager
+def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool) -> Iterator[MendedCopy]:
+    """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
+
+    It replaces an older copy at once. Where the with-block fails, what was there before is there again.
+    `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
+    fingers close beside its line of approach. Raises `AssetError` if a mesh is missing or cannot be read,
+    CoACD failed, or the copy cannot be written; or something else than an older copy is there.
+    """
+    check_replaceable(robot, toml)
+    urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)
+    with _writing(urdf):
+        folder = TemporaryDirectory(prefix=f".{toml.stem}.", dir=toml.parent)
+    with folder as temporary:
+        new, old, failed = (Path(temporary) / name for name in ("new", "old", "failed"))
+        for each in (new, old, failed):
+            each.mkdir()
+        with _writing(urdf):
+            copy = _make_copy(robot, base, new / urdf.name, names[1], tell, may_centre=may_centre)
+        try:
+            with _writing(urdf):
+                _move_files(names, toml.parent, old)
+                _move_files(names, new, toml.parent)
+            yield replace(copy, robot=read_urdf(urdf))
+        except BaseException:
+            _move_files(names, toml.parent, failed)
+            _move_files(names, old, toml.parent)
+            raise
+
+
+def write_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool) -> MendedCopy:
+    """Write a mended copy that stays; parameters and errors as of `mended_copy`."""
+    with mended_copy(robot, base, toml, tell, may_centre=may_centre) as copy:
+        return copy
+
+
+def _make_copy(
+    robot: Urdf, base: str, urdf: Path, folder: str, tell: Tell, *, may_centre: bool
+) -> MendedCopy:
+    """Write the copy: its URDF to `urdf`, and its meshes to `folder` beside it."""
+    element, meshes, changes = mend(robot, base, folder, tell)
+    for name, content in meshes.items():
+        (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
+        (urdf.parent / name).write_bytes(content)
+    _write_urdf(element, urdf)
+    copied = read_urdf(urdf)
+    centred = centre_base(copied, base) if may_centre else None
+    if centred is None:
+        return MendedCopy(copied, base, changes)
+    _write_urdf(centred.robot.element, urdf)
+    return replace(centred, changes=(*changes, *centred.changes))
+
+
+def _write_urdf(element: ET.Element, path: Path) -> None:
+    ET.indent(element)
+    path.write_text(HEAD + ET.tostring(element, encoding="unicode") + "\n", encoding="utf-8")
+
+
+def _move_files(names: tuple[str, ...], source: Path, target: Path) -> None:
+    """Move those files and folders that exist."""
+    for name in names:
+        if (source / name).exists():
+            (source / name).rename(target / name)
+
+
+@contextmanager
+def _writing(urdf: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise AssetError(
+            f"The mended hand cannot be written to '{urdf}': {error.strerror or error}."
+        ) from None
+
+
+def _holds_copies(folder: Path, urdf: Path) -> bool:
+    """Return whether a folder holds nothing but meshes of the copy at `urdf`."""
+    if folder.is_symlink() or not folder.is_dir():
+        return False
+    names = set(_mesh_names(read_urdf(urdf).element)) if urdf.is_file() else set()
+    return all(each.is_file() and f"{folder.name}/{each.name}" in names for each in folder.iterdir())
+
+
+def _mesh_names(element: ET.Element) -> Iterator[str]:
+    return (mesh.get("filename", "") for mesh in element.iter("mesh"))
+
+
+def _is_in(folder: Path, robot: Urdf, name: str) -> bool:
+    """Return whether a URDF's mesh lies in a folder; a `package://` path by the folder's name."""
+    if name.startswith("package://"):
+        return folder.name in PurePosixPath(name).parts
+    return (robot.path.parent / name.removeprefix("file://")).resolve().is_relative_to(folder.resolve())
+
+
+def _refuse(path: Path, why: str) -> NoReturn:
+    raise AssetError(
+        f"'{path}' {why}, and is not replaced, not even with --force: name another path with --out, beside "
+        "which the mended copy is written."
+    )

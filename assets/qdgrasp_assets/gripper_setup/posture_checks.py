@@ -1,0 +1,258 @@
+"""Checks of a gripper's file against its hand's geometry: faults and unlikely values."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+
+import numpy as np
+
+from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME, ClosingMotion, interpolate_posture
+from qdgrasp_assets.grippers.gripper_file import GripperFile
+from qdgrasp_assets.grippers.hand_model import HandModel, find_fingers, overlap_depth
+from qdgrasp_assets.scene import unit_vector
+from qdgrasp_protocol.text import counted, join_numbers
+
+DEEP_OVERLAP = 2e-3  # Depth from which links overlap [m]; their hulls are larger than they are
+LOOKS_AWAY = np.radians(100.0)  # Angle to the fingers from which an approach axis points away from them [rad]
+NEARER = 0.97  # A hand closes if its fingertips come to at most this share of their distance
+BESIDE = 0.03  # Distance of the closing fingers from the approach line above which grasps miss [m]
+
+
+@dataclass(frozen=True)
+class HandPostures:
+    """A hand with the postures of its file."""
+
+    file: GripperFile
+    body: HandModel
+
+    @cached_property
+    def closing(self) -> ClosingMotion:
+        """The way from open to closed; every joint as the file says, followers too."""
+        joints = {name: table for name, table in self.file.joints.items() if name in self.body.moving}
+        opened = {name: table.open for name, table in joints.items()}
+        closed = {
+            name: table.closed for name, table in joints.items() if table.closed is not None and table.driven
+        }
+        course = [interpolate_posture(opened, closed, share) for share in (0.0, 0.5, 1.0)]
+        return ClosingMotion(self.body, find_fingers(self.body, course), opened, closed, {})
+
+    @cached_property
+    def axis(self) -> Floats:
+        """The approach axis (3,), unit."""
+        axis = np.array(self.file.approach_axis)
+        unit: Floats = axis / np.linalg.norm(axis)
+        return unit
+
+    def posture(self, share: float) -> dict[str, float]:
+        """Return all joints between open (0) and closed (1), each by itself."""
+        return interpolate_posture(self.closing.opened, self.closing.closed, share)
+
+
+def posture_faults(file: GripperFile, body: HandModel) -> tuple[str, ...]:
+    """Return the impossible postures, palm and axis of a file in words."""
+    hand = HandPostures(file, body)
+    touching = [link for link in file.finger_links if link in body.parts]
+    if not touching:
+        links = ", ".join(sorted(set(body.parts) - set(grasp_inference.palm_links(body)))) or "none"
+        return (
+            "no finger link has a collision shape, so that none could touch; those that move and have: "
+            f"{links}",
+        )
+    return (*_mimic_faults(hand), *_open_overlaps(hand), *_closing_faults(hand), *_approach_faults(hand))
+
+
+def _mimic_faults(hand: HandPostures) -> Iterator[str]:
+    """Yield faults of followers that the file sends elsewhere than their leaders do."""
+    joints = hand.file.joints
+    for name, follower in hand.body.followers.items():
+        for label, share in (("open", 0.0), ("closed", 1.0)):
+            posture = hand.posture(share)
+            meant = float(np.clip(follower.position(posture[follower.leader]), *hand.body.range(name)))
+            is_off = abs(posture[name] - meant) > 1e-3 + 0.01 * abs(meant)
+            if name in joints and joints[name].driven and is_off:
+                yield (
+                    f"joints.{name} is {label} at {posture[name]:g}, and by the URDF's <mimic> it is at "
+                    f"{meant:g} where {follower.leader} is at {posture[follower.leader]:g}; "
+                    f"write {label} = {meant:g}"
+                )
+
+
+def _open_overlaps(hand: HandPostures) -> Iterator[str]:
+    """Yield faults of links that overlap in the open posture but not when closing."""
+    for one, other, deep in deep_pairs(hand, 0.0):
+        if not is_always_deep(hand, one, other):
+            yield (
+                f"the links '{one}' and '{other}' are {1000 * deep:.0f} mm in each other in the open "
+                "posture; correct the open positions of the joints between them, or the place of their shapes"
+            )
+
+
+def is_always_deep(hand: HandPostures, one: str, other: str) -> bool:
+    """Return whether two links overlap in all postures, as those of one linkage do."""
+    return min(depth_at(hand, one, other, share) for share in (0.25, 0.5, 0.75, 1.0)) >= DEEP_OVERLAP
+
+
+def deep_pairs(hand: HandPostures, share: float) -> Iterator[tuple[str, str, float]]:
+    """Yield pairs of links that are not neighbours and are deep in each other."""
+    pieces = hand.body.rigid_piece
+    arms = {pieces[joint.child]: pieces[joint.parent] for joint in hand.body.robot.joints if joint.moves}
+    for one, other in combinations(hand.body.parts, 2):
+        first, second = pieces[one], pieces[other]
+        are_near = first == second or arms.get(first) == second or arms.get(second) == first
+        deep = 0.0 if are_near else depth_at(hand, one, other, share)
+        if deep > DEEP_OVERLAP:
+            yield one, other, deep
+
+
+def depth_at(hand: HandPostures, one: str, other: str, share: float) -> float:
+    """Return the depth of two links in each other at a share of the way [m]."""
+    placed = hand.body.parts_at(hand.posture(share), (one, other))
+    return overlap_depth(placed[one], placed[other])
+
+
+def _closing_faults(hand: HandPostures) -> Iterator[str]:
+    """Yield the fault of a closed posture that brings no fingertips together."""
+    closing = hand.closing
+    if not closing.closed:
+        yield "no joint closes: give those of the fingers a closed position that is not the open one"
+        return
+    if not closing.fingers:
+        return
+    distances = [_tip_distance(hand, share) for share in np.linspace(0, 1, 9)]
+    if min(distances) >= NEARER * distances[0] and len(closing.fingers) == 1:
+        yield (
+            "only one finger moves, it does not close on the line of approach, and nothing is fixed opposite "
+            "to it: a hand grasps from two sides (suction is not simulated)"
+        )
+    elif min(distances) >= NEARER * distances[0]:
+        yield (
+            f"the fingers do not close: their tips are {1000 * distances[0]:.0f} mm apart when open and "
+            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them"
+        )
+
+
+def _approach_faults(hand: HandPostures) -> Iterator[str]:
+    """Yield faults of an approach axis that points away, and a palm beyond the fingers."""
+    if approach_angle(hand) > LOOKS_AWAY:
+        axis = join_numbers(grasp_inference.approach_direction(hand.closing))
+        yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
+    if not hand.closing.fingers:
+        return
+    reach, offset = grasp_inference.finger_reach(hand.closing, hand.axis), hand.file.palm_offset
+    if offset >= reach:
+        end = grasp_inference.palm_surface(hand.body, hand.axis)[0]
+        yield (
+            f"palm_offset is {offset:g} m along the approach axis, and the fingers reach no farther than "
+            f"{reach:.4g} m; the palm's shapes end at {end:.4g} m"
+        )
+
+
+def _tip_distance(hand: HandPostures, share: float) -> float:
+    """Return the mean distance of fingertips [m]; of a single one, to the approach line."""
+    frames = hand.body.frames(hand.posture(share))
+    tips = [finger.tip(frames) for finger in hand.closing.fingers]
+    if len(tips) == 1:
+        return float(np.linalg.norm(tips[0] - (tips[0] @ hand.axis) * hand.axis))
+    return float(np.mean([np.linalg.norm(one - other) for one, other in combinations(tips, 2)]))
+
+
+def approach_angle(hand: HandPostures) -> float:
+    """Return the angle of the approach axis to the half closed fingertips [rad]."""
+    if not hand.closing.fingers:
+        return 0.0
+    return float(np.arccos(np.clip(hand.axis @ grasp_inference.approach_direction(hand.closing), -1, 1)))
+
+
+AXIS_OFF = np.radians(35.0)  # Angle between approach axis and fingers from which it is noted [rad]
+PALM_OFF, STANDOFF_OFF, JAW_OFF = 0.03, 0.02, 0.015
+"""Tolerances of palm_offset, stand-off and jaw opening against the shapes [m]."""
+CROSSED = 5e-3  # Depth from which closed finger links have gone through each other [m]
+CLOSING_COURSE = np.linspace(0.0, 1.0, 21)  # Shares of the way at which fingers are checked for crossing
+SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the closing time
+
+
+def posture_notes(file: GripperFile, body: HandModel) -> tuple[str, ...]:
+    """Return the notes on a gripper's file."""
+    hand = HandPostures(file, body)
+    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
+
+
+def _approach_notes(hand: HandPostures) -> Iterator[str]:
+    """Yield notes on finger links, approach axis, palm and stand-off."""
+    file, closing, angle = hand.file, hand.closing, approach_angle(hand)
+    if bare := ", ".join(link for link in file.finger_links if link not in hand.body.parts):
+        yield f"finger links without a collision shape, which touch nothing: {bare}"
+    if LOOKS_AWAY >= angle > AXIS_OFF:
+        axis = join_numbers(grasp_inference.approach_direction(closing))
+        yield f"approach_axis is {np.degrees(angle):.0f} degrees from where the fingers close, [{axis}]"
+    if closing.fingers and (aside := grasp_inference.axis_offset(closing, hand.axis)) > BESIDE:
+        yield (
+            f"the fingers close {1000 * aside:.0f} mm beside the line through the base link along the "
+            "approach axis, which is where objects are: few grasps will be found, unless the base link is "
+            "in the middle (`qdgrasp gripper new --mend` puts one there)"
+        )
+    surface, is_met = grasp_inference.palm_surface(hand.body, hand.axis)
+    if grasp_inference.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:
+        yield f"palm_offset is {file.palm_offset:g} m, and the palm's shapes end at {surface:.4g} m"
+    if closing.fingers:
+        far = grasp_inference.finger_reach(closing, hand.axis) - file.palm_offset
+        if file.standoff[1] > far + STANDOFF_OFF:
+            reach = f"the fingers reach {far:.4g} m beyond the palm"
+            yield f"standoff goes to {file.standoff[1]:g} m, and {reach}"
+
+
+def _jaw_notes(hand: HandPostures) -> Iterator[str]:
+    across = grasp_inference.jaw_axis(hand.closing, hand.axis) if hand.closing.fingers else None
+    jaw = hand.file.jaw
+    if across is None or (gap := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
+        return
+    axis = join_numbers(across)
+    if jaw is None:
+        yield (
+            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {gap:.4g} "
+            "it could use antipodal methods"
+        )
+    elif abs(across @ unit_vector(jaw.axis)) < np.cos(AXIS_OFF):
+        yield f"jaw.axis is [{join_numbers(jaw.axis)}], and the fingers oppose each other along [{axis}]"
+    elif abs(gap - jaw.opening) > JAW_OFF:
+        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {gap:.4g} m"
+
+
+def _closing_notes(hand: HandPostures) -> Iterator[str]:
+    """Yield notes on crossing and slow fingers, driven genes and linkages."""
+    file, touching = hand.file, set(hand.file.finger_links)
+    crossed = []  # finger links that overlap when closed and not when open
+    for finger, another in combinations(hand.closing.fingers, 2):
+        for one, other in product(finger.links, another.links):
+            deep = depth_at(hand, one, other, 1.0) if {one, other} <= touching else 0.0
+            if deep >= CROSSED and depth_at(hand, one, other, 0.0) < DEEP_OVERLAP:
+                crossed.append((deep, one, other))
+    if crossed:
+        deep, one, other = max(crossed)
+        meets = next(share for share in CLOSING_COURSE if depth_at(hand, one, other, share) >= DEEP_OVERLAP)
+        more = f" (and {counted(len(crossed) - 1, 'other pair')} of links)" if len(crossed) > 1 else ""
+        yield (
+            f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet "
+            f"at {100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the "
+            "simulator lets them, so that they may hold thin objects as no real hand can: close them less far"
+        )
+    late = []
+    for name, closed in hand.closing.closed.items():
+        table, joint = file.joints[name], hand.body.joint(name)
+        velocity = joint.velocity if table.velocity is None else table.velocity
+        time = abs(closed - table.open) / velocity if velocity > 0 else 0.0
+        if time > SLOW * CLOSING_TIME:
+            late.append(f"{name} needs {time:.2g} s")
+    if late:
+        yield (
+            f"an evaluation closes the hand for {CLOSING_TIME:.2f} s, in which it does not close wholly: "
+            f"{', '.join(late)}"
+        )
+    if driven := ", ".join(name for name in file.free_joints if file.joints[name].driven):
+        yield f"free joints that are driven go back to their open place while the hand closes: {driven}"
+    pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
+    if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
+        yield f"in each other in every posture, as links of one linkage are: {linked}"

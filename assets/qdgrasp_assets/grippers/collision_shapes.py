@@ -1,0 +1,168 @@
+"""Collision shapes of a robot, as triangles and as the simulator's convex parts.
+
+The simulator wraps an STL in one hull, and each group of an OBJ in one of its own; the parts are never more
+than it takes. Round shapes are given by corners on them, so that their hull lies within. What is not known
+here has no corners.
+"""
+
+import io
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, read_obj, stl_triangles
+from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
+from qdgrasp_protocol.errors import AssetError
+
+FORMS = ("mesh", "box", "cylinder", "sphere")  # The geometries of URDF
+
+
+@dataclass(frozen=True)
+class CollisionShape:
+    """One collision shape of a link."""
+
+    link: str
+    vertices: Floats
+    """(v, 3) [m], link frame."""
+    faces: NDArray[np.int64]
+    """(f, 3)."""
+
+
+def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
+    """Yield links' collision shapes from `files` by name; `AssetError` if a mesh is empty."""
+    for link in robot.element.findall("link"):
+        for collision in link.findall("collision"):
+            geometry = collision.find("geometry")
+            if geometry is None or not len(geometry):
+                continue
+            mesh, name = _triangles(geometry[0], files), link.get("name", "")
+            if not len(mesh.faces):
+                raise AssetError(
+                    f"The URDF '{robot.path}' has an empty collision shape: the mesh of link '{name}' has no "
+                    "triangles; give it one with a surface, or leave the shape out."
+                )
+            frame = parse_origin(robot.path, collision.find("origin"))
+            placed = mesh.vertices @ frame[:3, :3].T + frame[:3, 3]
+            yield CollisionShape(name, placed, mesh.faces)
+
+
+def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
+    """Return the largest side of the box around all shapes, joints at zero, root frame [m]."""
+    frames = robot.forward({})
+    corners = [
+        shape.vertices @ frames[shape.link][:3, :3].T + frames[shape.link][:3, 3]
+        for shape in shapes(robot, files)
+    ]
+    return float(np.ptp(np.concatenate(corners), axis=0).max()) if corners else 0.0
+
+
+def _triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
+    """Return the triangles of a geometry of URDF, coincident vertices merged.
+
+    Round shapes, Collada files and others are made by trimesh, which takes long to import.
+    """
+    name, scale = element.get("filename", ""), [1.0, 1.0, 1.0]
+    kind = PurePosixPath(name).suffix.lower()
+    if element.tag == "mesh":
+        corners = stl_triangles(files[name]) if kind == ".stl" else None
+        if kind == ".obj":
+            read = read_obj(files[name].decode("utf-8", "replace"))
+            corners = np.concatenate([np.zeros((0, 3, 3)), *(read.vertices[group] for group in read.groups)])
+        scale = attribute_numbers(element, "scale", "1 1 1")
+        if corners is not None:
+            vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+            return Mesh(vertices * scale, faces.reshape(-1, 3).astype(np.int64))
+    import trimesh
+
+    match element.tag:
+        case "mesh":
+            mesh = trimesh.load_mesh(io.BytesIO(files[name]), file_type=kind.removeprefix("."))
+        case "box":
+            mesh = trimesh.creation.box(attribute_numbers(element, "size", "0 0 0"))
+        case "cylinder":
+            mesh = trimesh.creation.cylinder(float(element.get("radius", 0)), float(element.get("length", 0)))
+        case "sphere":
+            mesh = trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0)))
+        case unknown:
+            raise KeyError(unknown)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return Mesh(np.array(mesh.vertices) * scale, np.array(mesh.faces))
+
+
+def attribute_numbers(element: ET.Element, name: str, default: str) -> list[float]:
+    """Return the numbers of an attribute."""
+    return [float(word) for word in element.get(name, default).split()]
+
+
+CYLINDER_SIDES = 16
+"""Sides of the prism within a cylinder; the simulator's has 32, with these among its edges."""
+CONCAVE = "concave"  # Attribute of a collision shape that Bullet takes as bare triangles, without an inside
+
+
+@dataclass(frozen=True)
+class ConvexPart:
+    """One convex part of a link."""
+
+    link: str
+    corners: Floats
+    """(v, 3) [m], link frame: the part is their hull."""
+
+
+def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[ConvexPart]:
+    """Yield the convex parts of a robot's links; `files` holds its meshes by their names in it."""
+    for link in robot.element.findall("link"):
+        for collision in link.findall("collision"):
+            for corners in _collision_corners(robot, collision, files):
+                yield ConvexPart(link.get("name", ""), corners)
+
+
+def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
+    """Return whether every collision shape of a robot has convex parts."""
+    shapes = robot.element.iterfind("link/collision")
+    return all(any(True for _ in _collision_corners(robot, shape, files)) for shape in shapes)
+
+
+def _collision_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+    """Yield the corners (v, 3) of each part of a collision shape [m], link frame."""
+    geometry = collision.find("geometry")
+    if geometry is None or not len(geometry) or collision.get(CONCAVE) is not None:
+        return
+    if geometry[0].tag not in FORMS:
+        return
+    frame = parse_origin(robot.path, collision.find("origin"))
+    for corners in _geometry_corners(geometry[0], files):
+        yield corners @ frame[:3, :3].T + frame[:3, 3]
+
+
+def _geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+    """Yield the corners (v, 3) [m] of each part of a geometry of URDF, in its own frame."""
+    name = element.get("filename", "")
+    kind = PurePosixPath(name).suffix.lower()
+    if element.tag == "box":
+        yield np.array(list(product((-0.5, 0.5), repeat=3))) * attribute_numbers(element, "size", "0 0 0")
+    elif element.tag == "cylinder":
+        radius = float(element.get("radius", 0))
+        angles = np.arange(CYLINDER_SIDES) * (2 * np.pi / CYLINDER_SIDES)
+        height = np.full(CYLINDER_SIDES, float(element.get("length", 0)) / 2)
+        ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=1)
+        yield np.concatenate([ring, ring * (1.0, 1.0, -1.0)])
+    elif element.tag == "sphere":
+        yield geodesic(float(element.get("radius", 0)), 3).vertices
+    elif kind == ".obj":
+        for corners in obj_group_corners(files[name].decode("utf-8", "replace")):
+            yield corners * attribute_numbers(element, "scale", "1 1 1")
+    elif kind == ".stl" and (triangles := stl_triangles(files[name])) is not None:
+        yield np.unique(triangles.reshape(-1, 3), axis=0) * attribute_numbers(element, "scale", "1 1 1")
+
+
+def obj_group_corners(obj: str) -> Iterator[Floats]:
+    """Yield the corners (v, 3) of each group of an OBJ file that has triangles."""
+    read = read_obj(obj)
+    for group in read.groups:
+        yield read.vertices[np.unique(group)]

@@ -1,0 +1,319 @@
+"""A gripper's TOML file: strict reading, and validation against its URDF.
+
+All mismatches with the URDF and impossible values are listed at once. TOML knows nan and inf, and no hand
+has them.
+"""
+
+import math
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from qdgrasp_assets.asset_paths import on_asset_path, path_problem, searched
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
+from qdgrasp_assets.grippers.urdf_checks import kind_fault
+from qdgrasp_assets.scene import Jaw, Synergy
+from qdgrasp_protocol.errors import AssetError, UnknownKey
+
+Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
+KINDS: dict[Any, str] = {
+    str: "text",
+    bool: "true or false",
+    float: "a number",
+    float | None: "a number",
+    Pair: "two numbers",
+    Vector: "three numbers",
+    Names: "a list of names",
+}
+TABLE_KINDS = {
+    "joints": "tables [joints.NAME]",
+    "synergies": "tables [[synergies]]",
+    "free_joints": "tables [free_joints.NAME]",
+    "jaw": "a table [jaw]",
+}
+"""TOML notation of the inner tables."""
+REQUIRED_KEYS = {
+    "urdf": "name the hand's URDF",
+    "base_link": "name the link from which the hand goes out",
+    "approach_axis": "say which way the palm looks, such as [0, 0, 1]",
+    "palm_offset": "say how far the palm is from the base link along approach_axis [m]",
+    "standoff": "say how far the palm may stay away, [least, greatest] [m]",
+    "finger_links": "name the links whose touch makes a success",
+    "joints": "say of each joint that moves where it is open and closed",
+    "joints.open": "say where it is in the open posture [rad or m]",
+    "synergies.name": "call it something",
+    "synergies.joints": "name those that close together",
+    "free_joints.low": "say where the least of its gene puts it [rad or m]",
+    "free_joints.high": "say where the greatest of its gene puts it [rad or m]",
+    "jaw.axis": "say which way one finger is from the other, such as [0, 1, 0]",
+    "jaw.opening": "say how far apart the open fingers are [m]",
+}
+"""Advice for each required field that is left out."""
+
+
+def _inner_tables(values: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Yield the inner tables with their kind and name."""
+    for table in TABLES:
+        match values.get(table):
+            case dict() as entry if table == "jaw":
+                yield table, table, entry
+            case dict() as named if table:
+                yield from ((table, f"{table}.{name}", entry) for name, entry in named.items())
+            case list() as listed:
+                yield from ((table, f"{table}.{place}", entry) for place, entry in enumerate(listed))
+
+
+def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -> None:
+    fields = {field.name: field for field in msgspec.structs.fields(struct)}
+    if not isinstance(values, dict):
+        raise AssetError(f"'{path}': {label} must be a table, got {values!r}.")
+    for name, value in values.items():
+        if name not in fields:
+            raise UnknownKey(f"{path}: {label}" if label else str(path), name, fields)
+        _check_kind(path, f"{label}.{name}" if label else name, value, fields[name].type)
+    place = f" in {label}" if label else ""
+    missing = [
+        f"no {name}{place}: {REQUIRED_KEYS[f'{table}.{name}' if table else name]}"
+        for name, field in fields.items()
+        if field.required and name not in values
+    ]
+    if missing:
+        raise AssetError(f"'{path}' says {'; '.join(missing)}.")
+
+
+def _check_kind(path: Path, name: str, value: Any, kind: Any) -> None:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        expected = KINDS.get(kind) or TABLE_KINDS[name]
+        raise AssetError(f"'{path}': {name} must be {expected}, got {value!r}.") from None
+
+
+ON_ASSET_PATH = "asset://"
+
+
+class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[joints.NAME]`: one joint of the hand."""
+
+    open: float
+    """Position in the open posture [rad or m]."""
+    closed: float | None = None
+    """Target when the hand closes; None: the joint keeps its position."""
+    effort: float | None = None
+    """Motor force [N or Nm]; the URDF's by default."""
+    velocity: float | None = None
+    """Velocity limit [m/s or rad/s]; the URDF's by default."""
+    driven: bool = True
+    """False: never commanded, held by the simulator."""
+
+
+class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[free_joints.NAME]`: a joint whose initial position is a gene."""
+
+    low: float
+    high: float
+
+
+class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Content of a gripper's TOML file (docs/grippers.md)."""
+
+    urdf: str
+    """Path relative to the TOML, or `asset://...` on the asset path."""
+    licence: str = "not stated"
+    base_link: str
+    approach_axis: tuple[float, float, float]
+    palm_offset: float
+    standoff: tuple[float, float]
+    finger_links: tuple[str, ...]
+    joints: dict[str, JointTable]
+    synergies: tuple[Synergy, ...] = ()
+    free_joints: dict[str, FreeJointTable] = {}
+    jaw: Jaw | None = None
+    """Its axis may be of any length; None: not a two-finger hand."""
+    carrier_hold_force: float = 100.0
+    """Force that holds the carrier's joints in `released` [N, Nm]."""
+
+    def find_urdf(self, toml: Path) -> Path | None:
+        """Return the path of the URDF for this TOML; None if it is not on the asset path."""
+        if self.urdf.startswith(ON_ASSET_PATH):
+            return on_asset_path(self.urdf.removeprefix(ON_ASSET_PATH))
+        return toml.parent / self.urdf
+
+
+TABLES: dict[str, Any] = {
+    "": GripperFile,
+    "joints": JointTable,
+    "synergies": Synergy,
+    "free_joints": FreeJointTable,
+    "jaw": Jaw,
+}
+"""Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
+
+
+def urdf_path(path: Path, file: GripperFile) -> Path:
+    """Return the path of the URDF of a file; `AssetError` if not found on the asset path."""
+    found = file.find_urdf(path)
+    if found is None:
+        raise AssetError(
+            f"The gripper '{path.stem}' needs '{file.urdf.removeprefix(ON_ASSET_PATH)}' of the reference "
+            f"data, which is not there: {searched()}."
+        )
+    return found
+
+
+def read_gripper_file(path: Path) -> GripperFile:
+    """Read a gripper's TOML alone; `UnknownKey`, or `AssetError` for another mistake or no file."""
+    if why := path_problem(path):
+        raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise AssetError(f"'{path}' is not TOML: {error}.") from None
+    for table, label, entry in (*_inner_tables(values), ("", "", values)):
+        _check_table(path, table, label, entry, TABLES[table])
+    return msgspec.convert(values, GripperFile)
+
+
+def _non_finite(value: Any, name: str = "") -> Iterator[str]:
+    """Yield a sentence for each number in `value` that is not finite.
+
+    Those of a table have its key before theirs, those of a list the list's name.
+    """
+    match value:
+        case float() if not math.isfinite(value):
+            yield f"{name} must be a finite number, got {value:g}"
+        case dict():
+            for key, inner in value.items():
+                yield from _non_finite(inner, f"{name}.{key}" if name else str(key))
+        case list() | tuple():
+            for inner in value:
+                yield from _non_finite(inner, name)
+
+
+RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a right one
+
+
+def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
+    """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF.
+
+    Names must exist, the file must name every joint that moves, and numbers must be possible.
+    """
+    if numbers := tuple(_non_finite(msgspec.to_builtins(file))):
+        yield from numbers
+        return
+    unknown = tuple(_unknown_names(robot, "base_link", [file.base_link], robot.links))
+    yield from unknown
+    if not unknown:
+        yield from _hand_faults(file, robot, robot.subtree(file.base_link))
+    yield from _synergy_faults(file)
+    yield from _number_faults(file)
+
+
+def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
+    moving = {joint.name: joint for joint in hand.joints if joint.moves}
+    yield from (fault for joint in hand.joints if (fault := kind_fault(joint.name, joint.kind)))
+    yield from _unknown_names(robot, "finger_links", file.finger_links, hand.links)
+    yield from _unknown_names(robot, "joints", file.joints, moving)
+    yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
+    for synergy in file.synergies:
+        yield from _unknown_names(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
+    for name in moving:
+        if name not in file.joints:
+            yield (
+                f"it says nothing about the joint '{name}' of '{robot.path}', which moves; "
+                f"add [joints.{name}] with its open and closed positions, or with driven = false"
+            )
+    for name, table in file.joints.items():
+        if name in moving:
+            yield from _joint_faults(moving[name], table)
+    for name, free in file.free_joints.items():
+        if name not in moving:
+            continue
+        for label, position in (("low", free.low), ("high", free.high)):
+            yield from _limit_faults(moving[name], f"free_joints.{name}.{label}", position)
+        if free.low == free.high:
+            yield (
+                f"free_joints.{name} has one place, {free.low:g}, for low and high; make it a range, or "
+                "leave it out"
+            )
+
+
+def _unknown_names(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[str]:
+    for name in names:
+        if name not in known:
+            yield (
+                f"{field} names '{name}', which '{robot.path}' does not have below its base link; "
+                f"it has {', '.join(sorted(known)) or 'none'}"
+            )
+
+
+def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
+    for label, position in (("open", table.open), ("closed", table.closed)):
+        if position is not None:
+            yield from _limit_faults(joint, f"joints.{joint.name}.{label}", position)
+    for label in ("effort", "velocity"):
+        stated, value = getattr(table, label), getattr(joint, label)
+        if table.driven and (value if stated is None else stated) <= 0:
+            yield (
+                f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "
+                f"so give {label} in [joints.{joint.name}]"
+            )
+
+
+def _limit_faults(joint: UrdfJoint, field: str, position: float) -> Iterator[str]:
+    limited = joint.lower < joint.upper and joint.kind != "continuous"
+    if limited and not joint.lower - 1e-6 <= position <= joint.upper + 1e-6:
+        yield f"{field} is {position:g}, outside the URDF's limits {joint.lower:g} to {joint.upper:g}"
+
+
+def _synergy_faults(file: GripperFile) -> Iterator[str]:
+    for name in _duplicates(synergy.name for synergy in file.synergies if synergy.name):
+        yield f"more than one of the synergies is called '{name}'; give each a name of its own"
+    for synergy in file.synergies:
+        if not synergy.name:
+            yield f"a synergy of {', '.join(synergy.joints) or 'no joints'} has no name; give it one"
+        if not synergy.joints:
+            yield f"the synergy '{synergy.name}' has no joints; name those that close together"
+        for joint in _duplicates(synergy.joints):
+            yield f"the synergy '{synergy.name}' names '{joint}' more than once; name each joint once"
+        for joint in synergy.joints:
+            if joint in file.joints and not file.joints[joint].driven:
+                yield (
+                    f"the synergy '{synergy.name}' names '{joint}', which is not driven; leave it out, or "
+                    f"take driven = false out of [joints.{joint}]"
+                )
+
+
+def _duplicates(names: Iterable[str]) -> list[str]:
+    """Return the names that occur more than once."""
+    return sorted(name for name, times in Counter(names).items() if times > 1)
+
+
+def _number_faults(file: GripperFile) -> Iterator[str]:
+    low, high = file.standoff
+    if not 0 <= low <= high:
+        yield f"standoff must be [least, greatest], 0 or more, got [{low:g}, {high:g}]"
+    if file.palm_offset < 0:
+        yield f"palm_offset must be 0 or more, got {file.palm_offset:g}"
+    if not file.carrier_hold_force > 0:
+        yield f"carrier_hold_force must be greater than 0, got {file.carrier_hold_force:g}"
+    if not np.linalg.norm(file.approach_axis) > 0:
+        yield "approach_axis must not be zero"
+    if jaw := file.jaw:
+        if not jaw.opening > 0:
+            yield f"jaw.opening must be greater than 0, got {jaw.opening:g}"
+        lengths = np.linalg.norm(jaw.axis) * np.linalg.norm(file.approach_axis)
+        if not lengths > 0 or abs(np.dot(jaw.axis, file.approach_axis)) > RIGHT_ANGLE_TOLERANCE * lengths:
+            yield f"jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}"
+    if not file.finger_links:
+        yield "finger_links must name at least one link"
+    for link in _duplicates(file.finger_links):
+        yield f"finger_links names '{link}' more than once; name each link once"

@@ -1,0 +1,413 @@
+"""Geometric model of a hand: joints, placed convex parts, base link and fingers.
+
+The simulator does not know URDF's <mimic>. So each joint that follows another is driven by a motor of its
+own, to where its leader is sent, and they move together as long as nothing is in their way.
+
+The base is the link from which several moving limbs go out, and is no arm's. Fingers are the limbs that
+move, with the tip of each; limbs of one linkage are one finger. Opposite to a single limb that moves, those
+that are fixed to the palm are fingers too.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.grippers.collision_shapes import link_convex_parts, shapes
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
+from qdgrasp_protocol.errors import AssetError
+
+
+@dataclass(frozen=True)
+class MimicJoint:
+    """A joint whose position is `multiplier` times its leader's, plus `offset`."""
+
+    leader: str
+    """A joint that does not follow another."""
+    multiplier: float
+    offset: float
+    """Position at the leader's zero [rad or m]."""
+
+    def position(self, leader: float) -> float:
+        """Return its position where its leader is at `leader` [rad or m]."""
+        return self.multiplier * leader + self.offset
+
+
+def followers(robot: Urdf) -> dict[str, MimicJoint]:
+    """Return the joints of a robot that follow other moving joints, by name."""
+    mimics = {
+        joint.get("name", ""): MimicJoint(
+            mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+        )
+        for joint in robot.element.findall("joint")
+        if (mimic := joint.find("mimic")) is not None
+    }
+    moving = {joint.name for joint in robot.joints if joint.moves}
+    found = {name: _root_leader(name, mimics) for name in mimics if name in moving}
+    return {name: follower for name, follower in found.items() if follower.leader in moving - {name}}
+
+
+def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, float]:
+    """Return the positions of leaders [rad or m], and those of their followers."""
+    following = {
+        name: each.position(positions[each.leader])
+        for name, each in followers(robot).items()
+        if each.leader in positions
+    }
+    return {**positions, **following}
+
+
+def _root_leader(name: str, mimics: Mapping[str, MimicJoint]) -> MimicJoint:
+    """Resolve a chain of followers to the joint that leads it."""
+    follower, seen = mimics[name], {name}
+    while follower.leader in mimics and follower.leader not in seen:
+        seen.add(follower.leader)
+        further = mimics[follower.leader]
+        follower = MimicJoint(
+            further.leader, follower.multiplier * further.multiplier, follower.position(further.offset)
+        )
+    return follower
+
+
+PLANE_DECIMALS = 6  # Decimals to which equal half-spaces agree: triangles of the same face
+
+
+class ConvexSolid:
+    """The hull of corners (v, 3) [m], as half-spaces normal . x + offset <= 0."""
+
+    def __init__(self, corners: Floats) -> None:
+        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
+        self.corners = corners
+        self.planes = np.zeros((0, 4))
+        """(p, 4); empty for a flat hull, which overlaps nothing."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        with suppress(QhullError, ValueError):
+            planes = ConvexHull(corners).equations
+            _, first = np.unique(planes.round(PLANE_DECIMALS), axis=0, return_index=True)
+            self.planes = planes[np.sort(first)]
+
+    def moved(self, frame: Floats) -> "ConvexSolid":
+        """Return the hull moved by `frame` (4, 4)."""
+        solid = object.__new__(ConvexSolid)
+        solid.corners = self.corners @ frame[:3, :3].T + frame[:3, 3]
+        solid.low, solid.high = solid.corners.min(axis=0), solid.corners.max(axis=0)
+        normals = self.planes[:, :3] @ frame[:3, :3].T
+        solid.planes = np.column_stack([normals, self.planes[:, 3] - normals @ frame[:3, 3]])
+        return solid
+
+    def depth(self, other: "ConvexSolid") -> float:
+        """Return the diameter of the largest ball that is in both [m]; 0 where they are apart."""
+        if (self.low > other.high).any() or (other.low > self.high).any():
+            return 0.0
+        if not len(self.planes) or not len(other.planes):
+            return 0.0
+        from scipy.optimize import linprog  # takes a tenth of a second, and most commands look at no hand
+
+        planes = np.concatenate([self.planes, other.planes])
+        found = linprog(
+            [0.0, 0.0, 0.0, -1.0],
+            A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
+            b_ub=-planes[:, 3],
+            bounds=[(None, None)] * 3 + [(0.0, None)],
+            method="highs",
+        )
+        return float(2 * found.x[3]) if found.x is not None else 0.0
+
+
+def overlap_depth(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid]) -> float:
+    """Return the greatest depth of any of our parts in any of theirs [m]."""
+    theirs = tuple(theirs)
+    return max((one.depth(other) for one in ours for other in theirs), default=0.0)
+
+
+def ray_exit(parts: Iterable[ConvexSolid], direction: Floats) -> float | None:
+    """Return the distance along `direction` (3,) at which a ray leaves the last part [m].
+
+    The ray starts at the origin; None where it meets no part. It is in a part between the last plane that it
+    enters through and the first that it leaves through.
+    """
+    exits = []
+    for part in parts:
+        slopes, heights = part.planes[:, :3] @ direction, part.planes[:, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ways = -heights / slopes
+        enters = max(ways[slopes < 0], default=-np.inf)
+        leaves = min(ways[slopes > 0], default=np.inf)
+        is_beside = bool((heights[slopes == 0] > 0).any())
+        if len(part.planes) and not (is_beside or enters > leaves or leaves < 0):
+            exits.append(float(leaves))
+    return max(exits, default=None)
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """A hand's links, joints and convex parts."""
+
+    robot: Urdf
+    """URDF from the base link outward."""
+    parts: Mapping[str, tuple[ConvexSolid, ...]]
+    """The convex parts of each link, link frame; links without any are left out."""
+
+    @cached_property
+    def moving(self) -> tuple[str, ...]:
+        """Moving joints in the order of the file."""
+        return tuple(joint.name for joint in self.robot.joints if joint.moves)
+
+    @cached_property
+    def followers(self) -> dict[str, MimicJoint]:
+        """The joints that follow others."""
+        return followers(self.robot)
+
+    @cached_property
+    def rigid_piece(self) -> dict[str, str]:
+        """First link of the rigid piece of each link."""
+        pieces = {self.robot.root: self.robot.root}
+        for joint in self.robot.joints_beyond(self.robot.root):
+            pieces[joint.child] = joint.child if joint.moves else pieces[joint.parent]
+        return pieces
+
+    def frames(self, posture: Mapping[str, float]) -> dict[str, Floats]:
+        """Return each link's frame (4, 4) in the base link's; `posture` names followers too."""
+        return self.robot.forward(posture)
+
+    def parts_at(
+        self, posture: Mapping[str, float], links: Iterable[str] | None = None
+    ) -> dict[str, tuple[ConvexSolid, ...]]:
+        """Return the convex parts of some links, or of all, in the base link's frame."""
+        frames = self.frames(posture)
+        return {
+            link: tuple(part.moved(frames[link]) for part in self.parts[link])
+            for link in (self.parts if links is None else links)
+        }
+
+    def corners(self, links: Iterable[str], posture: Mapping[str, float]) -> Floats:
+        """Return all corners (n, 3) [m] of some links, base link's frame."""
+        frames = self.frames(posture)
+        found = [
+            part.corners @ frames[link][:3, :3].T + frames[link][:3, 3]
+            for link in links
+            for part in self.parts.get(link, ())
+        ]
+        return np.concatenate([np.zeros((0, 3)), *found])
+
+    def joint(self, name: str) -> UrdfJoint:
+        """Return the joint of this name, which must be one of the hand's."""
+        return next(joint for joint in self.robot.joints if joint.name == name)
+
+    def range(self, name: str) -> tuple[float, float]:
+        """Return a joint's limits [rad or m]; without limits +-pi/2, or +-0.05 m if prismatic."""
+        joint = self.joint(name)
+        if joint.kind != "continuous" and joint.lower < joint.upper:
+            return joint.lower, joint.upper
+        return (-np.pi / 2, np.pi / 2) if joint.kind != "prismatic" else (-0.05, 0.05)
+
+
+def read_hand_model(robot: Urdf, base: str) -> HandModel:
+    """Read the hand that begins with link `base`; errors as of `collision_corners`."""
+    hand = robot.subtree(base)
+    parts: dict[str, tuple[ConvexSolid, ...]] = {}
+    for link, collision in collision_elements(hand):
+        parts[link] = parts.get(link, ()) + tuple(
+            ConvexSolid(corners) for corners in collision_corners(hand, link, collision)
+        )
+    return HandModel(hand, parts)
+
+
+def collision_elements(robot: Urdf) -> Iterator[tuple[str, ET.Element]]:
+    """Yield each collision shape with its link's name."""
+    for link in robot.element.findall("link"):
+        for collision in link.findall("collision"):
+            yield link.get("name", ""), collision
+
+
+def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Floats, ...]:
+    """Return the corners (v, 3) of a collision shape's convex parts [m], link frame.
+
+    Raises `AssetError` if its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
+    """
+    alone = ET.Element("robot")
+    ET.SubElement(alone, "link", name=link).append(collision)
+    element, files = replace(robot, element=alone, joints=()).bundled()
+    shape = replace(robot, element=element, joints=())
+    try:
+        found = tuple(part.corners for part in link_convex_parts(shape, files))
+        return found or tuple(each.vertices for each in shapes(shape, files))
+    except AssetError:
+        raise
+    except Exception as error:  # noqa: BLE001  # readers of meshes raise whatever they stumble over
+        raise AssetError(
+            f"a collision shape of the link '{link}' cannot be read ({type(error).__name__}: {error}); "
+            "save its mesh as a binary STL or an OBJ file"
+        ) from None
+
+
+def mesh_bytes(path: Path, name: str) -> bytes:
+    """Return the content of mesh `name` of the URDF at `path`; `AssetError` if unreadable."""
+    element = ET.Element("robot")
+    link = ET.SubElement(element, "link", name="")
+    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "mesh", filename=name)
+    try:
+        _, files = Urdf(path, element, (), ()).bundled()
+    except OSError as error:
+        raise AssetError(f"The mesh '{name}' of '{path}' cannot be read: {error.strerror}.") from None
+    return next(iter(files.values()))
+
+
+LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]
+
+
+def guess_base(robot: Urdf) -> tuple[str, str]:
+    """Return the link where a hand begins, and the reason: several moving limbs, all near."""
+    links = (robot.root, *(joint.child for joint in robot.joints_beyond(robot.root)))
+    limbs = {link: moving_limbs(robot, link) for link in links}
+    found = [link for link in links if len(limbs[link]) > 1 and _spread(robot, link) < LARGEST_HAND]
+    if not found:
+        link = _single_limb_base(robot)
+        return link, "no link has several moving limbs; beyond this one all joints are near each other"
+    first = found[0]
+    others = [other for other in found if other not in robot.subtree(first).links]
+    more = f"; they also do from {', '.join(others)}, which --base-link may name" if others else ""
+    innermost = next(link for link in reversed(found) if limbs[link] == limbs[first])
+    return _rigid_root(robot, innermost), f"{len(limbs[first])} moving limbs go out from it{more}"
+
+
+def moving_limbs(robot: Urdf, base: str) -> tuple[str, ...]:
+    """Return the moving joints on link `base`, or on links that are fixed to it."""
+    fixed, found = {base}, []
+    for joint in robot.joints_beyond(base):
+        if joint.parent in fixed:
+            if joint.moves:
+                found.append(joint.name)
+            else:
+                fixed.add(joint.child)
+    return tuple(found)
+
+
+def _spread(robot: Urdf, base: str) -> float:
+    """Return the largest side of the box around the joints beyond a link, joints at zero [m]."""
+    hand = robot.subtree(base)
+    places = np.array([frame[:3, 3] for frame in hand.forward({}).values()])
+    return float(np.ptp(places, axis=0).max())
+
+
+def _single_limb_base(robot: Urdf) -> str:
+    """Return the first link that carries a moving joint and beyond which all is near."""
+    parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
+    near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
+    return _rigid_root(robot, near[0]) if near else robot.root
+
+
+def _rigid_root(robot: Urdf, link: str) -> str:
+    """Return the first link with a shape that `link` is fixed to, unless an arm carries it."""
+    arriving = {joint.child: joint for joint in robot.joints}
+    shaped = {
+        each.get("name") for each in robot.element.findall("link") if each.find("collision") is not None
+    }
+    chain = [link]
+    while chain[-1] in arriving and not arriving[chain[-1]].moves:
+        chain.append(arriving[chain[-1]].parent)
+    is_free = chain[-1] == robot.root
+    return next((each for each in reversed(chain) if each in shaped), link) if is_free else link
+
+
+TIP_SHARE = 0.1  # The tip is the corners within this share of a finger's greatest distance from its root
+
+
+@dataclass(frozen=True)
+class Finger:
+    """Links that move together, and the points that count as their tip."""
+
+    links: tuple[str, ...]
+    """Links with collision shapes."""
+    joints: tuple[str, ...]
+    """Moving joints, outward; of a fixed finger, the joint that fixes it."""
+    tips: tuple[tuple[str, Floats], ...]
+    """Links with points (n, 3) of the tip [m], link frame."""
+
+    def tip(self, frames: dict[str, Floats]) -> Floats:
+        """Return the tip (3,) [m], in the frame of `frames`."""
+        points = [points @ frames[link][:3, :3].T + frames[link][:3, 3] for link, points in self.tips]
+        middle: Floats = np.concatenate(points).mean(axis=0)
+        return middle
+
+
+def find_fingers(body: HandModel, postures: Iterable[dict[str, float]]) -> tuple[Finger, ...]:
+    """Find a hand's fingers: limbs with shapes; those that overlap in all `postures` are one."""
+    placed = [body.parts_at(posture) for posture in postures]
+    fingers: list[Finger] = []
+    for name in (*moving_limbs(body.robot, body.robot.root), *fixed_limbs(body)):
+        limb = _limb(body, name)
+        if limb.links:
+            same = [  # those that overlap in all postures are pinned together
+                finger
+                for finger in fingers
+                if all(
+                    overlap_depth(
+                        (part for link in finger.links for part in parts[link]),
+                        (part for link in limb.links for part in parts[link]),
+                    )
+                    for parts in placed
+                )
+            ]
+            fingers = [finger for finger in fingers if finger not in same] + [_joined(body, [*same, limb])]
+    return tuple(fingers)
+
+
+def fixed_limbs(body: HandModel) -> tuple[str, ...]:
+    """Return the joints of fingers that are fixed to the palm, opposite to the only moving limb."""
+    moving = [name for name in moving_limbs(body.robot, body.robot.root) if _limb(body, name).links]
+    if len(moving) != 1:
+        return ()
+    arriving = {joint.child: joint.parent for joint in body.robot.joints}
+    way = [body.joint(moving[0]).parent]
+    while way[-1] in arriving:
+        way.append(arriving[way[-1]])
+    beside = [joint for joint in body.robot.joints if joint.parent in way and joint.child not in way]
+    return tuple(joint.name for joint in beside if not joint.moves and _limb(body, joint.name).links)
+
+
+def _joined(body: HandModel, limbs: list[Finger]) -> Finger:
+    """Join limbs to one finger, with the tip of the one that reaches farthest."""
+    frames = body.frames({})
+    longest = max(limbs, key=lambda limb: float(np.linalg.norm(limb.tip(frames) - finger_root(body, limb))))
+    return replace(
+        longest,
+        links=tuple(link for limb in limbs for link in limb.links),
+        joints=tuple(joint for limb in limbs for joint in limb.joints),
+    )
+
+
+def finger_root(body: HandModel, finger: Finger) -> Floats:
+    """Return the position of a finger's first joint (3,) [m], base link's frame."""
+    joint = body.joint(finger.joints[0])
+    place: Floats = (body.frames({})[joint.parent] @ joint.origin)[:3, 3]
+    return place
+
+
+def _limb(body: HandModel, name: str) -> Finger:
+    joint = body.joint(name)
+    limb = body.robot.subtree(joint.child)
+    links = tuple(link for link in limb.links if link in body.parts)
+    joints = (name, *(each.name for each in body.robot.joints_beyond(joint.child) if each.moves))
+    return Finger(links, joints, tuple(_tips(body, joint.child, links)))
+
+
+def _tips(body: HandModel, first: str, links: tuple[str, ...]) -> Iterable[tuple[str, Floats]]:
+    """Yield the corners farthest from a limb's root, link by link, joints at zero."""
+    frames = body.frames({})
+    origin = frames[first][:3, 3]
+    corners = {link: np.concatenate([part.corners for part in body.parts[link]]) for link in links}
+    away = {
+        link: np.linalg.norm(points @ frames[link][:3, :3].T + frames[link][:3, 3] - origin, axis=1)
+        for link, points in corners.items()
+    }
+    least = (1 - TIP_SHARE) * max((distances.max() for distances in away.values()), default=0.0)
+    for link, distances in away.items():
+        if (distances >= least).any():
+            yield link, corners[link][distances >= least]

@@ -1,0 +1,339 @@
+"""URDF reader: links, joints, origins, forward kinematics, sub-trees and mesh references.
+
+Files of other formats that people take for a URDF are refused with advice.
+"""
+
+import copy
+import importlib.util
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.asset_paths import path_problem
+from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_protocol.errors import AssetError
+
+MOVING = frozenset({"revolute", "continuous", "prismatic"})
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint between two links."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Floats
+    """(4, 4): the joint's frame in the parent's."""
+    axis: Floats
+    """(3,), unit, joint frame."""
+    lower: float
+    upper: float
+    """Upper limit [rad or m]; no limits where `lower` is equal or greater."""
+    effort: float
+    velocity: float
+
+    @property
+    def moves(self) -> bool:
+        """True if it has a degree of freedom."""
+        return self.kind in MOVING
+
+    def motion(self, position: float | Floats) -> Floats:
+        """Return the child's frame (..., 4, 4) in the joint's at positions (...) [rad or m]."""
+        places = np.asarray(position, dtype=np.float64)[..., None]
+        if self.kind == "prismatic":
+            return _transform(np.eye(3), self.axis * places)
+        if self.moves:
+            return _transform(_rotation(self.axis, places[..., None]), np.zeros(3))
+        return np.eye(4)
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A robot as described in its file."""
+
+    path: Path
+    element: ET.Element
+    links: tuple[str, ...]
+    joints: tuple[UrdfJoint, ...]
+
+    @property
+    def root(self) -> str:
+        """The link that is not a child of any joint."""
+        children = {joint.child for joint in self.joints}
+        return next(link for link in self.links if link not in children)
+
+    @property
+    def mass(self) -> float:
+        """Mass of all links together [kg]."""
+        return sum(mass for mass, _ in self.masses.values())
+
+    @property
+    def masses(self) -> dict[str, tuple[float, Floats]]:
+        """Mass [kg] and its position (3,) [m], link frame, of each link.
+
+        A link whose mass the file does not say has 1 kg at its origin, as Bullet gives it.
+        """
+        return {link.get("name", ""): self._mass(link) for link in self.element.findall("link")}
+
+    def _mass(self, link: ET.Element) -> tuple[float, Floats]:
+        mass = link.find("inertial/mass")
+        place = parse_origin(self.path, link.find("inertial/origin"))[:3, 3]
+        return (1.0, np.zeros(3)) if mass is None else (_numbers(self.path, mass, "value", 1)[0], place)
+
+    def joint(self, name: str) -> UrdfJoint | None:
+        """Return the joint of this name, or None."""
+        return next((joint for joint in self.joints if joint.name == name), None)
+
+    def forward(
+        self, positions: Mapping[str, float] | Mapping[str, Floats], base: Floats | None = None
+    ) -> dict[str, Floats]:
+        """Return every link's frame (..., 4, 4) in the world.
+
+        The root is at `base`, (4, 4) or (..., 4, 4). Positions are numbers or arrays (...); joints not named
+        stand at zero.
+        """
+        frames = {self.root: np.eye(4) if base is None else base}
+        for joint in self.joints_beyond(self.root):
+            motion = joint.motion(positions.get(joint.name, 0.0))
+            frames[joint.child] = frames[joint.parent] @ joint.origin @ motion
+        return frames
+
+    def joints_beyond(self, base: str) -> Iterator[UrdfJoint]:
+        """Yield the joints beyond link `base`, each after the one that carries it."""
+        reached = [base]
+        for link in reached:
+            for joint in self.joints:
+                if joint.parent == link:
+                    reached.append(joint.child)
+                    yield joint
+
+    def subtree(self, base: str) -> "Urdf":
+        """Return the robot from link `base` outward, alone."""
+        joints = {joint.name for joint in self.joints_beyond(base)}
+        links = {base, *(joint.child for joint in self.joints_beyond(base))}
+        element = copy.deepcopy(self.element)
+        for kind, kept in (("link", links), ("joint", joints)):
+            for child in element.findall(kind):
+                if child.get("name") not in kept:
+                    element.remove(child)
+        return replace(
+            self,
+            element=element,
+            links=tuple(link for link in self.links if link in links),
+            joints=tuple(joint for joint in self.joints if joint.name in joints),
+        )
+
+    def bundled(self) -> tuple[ET.Element, dict[str, bytes]]:
+        """Return the robot for physics, and the mesh files that it needs by flat name.
+
+        Visual shapes are left out and mesh references rewritten to the flat names; all else is as it was.
+        Raises `AssetError` if a mesh, of a visual shape too, is missing.
+        """
+        element = copy.deepcopy(self.element)
+        files: dict[str, Path] = {}
+        for name in (mesh.get("filename", "") for mesh in element.iter("mesh")):
+            found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
+            if found is None:
+                raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
+            files[name] = found
+        drop_visuals(element)
+        flat: dict[str, str] = {}
+        for mesh in element.iter("mesh"):
+            name = mesh.get("filename", "")
+            mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{files[name].name}"))
+        return element, {new: _mesh_bytes(files[name]) for name, new in flat.items()}
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a robot from a URDF file; `AssetError` if it is not one tree of links and joints."""
+    try:
+        element = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  # the user's own file
+    except OSError as error:
+        raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
+    except (ET.ParseError, UnicodeDecodeError) as error:
+        raise AssetError(f"'{path}' cannot be parsed as a URDF: {error}.") from None
+    if element.tag != "robot":
+        raise AssetError(
+            f"'{path}' cannot be parsed as a URDF: its root element is <{element.tag}>, not <robot>."
+        )
+    return parse_robot(path, element)
+
+
+def parse_robot(path: Path, element: ET.Element) -> Urdf:
+    """Return the robot of a `<robot>` element, one tree; its mesh references start at `path`."""
+    links = tuple(link.get("name", "") for link in element.findall("link"))
+    joints = tuple(_joint(path, joint) for joint in element.findall("joint"))
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise AssetError(
+                    f"The URDF '{path}': joint '{joint.name}' names the link '{link}', which does not exist."
+                )
+    roots = set(links) - {joint.child for joint in joints}
+    if len(roots) != 1 or len(joints) != len(links) - 1 or len(set(links)) != len(links):
+        raise AssetError(
+            f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
+            f"{len(roots)} roots."
+        )
+    return Urdf(path, element, links, joints)
+
+
+def _joint(path: Path, element: ET.Element) -> UrdfJoint:
+    limit = element.find("limit")
+    limits = {
+        name: 0.0 if limit is None or name not in limit.attrib else _numbers(path, limit, name, 1)[0]
+        for name in ("lower", "upper", "effort", "velocity")
+    }
+    return UrdfJoint(
+        name=element.get("name", ""),
+        kind=element.get("type", ""),
+        parent=joint_end(element, "parent"),
+        child=joint_end(element, "child"),
+        origin=parse_origin(path, element.find("origin")),
+        axis=_axis(path, element.find("axis")),
+        **limits,
+    )
+
+
+def joint_end(joint: ET.Element, tag: str) -> str:
+    """Return the link that a `<joint>` names as its "parent" or "child"; empty if it names none."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[float]:
+    text = element.get(name, "")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise AssetError(f"The URDF '{path}': <{element.tag} {name}=\"{text}\"> must hold {count} numbers.")
+    return values
+
+
+def parse_origin(path: Path, element: ET.Element | None) -> Floats:
+    """Return the frame (4, 4) of an `<origin>`; `AssetError` without three numbers each."""
+    if element is None:
+        return np.eye(4)
+    place = np.array(_numbers(path, element, "xyz", 3)) if element.get("xyz") else np.zeros(3)
+    roll, pitch, yaw = _numbers(path, element, "rpy", 3) if element.get("rpy") else (0.0, 0.0, 0.0)
+    x, y, z = np.eye(3)
+    return _transform(_rotation(z, yaw) @ _rotation(y, pitch) @ _rotation(x, roll), place)
+
+
+def _axis(path: Path, element: ET.Element | None) -> Floats:
+    axis = np.array([1.0, 0.0, 0.0] if element is None else _numbers(path, element, "xyz", 3))
+    length = float(np.linalg.norm(axis))
+    return axis / length if length else axis
+
+
+def _rotation(axis: Floats, angle: float | Floats) -> Floats:
+    """Return rotations (..., 3, 3) by `angle` [rad] about a unit axis (Rodrigues' formula)."""
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: Floats = np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * (skew @ skew)
+    return rotation
+
+
+def _transform(rotation: Floats, translation: Floats) -> Floats:
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    transform = np.tile(np.eye(4), (*batch, 1, 1))
+    transform[..., :3, :3], transform[..., :3, 3] = rotation, translation
+    return transform
+
+
+def _mesh_bytes(path: Path) -> bytes:
+    """Return a mesh's content; OBJ without materials, which the bundle does not have."""
+    content = path.read_bytes()
+    if path.suffix.lower() != ".obj":
+        return content
+    lines = content.splitlines(keepends=True)
+    return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl", b"#")))
+
+
+def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
+    """Yield the paths at which a referenced mesh may lie.
+
+    Beside the URDF; for `package://P/...` in a folder P above it or beside one, else in the Python package P.
+    """
+    if not name.startswith("package://"):
+        yield urdf.parent / name.removeprefix("file://")
+        return
+    package, _, rest = name.removeprefix("package://").partition("/")
+    for folder in urdf.resolve().parents:
+        yield folder / package / rest
+        if folder.name == package:
+            yield folder / rest
+    spec = importlib.util.find_spec(package) if package.isidentifier() else None
+    for place in (spec and spec.submodule_search_locations) or ():
+        yield Path(place) / rest
+
+
+XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro file has
+XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
+OTHER_FORMATS = {
+    "sdf": "an SDF file, which describes worlds for Gazebo; look for the robot's URDF, or export one from it",
+    "mujoco": "a MuJoCo file (MJCF); look for the robot's URDF, or export one from it",
+    "gripper": "the description of a gripper for another program; name the robot's URDF",
+}
+"""Root elements of formats that are not URDF, with advice."""
+
+
+def read_robot_element(path: Path) -> ET.Element:
+    """Read the `<robot>` element of a URDF; `AssetError` for xacro, other XML or no file."""
+    if why := path_problem(path):
+        raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
+    try:
+        text = path.read_text(encoding="utf-8")
+        element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
+    except OSError as error:
+        raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise AssetError(f"'{path}' is not XML but binary data; name the robot's .urdf file.") from None
+    except ET.ParseError as error:
+        if "<xacro:" in text:
+            raise AssetError(_xacro_advice(path)) from None
+        raise AssetError(
+            f"'{path}' is not XML ({error}), and a URDF is; name the robot's .urdf file."
+        ) from None
+    is_xacro = any(  # tags or expressions of xacro, but in comments
+        XACRO_TAG.match(each.tag) or any(map(XACRO_SUBSTITUTION.search, each.attrib.values()))
+        for each in element.iter()
+    )
+    if path.suffix.lower() == ".xacro" or is_xacro:
+        raise AssetError(_xacro_advice(path))
+    if element.tag != "robot":
+        unknown = f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
+        raise AssetError(f"'{path}' is no URDF but {OTHER_FORMATS.get(element.tag, unknown)}.")
+    return element
+
+
+def _xacro_advice(path: Path) -> str:
+    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    name = f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_plain.urdf"
+    return (
+        f"'{path}' is a xacro file, of which a URDF is made: run `xacro {path.name} > {name}` "
+        "(from ROS, or `pip install xacro`) and name that file."
+    )
+
+
+def without_visuals(robot: Urdf) -> Urdf:
+    """Return the robot without its visual shapes."""
+    element = copy.deepcopy(robot.element)
+    drop_visuals(element)
+    return replace(robot, element=element)
+
+
+def drop_visuals(element: ET.Element) -> int:
+    """Remove the visual shapes of a `<robot>`, and return how many there were."""
+    found = [(link, visual) for link in element.findall("link") for visual in link.findall("visual")]
+    for link, visual in found:
+        link.remove(visual)
+    return len(found)

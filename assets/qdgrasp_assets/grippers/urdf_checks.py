@@ -1,0 +1,367 @@
+"""Checks of a hand's URDF: what the simulator would not take, in words.
+
+Tree, joints, masses and meshes are checked, and all faults listed at once.
+"""
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from qdgrasp_assets.asset_paths import path_problem
+from qdgrasp_assets.geometry.mesh import stl_triangles
+from qdgrasp_assets.grippers.collision_shapes import FORMS
+from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
+from qdgrasp_assets.grippers.urdf import Urdf, joint_end
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.text import first_few, quoted
+
+MEASURES = frozenset(
+    ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
+)
+NON_FINITE = frozenset(("nan", "inf", "infinity"))
+MOST_NAMED = 4  # Most names listed for each fault
+
+
+def structure_faults(element: ET.Element) -> tuple[str, ...]:
+    """Return the faults that keep links and joints of a `<robot>` from being one tree."""
+    checks = _name_faults, _missing_links, _tree_faults, _number_faults
+    return tuple(fault for check in checks for fault in check(element))
+
+
+def _name_faults(element: ET.Element) -> Iterator[str]:
+    for kind in ("link", "joint"):
+        names = Counter(each.get("name", "") for each in element.findall(kind))
+        if names.pop("", 0):
+            yield f"a {kind} has no name; give each its own"
+        if twice := [name for name, times in names.items() if times > 1]:
+            yield f"{listed(kind, twice)} named more than once; give each its own name"
+    if element.find("link") is None:
+        yield "it has no links"
+
+
+def _missing_links(element: ET.Element) -> Iterator[str]:
+    """Yield faults of joints between links that do not exist."""
+    links = {link.get("name", "") for link in element.findall("link")}
+    for joint in element.findall("joint"):
+        for tag in ("parent", "child"):
+            if (name := joint_end(joint, tag)) not in links:
+                fault = (
+                    f"names the {tag} link '{name}', which does not exist" if name else f"has no {tag} link"
+                )
+                yield f"the joint '{joint.get('name', '')}' {fault}; correct the name or add the link"
+
+
+def _tree_faults(element: ET.Element) -> Iterator[str]:
+    """Yield faults of links that hang on two joints, on no joint, or on each other."""
+    links = [link.get("name", "") for link in element.findall("link")]
+    hanging = Counter(child for _, child in edges(element))
+    if twice := [name for name, times in hanging.items() if times > 1]:
+        yield (
+            f"{listed('link', twice)} the child of two joints: it closes a loop, which neither URDF nor the "
+            "simulator knows; cut the loop by leaving one of the joints out, and drive the rest alike"
+        )
+    roots = [name for name in links if name not in hanging]
+    if len(roots) > 1:
+        yield (
+            f"it has {len(roots)} roots ({first_few(quoted(roots), MOST_NAMED)}), and a URDF has one: join "
+            "them by fixed joints, or leave out what is no part of the robot"
+        )
+    outward, reached = list(edges(element)), set(roots)
+    while found := {child for parent, child in outward if parent in reached} - reached:
+        reached |= found
+    if round_about := sorted(set(links) - reached):
+        yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
+
+
+def _number_faults(element: ET.Element) -> Iterator[str]:
+    """Yield faults of values such as nan and inf, which `float` accepts."""
+    for each in element.iter():
+        for name, value in each.attrib.items():
+            if name in MEASURES and any(word.lower().lstrip("+-") in NON_FINITE for word in value.split()):
+                yield f'<{each.tag} {name}="{value}"> holds a number that is not finite; correct it'
+
+
+def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
+    """Yield the parent and child link of each joint; empty where a joint does not name one."""
+    for joint in element.findall("joint"):
+        yield joint_end(joint, "parent"), joint_end(joint, "child")
+
+
+def listed(kind: str, names: list[str]) -> str:
+    """Names with their kind and its verb: "the link 'a' is", "the links 'a', 'b' are"."""
+    many = len(names) > 1
+    return f"the {kind}{'s' if many else ''} {first_few(quoted(names), MOST_NAMED)} {'are' if many else 'is'}"
+
+
+LIMITED = ("revolute", "prismatic")
+KINDS = {
+    "fixed": "",
+    "revolute": "",
+    "continuous": "",
+    "prismatic": "",
+    "floating": "a floating one, which no motor drives, and the simulator would fix it: make it fixed",
+    "planar": "a planar one, which no motor drives: make it fixed, or two prismatic joints",
+}
+"""Kinds of joints of URDF, with the fault of each here; empty if it has no fault."""
+
+
+def motion_faults(element: ET.Element) -> tuple[str, ...]:
+    """Return the faults of the joints of a `<robot>`."""
+    joints = {joint.get("name", ""): joint for joint in element.findall("joint")}
+    found = [fault for name, joint in joints.items() for fault in _joint_faults(name, joint, joints)]
+    return (*found, *_reversed_limits(joints))
+
+
+def kind_fault(name: str, kind: str) -> str:
+    """Return the fault in a joint's kind; empty if it has no fault."""
+    fault = KINDS.get(kind, f"of the type '{kind}', and URDF knows {', '.join(KINDS)}")
+    return f"the joint '{name}' is {fault}" if fault else ""
+
+
+def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]) -> Iterator[str]:
+    kind = joint.get("type", "")
+    if fault := kind_fault(name, kind):
+        yield fault
+        return
+    if kind in LIMITED and joint.find("limit") is None:
+        yield f"the joint '{name}' is {kind} and has no <limit>: give it lower, upper, effort and velocity"
+    axis = joint.find("axis")
+    if kind != "fixed" and axis is not None and not any(_attribute_numbers(axis.get("xyz", ""))):
+        yield f"the joint '{name}' has the axis '{axis.get('xyz')}'; an axis has a direction, such as '0 0 1'"
+    mimic = joint.find("mimic")
+    leader = None if mimic is None else mimic.get("joint", "")
+    if leader is not None and (leader not in joints or leader == name):
+        yield f"the joint '{name}' mimics '{leader}', which is no other joint of the robot; correct the name"
+    factors = "1 0" if mimic is None else f"{mimic.get('multiplier', 1)} {mimic.get('offset', 0)}"
+    if len(_attribute_numbers(factors)) != 2:
+        yield f"the joint '{name}' mimics another by what is no number; correct multiplier and offset"
+
+
+def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
+    """Yield faults of joints whose limits Bullet ignores, or that leave no range."""
+    turned, still = [], []
+    for name, joint in joints.items():
+        limit = joint.find("limit")
+        if joint.get("type") in LIMITED and limit is not None:
+            match _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}"):
+                case low, high if low > high:
+                    turned.append(name)
+                case low, high if low == high:
+                    still.append(name)
+    if turned:
+        yield (
+            f"{listed('joint', turned)} limited the wrong way round, lower above upper, which the simulator "
+            "takes for no limits: swap them"
+        )
+    if still:
+        yield (
+            f"{listed('joint', still)} limited to one place, lower equal to upper: make it fixed, or widen it"
+        )
+
+
+def _attribute_numbers(text: str) -> list[float]:
+    """Return the numbers of an attribute; empty where it holds something else."""
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
+
+
+HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in grams
+MEND_ADVICE = "or have `qdgrasp gripper new --mend` do it"
+
+
+def weight_faults(element: ET.Element) -> tuple[str, ...]:
+    """Return the faults in the masses of a `<robot>`'s links."""
+    faults = [f"{listed('link', names)} {what}" for names, what in _mass_problems(element) if names]
+    total = sum(mass or 0.0 for mass in _masses(element).values())
+    if total > HEAVIEST_HAND:
+        faults.append(
+            f"it weighs {total:.4g} kg, which looks like grams: masses are in kg, so multiply them by 0.001"
+        )
+    return tuple(faults)
+
+
+def unweighed(element: ET.Element) -> frozenset[str]:
+    """Return the links of a `<robot>` whose masses are missing or have to be changed."""
+    return frozenset(name for names, _ in _mass_problems(element) for name in names)
+
+
+def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
+    """Yield links by the fault in their masses."""
+    inertials, masses = _inertials(element), _masses(element)
+    stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
+    lacking = [
+        name for name, each in stated.items() if each.find("mass") is None or each.find("inertia") is None
+    ]
+    # A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0
+    # that is fixed to what has a mass moves with it.
+    pieces = _pieces(element)
+    heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
+    yield (
+        [name for name, inertial in inertials.items() if inertial is None],
+        "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
+        f"inertia, {MEND_ADVICE}",
+    )
+    yield (
+        lacking,
+        "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
+        f"give both, {MEND_ADVICE}",
+    )
+    yield (
+        [name for name in stated if name not in lacking and masses[name] is None],
+        f"of a mass that is no number: give it in kg, {MEND_ADVICE}",
+    )
+    yield (
+        [name for name, mass in masses.items() if mass is not None and mass < 0],
+        f"of a negative mass: give it in kg, {MEND_ADVICE}",
+    )
+    yield (
+        [name for name in masses if pieces[name] not in heavy],
+        "of mass 0, with all that fixed joints add: a joint that carries no mass stands still in the "
+        f"simulator; give it in kg, {MEND_ADVICE}",
+    )
+
+
+def _pieces(element: ET.Element) -> dict[str, str]:
+    """Map each link to the link that stands for its rigid piece."""
+    pieces = {name: name for name in _inertials(element)}
+    for joint, (parent, child) in zip(element.findall("joint"), edges(element), strict=True):
+        if joint.get("type") == "fixed" and {parent, child} <= pieces.keys():
+            old, new = pieces[child], pieces[parent]
+            pieces = {name: new if piece == old else piece for name, piece in pieces.items()}
+    return pieces
+
+
+def _inertials(element: ET.Element) -> dict[str, ET.Element | None]:
+    return {link.get("name", ""): link.find("inertial") for link in element.findall("link")}
+
+
+def _masses(element: ET.Element) -> dict[str, float | None]:
+    """Return the masses of links by name [kg]; None where the file states no number."""
+    masses: dict[str, float | None] = {}
+    for name, inertial in _inertials(element).items():
+        mass = None if inertial is None else inertial.find("mass")
+        values = [] if mass is None else _attribute_numbers(mass.get("value", ""))
+        masses[name] = values[0] if len(values) == 1 else None
+    return masses
+
+
+LARGEST_SHAPE = 2.0  # Largest side of a link [m]; a larger one was drawn in millimetres
+SIZE_ATTRIBUTES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+SIZE_COUNTS = {"box": 3, "cylinder": 2, "sphere": 1}  # Number of values in each of these sizes
+PACKAGE = "package://"
+SIMULATOR_FORMATS = (".stl", ".obj", ".dae")  # Mesh files that the simulator reads
+MOST_MESHES_NAMED = 3  # Most meshes of a kind that are named
+
+
+def mesh_faults(hand: Urdf) -> tuple[str, ...]:
+    """Return the faults that keep a hand's shapes from being simulated."""
+    if missing := missing_meshes(hand):
+        return missing
+    faults = (_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
+    return (*_kind_faults(hand), *(fault for fault in faults if fault))
+
+
+def _kind_faults(hand: Urdf) -> Iterator[str]:
+    """Yield a sentence for each kind of mesh file that the simulator does not read."""
+    kinds: dict[str, list[str]] = {}
+    for name in _references(hand):
+        kinds.setdefault(_suffix(name), []).append(name)
+    for kind in sorted(kinds.keys() - SIMULATOR_FORMATS):
+        them, is_one = first_few(quoted(kinds[kind]), MOST_MESHES_NAMED), len(kinds[kind]) == 1
+        which = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
+        yield (
+            f"{which} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
+            f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them as such'}, or use --mend"
+        )
+
+
+def _suffix(name: str) -> str:
+    """Return the suffix of a mesh file's name, with its dot."""
+    return PurePosixPath(name).suffix.lower()
+
+
+def missing_meshes(hand: Urdf) -> tuple[str, ...]:
+    """Return a sentence for each collision mesh file that is missing or cannot be read."""
+    faults = []
+    for name, links in _references(hand).items():
+        try:
+            mesh_bytes(hand.path, name)
+        except AssetError:
+            whose = f"of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))}"
+            faults.append(f"the mesh '{name}' {whose} {_missing_mesh(hand, name)}")
+    return tuple(faults)
+
+
+def _references(hand: Urdf) -> dict[str, list[str]]:
+    """Return the mesh files with the links that use them for collision, in the file's order."""
+    found: dict[str, list[str]] = {}
+    for link, shape in collision_elements(hand):
+        for mesh in shape.iter("mesh"):
+            links = found.setdefault(mesh.get("filename", ""), [])
+            if link not in links:
+                links.append(link)
+    return found
+
+
+def _missing_mesh(hand: Urdf, name: str) -> str:
+    """Describe why a mesh cannot be read, where it should be, and how to mend that."""
+    if not name.startswith(PACKAGE):
+        place = hand.path.parent / name.removeprefix("file://")
+        return f"{path_problem(place) or 'cannot be read'}: there should be a mesh file at '{place}'"
+    package, _, rest = name.removeprefix(PACKAGE).partition("/")
+    return (
+        f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside one of the "
+        f"folders above it, and as a Python package; put the ROS package '{package}' there, "
+        "or write the path relative to the URDF"
+    )
+
+
+def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
+    """Return the fault of one collision shape; empty if it has no fault."""
+    geometry = shape.find("geometry")
+    form = geometry[0] if geometry is not None and len(geometry) else None
+    if form is None:
+        return f"a <collision> of the link '{link}' has no shape in its <geometry>; add one, or leave it out"
+    if form.tag not in FORMS:
+        return (
+            f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows "
+            f"{', '.join(FORMS)}: make it one of those"
+        )
+    if form.tag == "mesh":
+        return _mesh_fault(hand, link, shape, form.get("filename", ""))
+    size = " ".join(form.get(name, "") for name in SIZE_ATTRIBUTES[form.tag])
+    sizes = _attribute_numbers(size)
+    if len(sizes) == SIZE_COUNTS[form.tag] and min(sizes) > 0:
+        return ""
+    return (
+        f"the link '{link}' has a collision shape <{form.tag}> of the size '{size}': it takes "
+        f"{' and '.join(SIZE_ATTRIBUTES[form.tag])}, {SIZE_COUNTS[form.tag]} in all, greater than 0"
+    )
+
+
+def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
+    mesh = f"the mesh '{name}' of the link '{link}'"
+    if _suffix(name) not in SIMULATOR_FORMATS:
+        return ""  # `_kind_faults` lists all such meshes at once
+    if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand.path, name)) is None:
+        return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
+    try:
+        corners = np.concatenate([np.zeros((0, 3)), *collision_corners(hand, link, shape)])
+    except AssetError as error:
+        return str(error).rstrip(".")
+    if not len(corners):
+        return f"{mesh} is empty: give it one with a surface, or leave the shape out"
+    if not np.isfinite(corners).all():
+        return f"{mesh} has vertices that are not finite: export it again"
+    side = float(np.ptp(corners, axis=0).max())
+    if side > LARGEST_SHAPE:
+        return (
+            f"{mesh} is {side:.4g} m large, so it looks like millimetres: write "
+            '<mesh filename="..." scale="0.001 0.001 0.001"/>, or use --mend'
+        )
+    return ""

@@ -1,0 +1,152 @@
+"""Objects to grasp: a closed mesh with mass, friction and convex parts.
+
+Closed surfaces are read from mesh files in metres, and repaired where that takes no guess.
+"""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.geometry.collision_parts import collision_parts
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj
+from qdgrasp_assets.geometry.mesh_io import check_stated, read_mesh_file
+from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
+from qdgrasp_assets.scene import SceneObject, vector
+from qdgrasp_protocol.errors import AssetError
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ObjectDraft:
+    """A mesh file as it would become an object."""
+
+    mesh: Mesh
+    """In metres, repaired."""
+    geometries: int
+    """Number of the file's geometries, which are one object."""
+    repairs: tuple[str, ...]
+    faults: tuple[str, ...]
+    """Faults that are left, in words; empty where it can be used."""
+
+    @classmethod
+    def unreadable(cls, why: str) -> "ObjectDraft":
+        """Return the draft of a file that cannot be read."""
+        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+        return cls(nothing, 0, (), (why.rstrip("."),))
+
+
+def read_draft(path: Path, scale: float | None = None, *, fill_holes: bool = False) -> ObjectDraft:
+    """Read and repair a mesh file, and list its faults as an object.
+
+    `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `fill_holes` fills
+    small holes. Raises `AssetError` if the file is not there, no mesh, empty, or says another unit than it is
+    read in.
+    """
+    file = read_mesh_file(path)
+    check_stated(str(path), file.unit, scale)
+    mesh = file.mesh if scale is None else file.mesh.scaled(scale)
+    if len(mesh.faces) > MOST_TRIANGLES:
+        return ObjectDraft(mesh, file.geometries, (), surface_faults(mesh))
+    mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes)
+    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
+
+
+def read_solid(path: Path, scale: float | None = None) -> Mesh:
+    """Read a closed surface in metres from any readable mesh file; one or several bodies.
+
+    `scale` is metres to a unit of the file; None: 1. Repairs are reported in a warning. Raises `AssetError`
+    as `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat.
+    """
+    draft = read_draft(path, scale)
+    if draft.faults:
+        raise AssetError(f"The mesh '{path}' cannot be used: {'; and '.join(draft.faults)}.")
+    if draft.repairs:
+        log.warning("The mesh '%s' was repaired: %s.", path, "; ".join(draft.repairs))
+    return draft.mesh
+
+
+LATERAL_FRICTION = 0.5
+ROLLING_FRICTION = 0.01
+SPINNING_FRICTION = 0.1
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """An object with its geometry in the frame of its mesh file."""
+
+    name: str
+    source: str
+    licence: str
+    collision_source: str
+    mass: float
+    """[kg]."""
+    mesh: Mesh
+    parts: tuple[Mesh, ...]
+    """Convex parts that together fill the mesh."""
+    com_in_mesh: Floats
+    """(3,) [m]: centre of mass, mesh frame."""
+    lateral_friction: float = LATERAL_FRICTION
+
+    @property
+    def centred_mesh(self) -> Mesh:
+        """Mesh in the CoM frame, with float32 vertices as workers and pictures get it."""
+        moved = self.mesh.moved(-self.com_in_mesh)
+        return Mesh(moved.vertices.astype(np.float32).astype(np.float64), moved.faces)
+
+    @property
+    def centred_parts(self) -> tuple[Mesh, ...]:
+        """Convex parts in the CoM frame."""
+        return tuple(part.moved(-self.com_in_mesh) for part in self.parts)
+
+    def to_scene(self) -> SceneObject:
+        """Return the object in a scene's form."""
+        mesh = self.centred_mesh
+        return SceneObject(
+            name=self.name,
+            source=self.source,
+            licence=self.licence,
+            collision_source=self.collision_source,
+            mass=self.mass,
+            lateral_friction=self.lateral_friction,
+            rolling_friction=ROLLING_FRICTION,
+            spinning_friction=SPINNING_FRICTION,
+            com_in_mesh=vector(self.com_in_mesh),
+            collision=parts_to_obj(self.centred_parts),
+            mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
+            mesh_faces=mesh.faces.astype("<u4").tobytes(),
+        )
+
+
+def read_object(path: Path, mass: float | None, scale: float | None = None) -> ObjectModel:
+    """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
+
+    `mass` is in kg, `scale` in metres to a unit of the file; None: 1. Its convex parts serve `released` too,
+    as the collision mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is
+    no mass.
+    """
+    mesh = read_solid(path, scale)
+    if gap := body_gap(mesh):
+        log.warning(
+            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, gap
+        )
+    if mass is None:
+        raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
+    return object_of_mesh(mesh, path, mass, scale)
+
+
+def object_of_mesh(mesh: Mesh, path: Path, mass: float, scale: float | None = None) -> ObjectModel:
+    """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
+    collision_source, parts = collision_parts(mesh, path.name)
+    return ObjectModel(
+        name=path.stem,
+        source=path.name if scale is None else f"{path.name} (scale {scale:g})",
+        licence="not stated",
+        collision_source=collision_source,
+        mass=mass,
+        mesh=mesh,
+        parts=parts,
+        com_in_mesh=mesh.centre_of_mass,
+    )

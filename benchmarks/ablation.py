@@ -1,0 +1,234 @@
+"""What each part of the search that aims brings: `python -m benchmarks.ablation --help`.
+
+One part is left out at a time; all else, seeds included, stays. Each finished run is a line of the file that
+`--out` names, and is not carried out again: a stop costs at most one run.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import single_run
+from benchmarks.measure import machine
+from rich.console import Console
+from rich.table import Table
+
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.search.aimed import AimedGrasps, AimedSearch
+from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
+from qdgrasp_coordinator.search.frontier import NEIGHBOURS, Places
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.platform import code_digest
+
+LOOSE = 0.5
+
+
+class WithoutGate(AimedSearch):
+    """Whatever is left of a genome's candidates is simulated, likely or not."""
+
+    def _weights(self, wanted: Floats) -> Floats:
+        return super()._weights(np.zeros_like(wanted))
+
+
+class WithoutRanking(AimedSearch):
+    """Candidates are ranked by what is swept, and nothing is learned of them."""
+
+    def _weights(self, wanted: Floats) -> Floats:
+        return np.zeros_like(super()._weights(wanted))
+
+
+class WithoutCandidates(AimedSearch):
+    """One candidate of each genome; where overlaps are redrawn, by the next genome."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._candidates = 1
+
+    def _weights(self, wanted: Floats) -> Floats:
+        return np.zeros_like(super()._weights(wanted))
+
+
+class WithoutLikelihood(AimedSearch):
+    """Cells by successful neighbours over tries, as if nothing were learned."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._frontier._model.likely = lambda features: (1.0 + len(NEIGHBOURS) * features[:, 2]) / 27.0  # type: ignore[method-assign]
+
+
+class WithoutPreference(AimedSearch):
+    """Any successful neighbour's grasp."""
+
+    def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
+        options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
+        drawn = np.where(self._elites.ranks(options) < 0, -1.0, generator.random(options.shape))
+        parents: Places = options[np.arange(len(targets)), drawn.argmax(axis=1)]
+        return parents
+
+
+class WithLooseGrasps(AimedSearch):
+    """Every second candidate looks anywhere, with any roll."""
+
+    def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
+        aims = super()._aimed(targets, generation)
+        return replace(aims, looseness=np.full(len(aims), LOOSE))
+
+
+class WithoutSpareTries(AimedSearch):
+    """Weak grasps are not tried again."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._retries.ask = lambda *_: np.zeros(0, np.intp)  # type: ignore[method-assign]
+
+
+class WithoutAim(AimedSearch):
+    """Scouts alone, with the same candidates and the same ranking."""
+
+    def _targets(self, generation: int) -> Places:
+        return np.zeros(0, np.intp)
+
+
+class WithAnyCell(AimedSearch):
+    """Cells of the frontier at random."""
+
+    def _targets(self, generation: int) -> Places:
+        targets = super()._targets(generation)
+        edge = self._frontier.edge
+        generator = keyed_generator(self._spec.seed, "any cell", generation)
+        return generator.choice(edge, min(len(targets), len(edge)), replace=False)
+
+
+VARIANTS: dict[str, Callable[[RunSpec, SearchSpace], AimedSearch]] = {
+    "aimed": AimedSearch,
+    "no gate": WithoutGate,
+    "no learned ranking": WithoutRanking,
+    "one candidate": WithoutCandidates,
+    "no learned likelihood": WithoutLikelihood,
+    "any cell of the frontier": WithAnyCell,
+    "any neighbour": WithoutPreference,
+    "loose grasps": WithLooseGrasps,
+    "no spare tries": WithoutSpareTries,
+    "scouts alone": WithoutAim,
+}
+
+
+class Finished:
+    """Runs that are in, in a file with a line of JSON for each.
+
+    Parameters
+    ----------
+    path
+        The file; it is begun where there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        self._runs = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+    def find(self, asked: dict[str, Any]) -> dict[str, Any] | None:
+        """The run that was asked for in these words."""
+        return next((run for run in self._runs if run["asked"] == asked), None)
+
+    def add(self, run: dict[str, Any]) -> None:
+        """Keep a run."""
+        self._runs.append(run)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(run) + "\n")
+
+
+def measure(
+    objects: Sequence[str],
+    seeds: Sequence[int],
+    names: Sequence[str],
+    shakes: bool,
+    finished: Finished,
+    **values: Any,
+) -> list[dict[str, Any]]:
+    """The figures of each variant on each object with each seed, of runs that are in or carried out now."""
+    found = []
+    for name, thing, seed in product(names, objects, seeds):
+        asked = values | {
+            "variant": name,
+            "object": thing,
+            "seed": seed,
+            "shakes": shakes,
+            "code": code_digest(),
+        }
+        run = finished.find(asked)
+        if run is None:
+            spec = full_spec(values | {"object": thing, "seed": seed, "method": "aimed"})
+            ran = single_run.run(spec, VARIANTS[name], shakes=shakes)
+            run = {"asked": asked, "variant": name} | ran.as_dict()
+            finished.add(run)
+        found.append(run)
+        sys.stderr.write(f"{name}, {thing}, seed {seed}: {100 * run['coverage'][-1]:.1f} %\n")
+    return found
+
+
+def table(found: Sequence[dict[str, Any]]) -> Table:
+    """Means over the seeds."""
+    shown = Table("object", "variant", "coverage, %", "less", "robust, %", "fitness", "genomes", "CPU s")
+    pairs = dict.fromkeys((each["object"], each["variant"]) for each in found)
+    whole = {thing: _mean(found, thing, "aimed", _last) for thing, variant in pairs if variant == "aimed"}
+    for thing, variant in pairs:
+        coverage = _mean(found, thing, variant, _last)
+        robust = _mean(found, thing, variant, lambda each: 100 * each["robust_coverage"][-1])
+        fitness, genomes, seconds = (
+            _mean(found, thing, variant, lambda each, key=key: each[key])
+            for key in ("mean_fitness", "genomes", "evaluation_cpu_seconds")
+        )
+        less = f"{whole[thing] - coverage:.1f}" if thing in whole else "-"
+        values = (
+            f"{coverage:.1f}",
+            less,
+            f"{robust:.1f}",
+            f"{fitness:.2f}",
+            f"{genomes:.0f}",
+            f"{seconds:.0f}",
+        )
+        shown.add_row(thing, variant, *values)
+    return shown
+
+
+def _last(each: dict[str, Any]) -> float:
+    return 100 * float(each["coverage"][-1])
+
+
+def _mean(
+    found: Sequence[dict[str, Any]], thing: str, variant: str, value: Callable[[dict[str, Any]], float]
+) -> float:
+    some = [value(each) for each in found if (each["object"], each["variant"]) == (thing, variant)]
+    return float(np.mean(some))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation", description=__doc__)
+    parser.add_argument("--gripper", default="ref_panda_2f")
+    parser.add_argument("--objects", nargs="+", default=["ycb_rubiks_cube", "ycb_mug"])
+    parser.add_argument("--evaluations", type=int, default=3000)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1])
+    parser.add_argument("--overlaps", choices=("count", "redraw"), default="redraw")
+    parser.add_argument("--protocol", default="released")
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    parser.add_argument("--no-shakes", action="store_true", help="look at successes alone, for a fraction")
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation.jsonl"), help="runs that are in")
+    asked = parser.parse_args()
+    values = {name: getattr(asked, name) for name in ("gripper", "evaluations", "overlaps", "protocol")}
+    finished = Finished(asked.out)
+    found = measure(asked.objects, asked.seeds, asked.variants, not asked.no_shakes, finished, **values)
+    Console(stderr=True, width=120).print(table(found))
+    sys.stdout.write(json.dumps({"machine": machine(), "runs": found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,243 @@
+"""Counts what is done against the time that it takes, and tables of it."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+from rich.table import Table
+
+from qdgrasp_coordinator.local.benchmark_figures import node_info
+
+
+class Ledger:
+    """Adds up the CPU seconds of entries by name."""
+
+    def __init__(self) -> None:
+        self.seconds: Counter[str] = Counter()
+        self._open: list[str] = []
+        self._mark = 0.0
+
+    @property
+    def total(self) -> float:
+        """CPU seconds."""
+        return sum(self.seconds.values())
+
+    @contextmanager
+    def within(self, name: str) -> Iterator[None]:
+        """What is done here is spent on `name`."""
+        self.enter(name)
+        try:
+            yield
+        finally:
+            self.leave()
+
+    def enter(self, name: str) -> None:
+        self._pass()
+        self._open.append(name)
+
+    def leave(self) -> None:
+        self._pass()
+        self._open.pop()
+
+    @property
+    def inmost(self) -> str:
+        """What time is spent on now."""
+        return self._open[-1]
+
+    def _pass(self) -> None:
+        now = time.process_time()
+        if self._open:
+            self.seconds[self._open[-1]] += now - self._mark
+        self._mark = now
+
+
+ROUNDS = 5
+"""How often everything that is compared has its turn."""
+Clock = Callable[[], float]
+CLOCKS: dict[str, Clock] = {"cpu": time.process_time, "wall": time.perf_counter}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """So many things took so many seconds."""
+
+    name: str
+    count: float
+    seconds: float
+    clock: str = "cpu"
+    """Or "wall"; "none": the count alone is meant."""
+    remark: str = ""
+    rates: tuple[float, ...] = ()
+    """Things per second in each round; empty where there was but one."""
+    published: tuple[float, ...] = ()
+    """How many times as long the public code's calls took for the same things, in each round."""
+    stages: Mapping[str, float] = field(default_factory=dict)
+    """Microseconds of one thing by what they were spent on."""
+
+    @property
+    def per_second(self) -> float:
+        """The median over rounds."""
+        return median(self.rates) if self.rates else self.count / self.seconds
+
+    @property
+    def microseconds(self) -> float:
+        return 1e6 / self.per_second
+
+    def ratios(self, other: "Figure") -> tuple[float, ...]:
+        """How many times as many as another's, round by round where they took turns."""
+        if len(self.rates) == len(other.rates) and self.rates:
+            return tuple(own / its for own, its in zip(self.rates, other.rates, strict=True))
+        return (self.per_second / other.per_second,)
+
+    def as_dict(self) -> dict[str, Any]:
+        found = {
+            "name": self.name,
+            "count": self.count,
+            "seconds": self.seconds,
+            "clock": self.clock,
+            "per_second": self.per_second,
+            "remark": self.remark,
+        }
+        if self.rates:
+            found["interval"] = interval(self.rates)
+        if self.published:
+            found["published"] = {"times": median(self.published), "interval": interval(self.published)}
+        return found | ({"stages_us": dict(self.stages)} if self.stages else {})
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """The quartiles."""
+    low, high = np.percentile(values, [25, 75]).tolist()
+    return low, high
+
+
+def spread(values: Sequence[float], digits: int = 3) -> str:
+    """Median and quartiles in words."""
+    if len(values) < 2:
+        return number(values[0], digits) if values else ""
+    low, high = (number(value, digits) for value in interval(values))
+    return f"{number(median(values), digits)} [{low}, {high}]"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number to so many figures, without an exponent where it is large."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:,.0f}" if rounded >= 10 ** (digits - 1) else f"{rounded:.{digits}g}"
+
+
+def taken(microseconds: float) -> str:
+    """A time in the unit that suits it."""
+    for unit, size in (("s", 1e6), ("ms", 1e3)):
+        if microseconds >= size:
+            return f"{microseconds / size:.3g} {unit}"
+    return f"{microseconds:.3g} \u00b5s"
+
+
+class Meter:
+    """Seconds within its `running` blocks."""
+
+    def __init__(self, clock: str = "cpu") -> None:
+        self.seconds = 0.0
+        self._clock = CLOCKS[clock]
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        began = self._clock()
+        yield
+        self.seconds += self._clock() - began
+
+
+class Work(Protocol):
+    """One of several things that are measured in turns."""
+
+    def __call__(self, meter: Meter) -> float:
+        """Do some of it, count the time that is of interest, and say how much it was."""
+
+    @property
+    def remark(self) -> str:
+        """What there is to say of it in the end."""
+
+    @property
+    def stages(self) -> Mapping[str, float]:
+        """Microseconds of one thing by what they were spent on; empty where that is not known."""
+
+
+@dataclass
+class Subject:
+    """A work, and what it took in each of its turns."""
+
+    name: str
+    work: Work
+    clock: str = "cpu"
+    counts: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def turn(self, seconds: float) -> None:
+        """Work for a time."""
+        meter, count = Meter(self.clock), 0.0
+        while meter.seconds < seconds:
+            count += self.work(meter)
+        self.counts.append(count)
+        self.seconds.append(meter.seconds)
+
+    @property
+    def figure(self) -> Figure:
+        rates = tuple(count / taken for count, taken in zip(self.counts, self.seconds, strict=True))
+        total = sum(self.counts), sum(self.seconds)
+        return Figure(self.name, *total, self.clock, self.work.remark, rates, stages=self.work.stages)
+
+
+def in_turns(subjects: Sequence[Subject], seconds: float, rounds: int = ROUNDS) -> list[Figure]:
+    """Measure things in turns, each for so many seconds."""
+    for _ in range(rounds):
+        for subject in subjects:
+            subject.turn(seconds / rounds)
+    return [subject.figure for subject in subjects]
+
+
+def machine() -> dict[str, Any]:
+    """The node that this is measured on."""
+    values: dict[str, Any] = msgspec.to_builtins(node_info())
+    return values
+
+
+def table(name: str, figures: Sequence[Figure]) -> Table:
+    """A part for a terminal."""
+    heads, *rows = lines(figures)
+    shown = Table(*heads, title=name, title_justify="left")
+    for row in rows:
+        shown.add_row(*row)
+    return shown
+
+
+def markdown(name: str, figures: Sequence[Figure]) -> str:
+    """A part as a section."""
+    heads, *rows = lines(figures)
+    cells = [heads, ["---"] * len(heads), *rows]
+    return "\n".join([f"## {name.capitalize()}", "", *(f"| {' | '.join(row)} |" for row in cells)])
+
+
+def lines(figures: Sequence[Figure]) -> list[list[str]]:
+    """The head of a part's table, and its rows."""
+    is_beside = any(figure.published for figure in figures)
+    heads = [
+        "what",
+        "per second",
+        "one takes",
+        "public code's calls, times" if is_beside else "first line, times",
+    ]
+    return [[*heads, "remark"], *(_line(figure, figures[0], is_beside) for figure in figures)]
+
+
+def _line(figure: Figure, first: Figure, is_beside: bool) -> list[str]:
+    if figure.clock == "none":
+        return [figure.name, "", number(figure.count), "", figure.remark]
+    times = figure.published if is_beside else figure.ratios(first)
+    rate = spread(figure.rates or [figure.per_second])
+    return [figure.name, rate, taken(figure.microseconds), spread(times), figure.remark]

@@ -1,0 +1,90 @@
+"""The table of results: `make results`, or `python -m benchmarks.results`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from benchmarks.results.measure import HEX
+from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
+from benchmarks.results.work import Store, carry_on
+
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_worker.platform import code_digest
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = ROOT / "docs" / "results" / "runs.csv"
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+Table = Annotated[Path, typer.Option(help="The table; its page lies beside it.")]
+Home = Annotated[Path, typer.Option("--programme", help="The folder of the programme's campaigns.")]
+Accept = Annotated[
+    list[str] | None,
+    typer.Option(help="Digest of an older evaluation code whose verdicts are the same; may be given again."),
+]
+Campaigns = Annotated[list[str] | None, typer.Argument(help="Campaigns of the programme; default: all.")]
+Runs = Annotated[Path, typer.Option(help="Where the folders of runs go.")]
+Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of campaigns or runs.")]
+
+
+@app.command()
+def run(
+    campaigns: Campaigns = None,
+    accept: Accept = None,
+    table: Table = TABLE,
+    home: Home = HOME,
+    runs: Runs = ROOT / "runs" / "results",
+    workers: options.Workers = None,
+) -> None:
+    """Carry out what is missing, cheapest first; stopped at any time, the same command goes on."""
+    store = _store(table, home, accept)
+    asked = chosen(store.known, campaigns or ())
+    with lifetime("qdgrasp results") as stop:
+        failures = carry_on(store, asked, runs, LocalJobConfig(workers=workers or options.cores()), stop)
+    typer.echo(f"{len(store.missing(asked))} of {len(asked.wanted)} runs are missing.")
+    if stop.is_set:
+        typer.echo("Stopped; the same command goes on.", err=True)
+        raise typer.Exit(stop.exit_code)
+    for other in failures[1:]:
+        typer.echo(str(other), err=True)
+    if failures:
+        raise failures[0]
+
+
+@app.command("list")
+def show(campaigns: Campaigns = None, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
+    """Print what is missing in the order in which it would be done, and do nothing."""
+    store = _store(table, home, accept)
+    left, costs = store.missing(chosen(store.known, campaigns or ())), Costs(store.table.values())
+    for one in ordered(left, costs):
+        typer.echo(f"{costs.seconds(one.key):7.0f} CPU s  {one.key.words}")
+    total = sum(costs.seconds(one.key) for one in left)
+    typer.echo(f"{len(left)} runs are missing, about {total / 3600:.1f} CPU hours.")
+
+
+@app.command()
+def add(directories: Folders, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
+    """Add the finished runs in folders; rows of today's evaluation code give way to their like alone."""
+    typer.echo(_store(table, home, accept).add(directories).words)
+
+
+@app.command()
+def page(table: Table = TABLE, home: Home = HOME) -> None:
+    """Make the page of the table again."""
+    _store(table, home, None).write_page()
+
+
+def _store(table: Path, home: Path, accept: list[str] | None) -> Store:
+    current = {digest[:HEX] for digest in (code_digest(), *(accept or ()))}
+    return Store(table, programme(home), current)
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(app, "results")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""The rows of finished runs, from their journals."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from benchmarks.results.table import MILESTONES, Key, Row, key, written
+from scipy.optimize import nnls
+
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup, ReferenceSet
+from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
+from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory, SuccessMetrics, diversity
+from qdgrasp_coordinator.report.row_report import empty_niche_archive
+from qdgrasp_coordinator.report.run_groups import search_run_folders
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.spec import RunSpec
+
+Figures = dict[str, str | int | float | None]
+HEX = 16
+"""Digits of a digest in the table."""
+LEAST = 20
+"""Blocks of a journal, and successes in them, from which costs are fitted."""
+
+Budgets = Callable[[Key], set[int]]
+"""The budgets with which rows are wanted of a run, whatever its own is."""
+
+
+def harvest(path: Path, budgets: Budgets, targets: ReferenceLookup) -> Iterator[Row]:
+    """The rows of the runs in a campaign's folder, in a folder of run folders, or in a run's own."""
+    for folder in search_run_folders(path):
+        asked = key(folder.spec)
+        yield from rows_of(folder, asked, budgets(asked), targets)
+
+
+def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: ReferenceLookup) -> Iterator[Row]:
+    """A row of a run for each of these budgets that it has spent.
+
+    A longer run contains the shorter one, so that its journal gives the rows of both.
+    """
+    if not budgets:
+        return
+    with folder.journal() as journal:
+        stretches = list(journal.slices())
+        rows = np.concatenate([journal.shape.empty(0), *(stretch.rows for stretch in stretches)])
+        stops = _stops(folder.spec, rows, budgets)
+        known = _reference(folder, targets) if stops else None
+        for budget, stop in stops.items():
+            said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop])
+            found = figures(folder, rows[:stop], known) | costs(stretches, stop)
+            found["wall_seconds"] = journal.wall_seconds if stop == len(rows) else None
+            yield row(said | _with_ratio(found))
+
+
+def _reference(folder: RunFolder, targets: ReferenceLookup) -> ReferenceSet | None:
+    """The set of a run's object itself: what a stand-in covers of its scan's set is no result."""
+    target = targets.of(folder.scene(), folder.spec.object)
+    return None if target.stand_in else target.reference
+
+
+def row(values: Figures) -> Row:
+    """A row of figures, as precise as the table is."""
+    said = {name: float(written(one)) if isinstance(one, float) else one for name, one in values.items()}
+    return msgspec.convert(said, Row)
+
+
+def _stops(spec: RunSpec, rows: Rows, budgets: set[int]) -> dict[int, int]:
+    """How many rows of a journal are those of the run with each budget, of the budgets that are spent."""
+    spent = np.cumsum(evaluation_mask(rows, spec.overlaps))
+    least = 0 if trial_count(spec.protocol) or not len(rows) else min(spec.evaluations, int(spent[-1]) + 1)
+    stops = {one: int(np.searchsorted(spent, one)) + 1 for one in sorted(budgets) if one < least}
+    whole = spec.evaluations in budgets and count_rows(spec, [rows]).finished
+    return stops | ({spec.evaluations: len(rows)} if whole else {})
+
+
+def _origin(journal: Journal, rows: Rows) -> Figures:
+    """By what the rows were made."""
+    platform = journal.platform
+    return {
+        "version": journal.package,
+        "code": platform.get("code", "")[:HEX],
+        "platform": hashlib.sha256(json.dumps(platform, sort_keys=True).encode()).hexdigest()[:HEX],
+        "scene": journal.scene[:HEX],
+        "journal": hashlib.sha256(rows.tobytes()).hexdigest()[:HEX],
+    }
+
+
+def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figures:
+    """What a run found with these rows of its journal."""
+    spec, archive = folder.spec, empty_niche_archive(folder)
+    total, metrics = count_rows(spec, [rows]), SuccessMetrics(trial_count(spec.protocol))
+    metrics.count(rows)
+    archive.insert(rows)
+    various = diversity(archive)
+    return {
+        "evaluations": total.evaluations,
+        "simulated": total.simulated,
+        "proposals": total.proposals,
+        "successes": total.successes,
+        "grasps": total.grasps,
+        "robust": total.robust,
+        "cells": total.cells,
+        "mean_best": metrics.qd_score / total.cells if total.cells else None,
+        "niches": various.niches,
+        "robust_niches": various.robust_niches,
+        "orientations": various.orientations,
+        **(covered(SuccessHistory.among(rows, spec.overlaps), known, total.evaluations) if known else {}),
+    }
+
+
+def covered(found: SuccessHistory, known: ReferenceSet, evaluations: int) -> Figures:
+    """How much of a reference set was found, in the end and at the milestones that were reached."""
+    reached, size = found.found(known), len(known)
+    return {
+        "set_size": size,
+        **{
+            f"coverage_{milestone // 1000}k": int(reached.after(milestone)) / size
+            for milestone in MILESTONES
+            if milestone <= evaluations
+        },
+        "coverage": reached.end / size,
+        "robust_coverage": found.found(known, fitness=2).end / size,
+    }
+
+
+def costs(stretches: Sequence[JournalSlice], stop: int) -> Figures:
+    """What the first rows cost: seconds of the workers, and of a success among them."""
+    parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
+    return {"cpu_seconds": sum(part.cpu_seconds for part in parts), "success_ms": _success_ms(parts)}
+
+
+def _success_ms(parts: Sequence[JournalSlice]) -> float | None:
+    """The cost of a success, where blocks cost what their successes, misses and other rows do."""
+    counts = np.array([_counts(part.rows) for part in parts], dtype=np.float64)
+    if len(parts) < LEAST or counts[:, 0].sum() < LEAST:
+        return None
+    weight = 1 / np.sqrt(counts.sum(axis=1))  # a block's noise grows with its rows
+    cpu = np.array([part.cpu_seconds for part in parts])
+    return 1000 * float(nnls(counts * weight[:, None], cpu * weight)[0][0])
+
+
+def _counts(rows: Rows) -> tuple[int, int, int]:
+    outcome = rows["outcome"]
+    success = int(np.count_nonzero(outcome >= Outcome.DROPPED))
+    simulated = int(np.count_nonzero(outcome >= Outcome.MISSED))
+    return success, simulated - success, len(rows) - simulated
+
+
+def _with_ratio(found: Figures) -> Figures:
+    coverage, seconds = found.get("coverage"), found["cpu_seconds"]
+    ratio = float(coverage) / float(seconds) if coverage is not None and seconds else None
+    return found | {"coverage_per_cpu_second": ratio}

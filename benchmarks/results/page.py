@@ -1,0 +1,183 @@
+"""The page of results, `docs/results/index.md`, made of the table and of nothing else."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from benchmarks.results.comparison import COUNTING, Arm, arms, comparison_part, spread
+from benchmarks.results.programme import Programme
+from benchmarks.results.table import MILESTONES, Key, Row
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.report.tables import markdown_table
+
+LEAST = 10_000
+"""The smallest budget that has a line [counted evaluations]."""
+TARGETS = {
+    ("ref_panda_2f", "ycb_rubiks_cube", "released", "redraw"): {5000: 50.0, 10_000: 85.0},
+    ("ref_panda_2f", "ycb_mug", "released", "redraw"): {5000: 50.0, 10_000: 75.0},
+    ("ref_allegro", "ycb_rubiks_cube", "released", "redraw"): {5000: 50.0, 10_000: 80.0},
+    ("ref_panda_2f", "ycb_rubiks_cube", "released", "count"): {10_000: 35.0},
+    ("ref_panda_2f", "ycb_mug", "released", "count"): {10_000: 55.0},
+}
+"""The median that is aimed at [%], after so many evaluations."""
+COVERAGE_COLUMNS = (
+    "hand", "object", "protocol", "counting", "budget", "runs",
+    *(f"{milestone:,}" for milestone in MILESTONES), "end",
+    "robust", "mean best fitness", "orientations", "aim", "code",
+)  # fmt: skip
+
+
+def coverage_part(known: Sequence[Arm]) -> str:
+    """The section on coverage."""
+    shown = [arm for arm in known if arm.is_default and arm.key.budget >= LEAST]
+    return (
+        "## Coverage of the default method\n\n"
+        "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, "
+        "and in brackets their range. *Robust*: the share of S_G in whose cells a success of fitness 2 was "
+        "found. *Mean best fitness*: the best fitness in a cell with a success, 0 to 2, mean over these "
+        "cells. *Orientations*: of 60 bins, those with a success in such a cell, mean over these cells.\n\n"
+        + markdown_table(COVERAGE_COLUMNS, [_coverage_line(arm) for arm in shown])
+        + "\n"
+        + "\n".join(_short(shown))
+    )
+
+
+def _coverage_line(arm: Arm) -> tuple[str, ...]:
+    return (
+        arm.key.gripper, arm.key.object, arm.key.protocol, COUNTING[arm.key.overlaps],
+        f"{arm.key.budget:,}", arm.count,
+        *(arm.words(f"coverage_{milestone // 1000}k", 100) for milestone in MILESTONES),
+        arm.words("coverage", 100),
+        arm.words("robust_coverage", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
+        _aim(arm), arm.codes,
+    )  # fmt: skip
+
+
+def _aim(arm: Arm) -> str:
+    """What is aimed at, and whether it is reached."""
+    verdicts = []
+    for evaluations, percent in _targets(arm).items():
+        found = arm.values(f"coverage_{evaluations // 1000}k", 100)
+        verdict = "" if not len(found) else (": met" if np.median(found) >= percent else ": **short**")
+        verdicts.append(f"{percent:.0f} at {evaluations:,}{verdict}")
+    return ", ".join(verdicts)
+
+
+def _targets(arm: Arm) -> dict[int, float]:
+    known = TARGETS.get((*arm.scene, arm.key.overlaps), {})
+    return known if arm.key.budget == LEAST else {}
+
+
+def _short(shown: Sequence[Arm]) -> Iterator[str]:
+    """A sentence for each aim that is missed, and one for the runs that are not in."""
+    for arm in shown:
+        for evaluations, percent in _targets(arm).items():
+            found = arm.values(f"coverage_{evaluations // 1000}k", 100)
+            if len(found) and (gap := percent - np.median(found)) > 0:
+                where = f"{arm.key.gripper} on {arm.key.object}, {COUNTING[arm.key.overlaps]}"
+                yield f"- {where}: {gap:.1f} points short of {percent:.0f} % at {evaluations:,}."
+    lacking = sum(len(arm.seeds) - len(arm.rows) for arm in shown)
+    if lacking:
+        yield f"- {lacking} of the {sum(len(arm.seeds) for arm in shown)} runs are not in yet."
+    yield ""
+
+
+AUTHORS = 0.079
+"""Percent of S_G a CPU second, the best of the authors' code: approach_rand, Panda on rubiks_cube, 10 000."""
+SCENE, BUDGET = ("panda", "ycb_rubiks_cube", "paper"), 10_000
+"""Where that is compared, and after how many evaluations."""
+CPU_COLUMNS = (
+    "hand", "object", "method", "counting", "evaluations", "runs", "coverage, %", "CPU s", "% of S_G a CPU s",
+    f"x {AUTHORS}", "a success, ms", "ceiling, % a CPU s", "of the ceiling, %", "code",
+)  # fmt: skip
+
+
+def cpu_part(known: Sequence[Arm]) -> str:
+    """The section on CPU time."""
+    shown = [arm for arm in known if len(arm.values("coverage")) and (arm.is_default or arm.scene == SCENE)]
+    order = sorted(shown, key=lambda arm: (arm.scene != SCENE, -_rate(arm)))
+    return (
+        "## Coverage for CPU time\n\n"
+        "CPU seconds are those of the workers, shakes and screening included, on shared cores: take them as "
+        "ratios. A run that goes on to twice as many evaluations covers less a second: compare equal ones, "
+        "of one *code*. "
+        f"The authors' best is {AUTHORS} % of S_G a CPU second (approach_rand, Panda and rubiks_cube, 10 000 "
+        "evaluations, 62 CPU s). *A success* is what a success costs, fitted to the blocks of each journal; "
+        "at the *ceiling* every evaluation is a success in a new cell of S_G.\n\n"
+        + markdown_table(CPU_COLUMNS, [_cpu_line(arm) for arm in order])
+    )
+
+
+def _rate(arm: Arm) -> float:
+    return float(np.median(arm.values("coverage_per_cpu_second")))
+
+
+def _cpu_line(arm: Arm) -> tuple[str, ...]:
+    rates, ceilings = arm.values("coverage_per_cpu_second", 100), _ceilings(arm)
+    return (
+        arm.key.gripper, arm.key.object, arm.method, COUNTING[arm.key.overlaps],
+        f"{arm.key.budget:,}", arm.count, arm.words("coverage", 100), arm.words("cpu_seconds", 1, 0),
+        spread(rates, 3), _beside_authors(arm),
+        arm.words("success_ms", 1, 1), spread(ceilings, 2),
+        f"{100 * np.median(rates) / np.median(ceilings):.0f}" if len(ceilings) else "", arm.codes,
+    )  # fmt: skip
+
+
+def _beside_authors(arm: Arm) -> str:
+    """How many times the authors' rate; empty for runs that theirs is not like."""
+    is_alike = (arm.scene, arm.key.budget) == (SCENE, BUDGET)
+    return f"{100 * _rate(arm) / AUTHORS:.1f}" if is_alike else ""
+
+
+def _ceilings(arm: Arm) -> NDArray[np.float64]:
+    """Percent of S_G a CPU second, were every evaluation a success in a new cell of it (n,)."""
+    known = [(row.set_size, row.success_ms) for row in arm.rows.values()]
+    return np.array([100 / (size * cost / 1000) for size, cost in known if size and cost])
+
+
+INTRODUCTION = """# Results that accumulate
+
+Made by `make results-page` from [runs.csv](runs.csv), which has a line for each finished run
+([its columns](../results.md#the-table-of-runs)). The runs are those that the campaigns in
+[deploy/results](../../deploy/results) ask for; `make results` carries out what is missing, cheapest first.
+"""
+
+
+def page(known: Programme, table: Mapping[Key, Row]) -> str:
+    """The whole page."""
+    here = arms(known, table)
+    parts = [
+        INTRODUCTION,
+        _standing(known, table),
+        coverage_part(here),
+        comparison_part(here),
+        cpu_part(here),
+    ]
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def _standing(known: Programme, table: Mapping[Key, Row]) -> str:
+    """Which runs are in, and of which code."""
+    wanted = known.wanted
+    here = [table[one] for one in wanted if one in table]
+    others = len(table) - len(here)
+    besides = f" {others} more rows of the table are of runs that it does not ask for." if others else ""
+    return (
+        f"{len(here)} of the {len(wanted)} runs of the programme are in.{besides}\n\n"
+        + markdown_table(("campaign", "runs", "in", "missing"), list(_campaigns(known, table)))
+        + "\n"
+        + markdown_table(("evaluation code", "version", "rows"), list(_codes(here)))
+    )
+
+
+def _campaigns(known: Programme, table: Mapping[Key, Row]) -> Iterator[tuple[str, ...]]:
+    for name, runs in known.campaigns.items():
+        here = sum(one.key in table for one in runs)
+        link = f"[{name}](../../deploy/results/{name}.toml)"
+        yield link, str(len(runs)), str(here), str(len(runs) - here)
+
+
+def _codes(here: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    for (code, version), rows in Counter((row.code, row.version) for row in here).most_common():
+        yield f"`{code}`", version, str(rows)

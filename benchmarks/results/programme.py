@@ -1,0 +1,145 @@
+"""The runs that the table of results is to have, and the order in which missing ones are done."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from benchmarks.results.table import Key, Row, key
+
+from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.spec import RunSpec
+
+HOME = Path(__file__).resolve().parents[2] / "deploy" / "results"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A run of the programme."""
+
+    name: str
+    """As its campaign calls it; runs that differ in their budget alone share it."""
+    spec: RunSpec
+
+    @property
+    def key(self) -> Key:
+        """The key of its row."""
+        return key(self.spec)
+
+
+@dataclass(frozen=True)
+class Programme:
+    """Runs by the campaign that asks for them; two may ask for the same one."""
+
+    campaigns: Mapping[str, tuple[Wanted, ...]]
+
+    @property
+    def wanted(self) -> dict[Key, Wanted]:
+        """Every run once, in the order of the campaigns."""
+        return {one.key: one for runs in self.campaigns.values() for one in runs}
+
+    def budgets(self, asked: Key) -> set[int]:
+        """The budgets that the programme has for a run, whatever its own."""
+        return {one.budget for one in self.wanted if one._replace(budget=asked.budget) == asked}
+
+    def missing(self, table: Mapping[Key, Row], current: Collection[str]) -> list[Wanted]:
+        """The runs without a row of the evaluation code that counts as today's."""
+        return [
+            one
+            for asked, one in self.wanted.items()
+            if asked not in table or table[asked].code not in current
+        ]
+
+
+def programme(home: Path = HOME) -> Programme:
+    """The programme in a folder of campaigns; their hands and objects need not be on this machine.
+
+    Raises
+    ------
+    InputError
+        There is no campaign, or one of them cannot be.
+    """
+    files = sorted(home.glob("*.toml"))
+    if not files:
+        raise InputError(f"{home} holds no campaigns; the programme of results is made of some.")
+    return Programme({file.stem: _wanted(read_campaign(file, here=False)) for file in files})
+
+
+def chosen(known: Programme, names: Collection[str]) -> Programme:
+    """A programme of some of its campaigns; of all where none is named.
+
+    Raises
+    ------
+    InputError
+        There is no campaign of such a name.
+    """
+    if unknown := [name for name in names if name not in known.campaigns]:
+        raise InputError(f"No campaign '{unknown[0]}' in the programme; known: {', '.join(known.campaigns)}.")
+    return Programme({name: runs for name, runs in known.campaigns.items() if not names or name in names})
+
+
+def _wanted(asked: Campaign) -> tuple[Wanted, ...]:
+    return tuple(Wanted(name, spec) for name, spec in asked.runs.items())
+
+
+def evaluations(runs: Iterable[Wanted]) -> int:
+    """The budgets of runs, summed."""
+    return sum(one.spec.evaluations for one in runs)
+
+
+STAGE = 600.0
+"""CPU seconds of a stage [s]: after each one the table is written."""
+HAND_MS = {"panda": 10.0, "robotiq": 10.0, "allegro": 30.0, "shadow": 25.0, "barrett": 60.0, "bh280": 80.0}
+"""What an evaluation is taken to cost [ms] with a hand whose name holds this, before any run has told."""
+UNKNOWN_MS = 50.0
+LIKENESS: tuple[Callable[[Key], tuple[str, ...]], ...] = (
+    lambda one: (one.gripper, one.object, one.method, one.overlaps),
+    lambda one: (one.gripper, one.method, one.overlaps),
+    lambda one: (one.gripper, one.overlaps),
+)
+"""What makes two runs alike in cost, the closest first."""
+
+
+class Costs:
+    """What runs cost, judged by those that are in the table."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        known = [(row.key, row.cpu_seconds / row.evaluations) for row in rows if row.evaluations]
+        self._known = [_grouped(known, alike) for alike in LIKENESS]
+
+    def seconds(self, run: Key) -> float:
+        """CPU seconds that a run will take."""
+        for alike, known in zip(LIKENESS, self._known, strict=True):
+            if alike(run) in known:
+                return run.budget * median(known[alike(run)])
+        named = [cost for hand, cost in HAND_MS.items() if hand in run.gripper]
+        return run.budget * (named[0] if named else UNKNOWN_MS) / 1000
+
+
+def _grouped(
+    known: Sequence[tuple[Key, float]], alike: Callable[[Key], tuple[str, ...]]
+) -> dict[tuple[str, ...], list[float]]:
+    groups: dict[tuple[str, ...], list[float]] = {}
+    for run, cost in known:
+        groups.setdefault(alike(run), []).append(cost)
+    return groups
+
+
+def ordered(runs: Iterable[Wanted], costs: Costs) -> list[Wanted]:
+    """Runs by what they will cost, cheapest first; of equally cheap ones each scene's first seeds."""
+    return sorted(runs, key=lambda one: (costs.seconds(one.key), one.key.seed, one.key))
+
+
+def stages(runs: Sequence[Wanted], costs: Costs) -> Iterator[list[Wanted]]:
+    """The runs in parts that a campaign can have: about ten minutes of CPU time, and no name twice."""
+    part: list[Wanted] = []
+    spent = 0.0
+    for one in runs:
+        if part and (spent >= STAGE or one.name in {other.name for other in part}):
+            yield part
+            part, spent = [], 0.0
+        part.append(one)
+        spent += costs.seconds(one.key)
+    if part:
+        yield part

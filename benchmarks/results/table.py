@@ -1,0 +1,249 @@
+"""The table of results: one line a run, sorted, so that a run more is a line more."""
+
+import csv
+import io
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_coordinator.storage import atomic_files, job_folder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.spec import RunSpec
+
+DIGITS = 5
+"""Significant ones of a number that is not whole."""
+MILESTONES = (1000, 2000, 5000, 10_000)
+"""Counted evaluations after which a row says how much was found."""
+
+
+class Key(NamedTuple):
+    """What was asked for: no two rows of a table have the same. Rows are sorted by it."""
+
+    gripper: str
+    object: str
+    protocol: str
+    method: str
+    overlaps: str
+    settings: str
+    """Whatever else of the spec is not the spec's default: `population=50` of `aimed`, mostly nothing."""
+    seed: int
+    budget: int
+
+    @property
+    def words(self) -> str:
+        """For a person."""
+        marks = (
+            f"{self.protocol}, {'overlaps redrawn' if self.overlaps == 'redraw' else 'every pose counted'}"
+        )
+        return (
+            f"{self.method} with {self.gripper} on {self.object}, seed {self.seed} x {self.budget} ({marks})"
+        )
+
+
+class Row(Struct, frozen=True, kw_only=True):
+    """One finished run. None, an empty field: there is no such figure."""
+
+    gripper: str
+    object: str
+    protocol: str
+    method: str
+    overlaps: str
+    settings: str
+    seed: int
+    budget: int
+    version: str
+    """Of this package, when the run was begun."""
+    code: str
+    """Digest of the evaluation's code: what decides whether a row is of today."""
+    platform: str
+    """Digest of all that decides the bits of a result (docs/reproducibility.md), `code` included."""
+    scene: str
+    """Digest of the scene bundle."""
+    journal: str
+    """The beginning of what `qdgrasp digest` prints."""
+    evaluations: int
+    """Counted ones; fewer than the budget where a search ended by itself."""
+    simulated: int
+    """Poses that the simulator closed a hand on."""
+    proposals: int
+    """Poses that decoding screened, overlaps included."""
+    successes: int
+    grasps: int
+    robust: int
+    cells: int
+    """Distinct 1 cm cells with a success."""
+    set_size: int | None = None
+    """Entries of the reference set."""
+    coverage_1k: float | None = None
+    """De-duplicated coverage of the reference set after so many counted evaluations, 0 to 1."""
+    coverage_2k: float | None = None
+    coverage_5k: float | None = None
+    coverage_10k: float | None = None
+    coverage: float | None = None
+    """The same in the end."""
+    robust_coverage: float | None = None
+    """The share of the set's entries in which a success of fitness 2 was found."""
+    mean_best: float | None = None
+    """The best fitness in a cell with a success, mean over these cells."""
+    niches: int | None = None
+    """Niches of position, orientation and synergy with a success."""
+    robust_niches: int | None = None
+    """Those with a success of fitness 2."""
+    orientations: float | None = None
+    """Of 60 bins, those with a success in a cell with one, mean over these cells."""
+    cpu_seconds: float
+    """Of the workers."""
+    coverage_per_cpu_second: float | None = None
+    success_ms: float | None = None
+    """What a success costs its worker [ms], fitted to the blocks of the journal."""
+    wall_seconds: float | None = None
+
+    @property
+    def key(self) -> Key:
+        """What was asked for."""
+        return Key(*(getattr(self, name) for name in Key._fields))
+
+
+COLUMNS = tuple(field.name for field in msgspec.structs.fields(Row))
+NEEDED = tuple(field.name for field in msgspec.structs.fields(Row) if field.required)
+
+
+def key(spec: RunSpec) -> Key:
+    """What a spec asks for.
+
+    Raises
+    ------
+    InputError
+        Its gripper or object is a file, which a table that others read cannot name.
+    """
+    for name in (spec.gripper, spec.object):
+        if Path(name).name != name or Path(name).suffix:
+            raise InputError(f"'{name}' is a file of this machine: only runs on named assets have a row.")
+    said = {name: getattr(spec, name) for name in Key._fields if name not in ("settings", "budget")}
+    return Key(**said, settings=_settings(spec), budget=spec.evaluations)
+
+
+def _settings(spec: RunSpec) -> str:
+    """What of a spec no other column says, where it is not the spec's default."""
+    others = [
+        field
+        for field in msgspec.structs.fields(RunSpec)
+        if field.name not in (*Key._fields, "evaluations") and getattr(spec, field.name) != field.default
+    ]
+    return " ".join(f"{field.name}={getattr(spec, field.name)}" for field in others)
+
+
+def written(value: object) -> str:
+    """A figure as it stands in the table."""
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}" if abs(value) < 10**DIGITS else f"{value:.0f}"
+    return "" if value is None else str(value)
+
+
+Table = Mapping[Key, Row]
+HEAD = "restore the head of the table, or move the table away to begin another"
+LINE = "restore the line, or delete it to have the run done again"
+
+
+def read(file: Path) -> dict[Key, Row]:
+    """The table in a file; empty where there is none.
+
+    Raises
+    ------
+    InputError
+        It is not such a table: the line and what is wrong with it are named.
+    """
+    if not file.exists():
+        return {}
+    with disk_text(file) as lines:
+        reader = csv.DictReader(lines, strict=True)
+        _check_columns(file, reader.fieldnames or ())
+        table: dict[Key, Row] = {}
+        for values in _lines(file, reader):
+            row = _row(file, reader.line_num, values)
+            if table.setdefault(row.key, row) is not row:
+                raise _wrong(file, reader.line_num, f"{row.key.words} has a line already")
+    return table
+
+
+def text(table: Table) -> str:
+    """A table as CSV, by key; the inverse of `read`."""
+    lines = io.StringIO()
+    writer = csv.DictWriter(lines, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for _, row in sorted(table.items()):
+        writer.writerow({name: written(getattr(row, name)) for name in COLUMNS})
+    return lines.getvalue()
+
+
+def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[Key, Row]:
+    """A table with these rows, each in the place of the one of its key.
+
+    A row of the current evaluation code is not replaced by one of another.
+
+    Parameters
+    ----------
+    current
+        Digests of evaluation code that count as today's.
+    """
+    whole = dict(table)
+    for row in rows:
+        old = whole.get(row.key)
+        if old is None or row.code in current or old.code not in current:
+            whole[row.key] = row
+    return dict(sorted(whole.items()))
+
+
+@contextmanager
+def held(file: Path) -> Iterator[None]:
+    """Be the only process that changes a table; see `lock.exclusive`."""
+    with atomic_files.writing(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    with job_folder.hold_lock(file.parent, f".{file.name}.lock"):
+        yield
+
+
+def write(file: Path, table: Table) -> None:
+    """Replace a table."""
+    with atomic_files.writing(file.parent):
+        atomic_files.write(file, text(table).encode())
+
+
+@contextmanager
+def disk_text(file: Path) -> Iterator[io.StringIO]:
+    """A file's text as lines; what is no CSV at all is told in a sentence."""
+    try:
+        yield io.StringIO(atomic_files.read(file).decode())
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{file} is no table of results: {error}.") from None
+
+
+def _check_columns(file: Path, columns: Collection[str]) -> None:
+    """Check the columns; figures that an older table does not have yet may be missing."""
+    if unknown := [name for name in columns if name not in COLUMNS]:
+        raise _wrong(file, 1, f"unknown column '{unknown[0]}'", HEAD)
+    if missing := [name for name in NEEDED if name not in columns]:
+        raise _wrong(file, 1, f"column '{missing[0]}' is missing", HEAD)
+
+
+def _lines(file: Path, reader: "csv.DictReader[str]") -> Iterator[dict[str, str]]:
+    for values in reader:
+        if None in values or None in values.values():
+            raise _wrong(file, reader.line_num, f"expected {len(reader.fieldnames or ())} fields")
+        yield values
+
+
+def _row(file: Path, line: int, values: Mapping[str, str]) -> Row:
+    said = {name: value for name, value in values.items() if value or name in NEEDED}
+    try:
+        return msgspec.convert(said, Row, strict=False)
+    except msgspec.ValidationError as error:
+        raise _wrong(file, line, str(error)) from None
+
+
+def _wrong(file: Path, line: int, what: str, remedy: str = LINE) -> InputError:
+    return InputError(f"{file}, line {line}: {what}; {remedy}.")

@@ -1,0 +1,224 @@
+"""Carries missing runs out, stage by stage, and stores their results in table and page."""
+
+import hashlib
+import json
+from collections.abc import Callable, Collection, Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+from benchmarks.results import table as tables
+from benchmarks.results.measure import harvest
+from benchmarks.results.page import page
+from benchmarks.results.programme import Costs, Programme, Wanted, ordered, stages
+from benchmarks.results.table import Key, Row
+
+import qdgrasp_coordinator
+from qdgrasp_assets.catalog import check_object, find_gripper
+from qdgrasp_coordinator.campaign.campaign_file import Campaign, make_campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
+from qdgrasp_coordinator.cli.run_commands import run_job
+from qdgrasp_coordinator.local.progress import progress_display
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.spec import RunSpec, to_values
+from qdgrasp_worker.platform import platform
+
+PAGE = "index.md"
+
+
+class Added(msgspec.Struct, frozen=True):
+    """What adding runs came to."""
+
+    new: int
+    """Rows that were not in, or are others now."""
+    kept: int
+    """Rows that were left out, as the table has them of today's code."""
+    bare: tuple[str, ...]
+    """Scenes of which no reference set is known on this machine."""
+    whole: int
+    """Rows in the table."""
+
+    @property
+    def words(self) -> str:
+        """For a person."""
+        kept = f"; {self.kept} of other code were left out" if self.kept else ""
+        bare = f" No S_G on this machine of {', '.join(self.bare)}: no coverage." if self.bare else ""
+        return f"{self.new} new rows, {self.whole} in all{kept}.{bare}"
+
+
+class Store:
+    """A table with its page beside it.
+
+    Parameters
+    ----------
+    file
+        The table.
+    known
+        The programme, for the page and for what is missing.
+    current
+        Digests of evaluation code that count as today's.
+    """
+
+    def __init__(self, file: Path, known: Programme, current: Collection[str]) -> None:
+        self.file = file
+        self.known = known
+        self._current = current
+
+    @property
+    def table(self) -> dict[Key, Row]:
+        """The table as it is now; raises as `table.read`."""
+        return tables.read(self.file)
+
+    def missing(self, asked: Programme) -> list[Wanted]:
+        """What of a programme the table does not have of today's code."""
+        return asked.missing(self.table, self._current)
+
+    def add(self, directories: Iterable[Path], *, again: bool = True) -> Added:
+        """Add the finished runs in folders, and make the page again if that changes anything.
+
+        Parameters
+        ----------
+        again
+            Whether runs that the table has of today's code are looked at, too.
+        """
+        here = {} if again else self.table
+        found = [row for path in directories for row in harvest(path, self._budgets(here), ReferenceLookup())]
+        with tables.held(self.file):
+            before = self.table
+            after = tables.merged(before, found, self._current)
+            if after != before or not self.file.exists():
+                tables.write(self.file, after)
+                self.write_page()
+        return Added(
+            new=sum(before.get(key) != row for key, row in after.items()),
+            kept=sum(after[row.key] != row for row in found),
+            bare=tuple(sorted({f"{row.gripper} on {row.object}" for row in found if row.set_size is None})),
+            whole=len(after),
+        )
+
+    def write_page(self) -> None:
+        """Make the page again."""
+        with atomic_files.writing(self.file.parent):
+            atomic_files.write(self.file.with_name(PAGE), page(self.known, self.table).encode())
+
+    def _budgets(self, here: tables.Table) -> "_Budgets":
+        return _Budgets(self.known, {one for one, row in here.items() if row.code in self._current})
+
+
+class _Budgets:
+    """The budgets of a run whose rows are of use: its own and the programme's, less those that are in."""
+
+    def __init__(self, known: Programme, done: Collection[Key]) -> None:
+        self._known = known
+        self._done = done
+
+    def __call__(self, asked: Key) -> set[int]:
+        budgets = self._known.budgets(asked) | {asked.budget}
+        return {budget for budget in budgets if asked._replace(budget=budget) not in self._done}
+
+
+NAME_DIGITS = 12
+SEARCHING = ("metrics/cells", "metrics/run_stats", "scheduler/pipeline")
+"""Modules of the coordinator, beside the searches, that have a say in what is asked."""
+
+
+def carry_on(
+    store: Store, asked: Programme, runs: Path, team: LocalJobConfig, stop: Stop
+) -> list[QdgraspError]:
+    """Carry out what is missing, stage by stage, and add what each one finished.
+
+    Parameters
+    ----------
+    runs
+        Where the folders go: one for each version of the code, so that a run goes on with its own.
+
+    Returns
+    -------
+    failures
+        Why some of the runs could not be carried out; the others were.
+    """
+    lacks = lacking(asked.wanted.values())
+    failures: list[QdgraspError] = list(lacks.values())
+    tried = {key for key in asked.wanted if not lacks.keys().isdisjoint((key.gripper, key.object))}
+    while not stop.is_set:
+        place = workplace(runs)
+        _gather(store, place)
+        left = [one for one in store.missing(asked) if one.key not in tried]
+        if not left:
+            break
+        costs = Costs(store.table.values())
+        stage = next(stages(ordered(left, costs), costs))
+        tried |= {one.key for one in stage}
+        try:
+            work(place, stage, team, stop)
+        except QdgraspError as error:
+            failures.append(error)
+        _gather(store, place)
+    return failures
+
+
+def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
+    """The hands and objects of runs that are not on this machine, and what is to be said of each."""
+    checks: dict[str, Callable[[str], object]] = {one.spec.gripper: find_gripper for one in runs} | {
+        one.spec.object: check_object for one in runs
+    }
+    found: dict[str, InputError] = {}
+    for name, check in checks.items():
+        try:
+            check(name)
+        except InputError as error:
+            found[name] = error
+    return found
+
+
+def _gather(store: Store, place: Path) -> None:
+    """Add the rows of a workplace that are not in yet."""
+    if JobFolder.is_job(place):
+        store.add([place], again=False)
+
+
+def workplace(home: Path) -> Path:
+    """The folder below `home` for the runs of this code: of what evaluates, and of what searches."""
+    said = json.dumps(platform(), sort_keys=True).encode()
+    digest = hashlib.sha256(said + _search_digest())
+    return home / digest.hexdigest()[:NAME_DIGITS]
+
+
+def _search_digest() -> bytes:
+    """The sha256 over the sources of the searches, and of what asks them."""
+    here = Path(str(qdgrasp_coordinator.__file__)).parent
+    sources = [*(here / f"{name}.py" for name in SEARCHING), *sorted(here.glob("search/*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).digest()
+
+
+def work(place: Path, stage: Sequence[Wanted], team: LocalJobConfig, stop: Stop) -> None:
+    """Carry out a stage, and what an earlier one left undone.
+
+    Raises
+    ------
+    InputError
+        A run cannot be carried out; the others are.
+    EndedEarly
+        The coordinator died; the next stage goes on.
+    """
+    asked = grown(place, stage)
+    extent = begin_campaign(place, asked)
+    if extent.runs_done == extent.runs:
+        return
+    with progress_display("results", asked.evaluations) as shown:
+        run_job(JobFolder(place), team, shown, stop)
+
+
+def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
+    """The campaign in a folder with a stage more; a run that is there already gets the greater budget."""
+    known = read_campaign(place / CAMPAIGN).runs if (place / CAMPAIGN).is_file() else {}
+    runs: dict[str, RunSpec] = dict(known)
+    for one in stage:
+        if one.name not in runs or runs[one.name].evaluations < one.spec.evaluations:
+            runs[one.name] = one.spec
+    return make_campaign({"cross": [to_values(spec) for spec in runs.values()]}, str(place / CAMPAIGN))

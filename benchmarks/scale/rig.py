@@ -1,0 +1,465 @@
+"""A router in a process of its own, workers with prepared results in others, the coordinator in this one."""
+
+import heapq
+import multiprocessing
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import cycle
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+from benchmarks.measure import number
+from rich.table import Table
+from tests.common import own_endpoint
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.errors import BusError, NoReply
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, pack
+from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+
+@dataclass(frozen=True)
+class ScaleFigure:
+    """One number."""
+
+    name: str
+    value: float
+    unit: str
+    least: float | None = None
+    most: float | None = None
+    remark: str = ""
+
+    @property
+    def is_met(self) -> bool | None:
+        """Whether it is within what is wanted; None: nothing is."""
+        if self.least is None and self.most is None:
+            return None
+        return (self.least or -float("inf")) <= self.value <= (self.most or float("inf"))
+
+    @property
+    def wanted(self) -> str:
+        if self.least is not None:
+            return f"at least {number(self.least)}"
+        return "" if self.most is None else f"at most {number(self.most)}"
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**vars(self), "is_met": self.is_met}
+
+
+def table(name: str, figures: Sequence[ScaleFigure]) -> Table:
+    """A part for a terminal."""
+    shown = Table("what", "figure", "wanted", "", "remark", title=name, title_justify="left")
+    for figure in figures:
+        met = {None: "", True: "yes", False: "NO"}[figure.is_met]
+        shown.add_row(figure.name, f"{number(figure.value)} {figure.unit}", figure.wanted, met, figure.remark)
+    return shown
+
+
+SHAPE = RowShape(genes=7, joints=2)
+"""The rows of a two-finger hand."""
+REACH = 0.15
+"""Hands are anywhere in a cube of twice that [m]."""
+VARIETY = 64
+"""Different results for batches of one length."""
+_MARKS = {"generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
+"""What stands in a result where a batch's own values are filled in."""
+
+
+def rows(n: int, random: np.random.Generator, shape: RowShape = SHAPE) -> Rows:
+    """Results as of random poses: three of five overlap, one of seven succeeds."""
+    found = shape.empty(n)
+    found["outcome"] = random.choice([Outcome.OVERLAP, Outcome.MISSED, Outcome.HELD], n, p=[0.6, 0.25, 0.15])
+    found["fitness"] = np.maximum(found["outcome"].astype(int) - Outcome.DROPPED, 0)
+    found["proposals"] = 1
+    for column in ("descriptor", "base_to_object", "joints", "surface_point"):
+        found[column] = random.uniform(-REACH, REACH, found[column].shape)
+    return found
+
+
+class Answers:
+    """The prepared results of one worker to the batches of one run.
+
+    Parameters
+    ----------
+    number
+        The worker's: each has results of its own.
+    seconds
+        What a batch is said to cost [CPU s].
+    """
+
+    def __init__(self, number: int, wid: str, epoch: int, run: str, n: int, seconds: float) -> None:
+        random = np.random.default_rng((number, n))
+        self._pieces: Iterator[list[bytes]] = cycle(
+            [_cut(_result(wid, epoch, run, rows(n, random), seconds)) for _ in range(VARIETY)]
+        )
+
+    def to(self, generation: int, batch: bytes, attempt: int) -> bytes:
+        """The next one, for a batch."""
+        first, second, third, rest = next(self._pieces)
+        return b"".join(
+            (first, msgpack.packb(generation), second, batch, third, msgpack.packb(attempt), rest)
+        )
+
+
+def _result(wid: str, epoch: int, run: str, found: Rows, seconds: float) -> bytes:
+    return messages.encode(
+        Result(
+            epoch=epoch,
+            run=run,
+            wid=wid,
+            n=len(found),
+            joints=SHAPE.joints,
+            descriptors=SHAPE.descriptors,
+            columns=pack(found, RESULT),
+            cpu_seconds=seconds,
+            **_MARKS,
+        )
+    )
+
+
+def _cut(payload: bytes) -> list[bytes]:
+    """A result in front of, between and behind its marks."""
+    pieces = []
+    for mark in _MARKS.values():
+        packed = mark if isinstance(mark, bytes) else msgpack.packb(mark)
+        before, found, payload = payload.partition(packed)
+        assert found
+        pieces.append(before)
+    return [*pieces, payload]
+
+
+PLATFORM = {"stand-in": "1"}
+OPENING = 16
+"""Sessions that a process opens at once."""
+PATIENCE = 30.0
+"""Seconds until the router must answer."""
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """So many stand-ins of a job."""
+
+    endpoint: str
+    job: str
+    workers: int
+    credit: int = 2
+    seconds: float = 0.0
+    """What a batch takes one of them; 0: nothing."""
+
+
+class StandIn:
+    """One session that answers.
+
+    Parameters
+    ----------
+    later
+        Calls a function at a time.
+    """
+
+    def __init__(self, number: int, crowd: Crowd, later: Callable[[float, Callable[[], None]], None]) -> None:
+        self._number = number
+        self.wid = secrets.token_hex(16)
+        self._crowd = crowd
+        self._later = later
+        self._keys = Keys(crowd.job)
+        self._doors = ExitStack()
+        self._answers: dict[tuple[int, str, int], Answers] = {}
+        self._free_at = 0.0
+
+    def join(self) -> float:
+        """Come up and join; when the answer was there."""
+        self._bus = self._doors.enter_context(ZenohBus.connect(self._crowd.endpoint, PATIENCE, Stop()))
+        self._doors.enter_context(self._bus.subscribe(self._keys.work(self.wid), self._take))
+        self._doors.enter_context(self._bus.token(self._keys.worker_token(self.wid)))
+        self._ask()
+        return time.monotonic()
+
+    def close(self) -> None:
+        self._doors.close()
+
+    def _ask(self) -> None:
+        request = Join(
+            versions=[VERSION],
+            wid=self.wid,
+            number=1,
+            credit=self._crowd.credit,
+            held=[],
+            host="here",
+            pid=1,
+            platform=PLATFORM,
+        )
+        while True:
+            try:
+                messages.decode(
+                    self._bus.ask(self._keys.join, messages.encode(request), timeout=10.0), Joined
+                )
+            except NoReply:
+                time.sleep(0.05)
+            else:
+                return
+
+    def _take(self, sample: Sample) -> None:
+        if sample.encoding != messages.encoding(Work):
+            return
+        if not self._crowd.seconds:
+            self._answer(sample.payload)
+            return
+        self._free_at = max(self._free_at, time.monotonic()) + self._crowd.seconds
+        self._later(self._free_at, lambda: self._answer(sample.payload))
+
+    def _answer(self, payload: bytes) -> None:
+        work = msgpack.unpackb(payload)
+        kind = (work["epoch"], work["run"], work["n"])
+        if kind not in self._answers:
+            self._answers[kind] = Answers(self._number, self.wid, *kind, self._crowd.seconds)
+        answer = self._answers[kind].to(work["generation"], work["batch"], work["attempt"])
+        with suppress(BusError):  # the session is closed: nobody waits for it
+            self._bus.put(self._keys.result(self.wid), answer, encoding=messages.encoding(Result))
+
+
+class Clockwork:
+    """Calls functions when their time has come, in a thread."""
+
+    def __init__(self) -> None:
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._news = threading.Condition()
+        self._count = 0
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def later(self, at: float, act: Callable[[], None]) -> None:
+        with self._news:
+            self._count += 1
+            heapq.heappush(self._due, (at, self._count, act))
+            self._news.notify()
+
+    def _run(self) -> None:
+        while True:
+            self._next()()
+
+    def _next(self) -> Callable[[], None]:
+        with self._news:
+            while not self._due or self._due[0][0] > time.monotonic():
+                self._news.wait(self._due[0][0] - time.monotonic() if self._due else None)
+            return heapq.heappop(self._due)[-1]
+
+
+@contextmanager
+def crowds(parts: list[Crowd]) -> Iterator["Ready"]:
+    """Processes, a crowd each, that wait to be told to join; they end with the block."""
+    context = multiprocessing.get_context("spawn")
+    with ExitStack() as stack:
+        pipes = []
+        for part in parts:
+            here, there = context.Pipe()
+            process = context.Process(target=_serve, args=(there, part), daemon=True)
+            process.start()
+            there.close()
+            stack.callback(process.join)
+            stack.callback(here.send, None)
+            pipes.append(here)
+        for pipe in pipes:
+            pipe.recv()
+        yield Ready(pipes)
+
+
+class Ready:
+    """Processes of stand-ins that are there."""
+
+    def __init__(self, pipes: list[Connection]) -> None:
+        self._pipes = pipes
+
+    def join(self) -> None:
+        """Have all of them join."""
+        for pipe in self._pipes:
+            pipe.send("join")
+
+    @property
+    def have_joined(self) -> bool:
+        return all(pipe.poll() for pipe in self._pipes)
+
+    def last_join(self) -> float:
+        """When the last of them had its answer, by `time.monotonic`."""
+        return max(pipe.recv() for pipe in self._pipes)
+
+
+def _serve(pipe: Connection, crowd: Crowd) -> None:
+    clockwork = Clockwork()
+    members = [StandIn(number, crowd, clockwork.later) for number in range(crowd.workers)]
+    pipe.send(None)
+    if pipe.recv() is None:
+        return
+    with ThreadPoolExecutor(OPENING) as pool:
+        pipe.send(max(pool.map(StandIn.join, members)))
+        pipe.recv()
+        list(pool.map(StandIn.close, members))
+
+
+JOB = "scale"
+ENDLESS = 10**9
+SCENE = Bundle(b"", "0" * 64)
+
+
+def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int = 1) -> RunPlan:
+    """A run that goes on for ever."""
+    pipeline = Pipeline(search, SHAPE, spec.evaluations, "count", in_flight)
+    return RunPlan(run, to_toml(spec).encode(), SCENE, "contact", SHAPE, pipeline, spec.evaluations)
+
+
+class Several:
+    """A programme of runs that are all there, and go on as they are where they are put back."""
+
+    def __init__(self, runs: list[RunPlan]) -> None:
+        self.extent = JobExtent.of({run.run: run.evaluations for run in runs})
+        self._runs = {run.run: run for run in runs}
+        self._left = list(runs)
+
+    def next(self) -> RunPlan | None:
+        return self._left.pop(0) if self._left else None
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, self._runs[run])
+
+
+@dataclass(frozen=True)
+class Window:
+    """What the coordinator did in a time."""
+
+    seconds: float
+    cpu_seconds: float
+    """Of this process."""
+    rows: int
+    """That became final."""
+    batches: int
+    """That were settled."""
+
+    @property
+    def microseconds(self) -> float:
+        """CPU time of a row."""
+        return 1e6 * self.cpu_seconds / self.rows
+
+    @property
+    def per_batch(self) -> float:
+        """CPU time of a batch [us]."""
+        return 1e6 * self.cpu_seconds / self.batches
+
+
+class Watch:
+    """Looks at a coordinator: has stand-ins join, lets it warm up, measures a window, and ends it."""
+
+    def __init__(self, crew: Ready, runs: list[RunPlan], warm_up: float, seconds: float) -> None:
+        self._crew = crew
+        self._runs = runs
+        self._steps = self._watch(warm_up, seconds)
+        self.stop = Stop()
+        self._windows: list[Window] = []
+        self.join_seconds = 0.0
+        self.at_join: Callable[[], object] = lambda: None
+        """Called when all have joined."""
+        self.at_end: Callable[[], object] = lambda: None
+        """Called behind the window."""
+
+    def look(self, now: float, service: CoordinatorService) -> None:
+        self._service = service
+        if next(self._steps, self) is self:
+            self.stop.set(0)
+
+    @property
+    def window(self) -> Window:
+        """What was measured."""
+        return self._windows[-1]
+
+    def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
+        while not self._service.scheduler.epoch:
+            yield
+        began = time.monotonic()
+        self._crew.join()
+        while not self._crew.have_joined:
+            yield
+        self.join_seconds = self._crew.last_join() - began
+        self.at_join()
+        yield from self._wait(warm_up)
+        before, began, cpu = self._count(), time.perf_counter(), time.process_time()
+        yield from self._wait(seconds)
+        cpu, wall, after = time.process_time() - cpu, time.perf_counter() - began, self._count()
+        self._windows.append(Window(wall, cpu, after[0] - before[0], after[1] - before[1]))
+        self.at_end()
+
+    def _wait(self, seconds: float) -> Iterator[None]:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            yield
+
+    def _count(self) -> tuple[int, int]:
+        rows = sum(run.pipeline.tally.rows for run in self._runs)
+        return rows, self._service.scheduler.dispatcher.counters["fresh"]
+
+
+def coordinate(
+    endpoint: str,
+    runs: list[RunPlan],
+    make_record: Callable[[ZenohBus], Callable[[RunPlan], RowSink]],
+    watch: Watch,
+    batch_size: int | None,
+) -> None:
+    """Carry runs out until the watch has seen enough."""
+    with ZenohBus.connect(endpoint, 10.0, Stop()) as bus:
+        service = CoordinatorService(
+            bus,
+            watch.stop,
+            job=JOB,
+            queue=Several(runs),
+            make_sink=make_record(bus),
+            batch_size=batch_size,
+        )
+        service.run(lambda now: watch.look(now, service))
+
+
+@contextmanager
+def router() -> Iterator[tuple[str, int]]:
+    """A router in a process of its own: its endpoint and process id."""
+    context, endpoint = multiprocessing.get_context("spawn"), own_endpoint()
+    here, there = context.Pipe()
+    process = context.Process(target=_route, args=(there, endpoint), daemon=True)
+    process.start()
+    try:
+        there.close()
+        here.recv()
+        assert process.pid is not None
+        yield endpoint, process.pid
+    finally:
+        here.close()
+        process.join()
+
+
+def _route(pipe: Connection, endpoint: str) -> None:
+    with ZenohBus.router(endpoint):
+        pipe.send(None)
+        try:
+            pipe.recv()
+        except EOFError:
+            return
+
+
+def resident(pid: int | str = "self") -> int:
+    """The memory that a process has now [bytes]."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmRSS"))

@@ -1,0 +1,280 @@
+"""How many genomes, sessions and rows a coordinator handles in a second."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from benchmarks.measure import spread
+from benchmarks.scale.rig import (
+    ENDLESS,
+    JOB,
+    SHAPE,
+    Crowd,
+    ScaleFigure,
+    Watch,
+    assignment,
+    coordinate,
+    crowds,
+    resident,
+    router,
+)
+from tests.coordinator.search.synthetic_scene import plain
+
+from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD
+from qdgrasp_coordinator.local.node_benchmark import PlatformSink, SceneBenchmark
+from qdgrasp_coordinator.local.progress import LineProgress
+from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, full_spec, make_bundle
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
+from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_protocol.process import ProcessGroup, Stop
+from qdgrasp_protocol.rows import Genomes, Rows
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+WORKERS = 8
+BATCH = 64
+POPULATION = 512
+IN_FLIGHT = 4
+WARM_UP = 1.0
+"""Seconds before anything is counted."""
+
+
+class Prepared:
+    """A search that asks the same genomes again and again, and learns nothing."""
+
+    def __init__(self, population: int) -> None:
+        self._genomes = np.random.default_rng(0).uniform(-1, 1, (population, SHAPE.genes)).astype(np.float32)
+
+    def ask(self, generation: int) -> Genomes:
+        return self._genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Nothing is learned."""
+
+
+def spec(method: str, population: int, evaluations: int = ENDLESS) -> RunSpec:
+    return RunSpec(
+        gripper="panda", object="mug", method=method, population=population, evaluations=evaluations
+    )
+
+
+def measure_dispatch(seconds: float) -> Iterator[ScaleFigure]:
+    runs = [assignment("run", spec("contact_rand", POPULATION), Prepared(POPULATION), IN_FLIGHT)]
+    with router() as (endpoint, _), crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
+        watch = Watch(crew, runs, WARM_UP, seconds)
+        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
+    found = watch.window
+    remark = f"{found.per_batch:.0f} us of CPU a batch, threads of the bus included"
+    yield ScaleFigure(
+        "batches of 64 genomes a second", found.batches / found.seconds, "/s", 5_000, remark=remark
+    )
+    yield ScaleFigure("genomes a second", found.rows / found.seconds, "/s", 300_000)
+    yield ScaleFigure("CPU of a genome", found.microseconds, "us")
+    room = 1e6 / found.microseconds
+    yield ScaleFigure("genomes in a CPU second", room, "/s", remark="what the coordinator's own core allows")
+
+
+METHODS = {"contact_me_scs": (500, 4.0), "cma_mae": (540, 30.0), "contact_rand": (500, None)}
+"""Genomes in a generation, and the most that one may cost [us]."""
+
+
+class Share:
+    """CPU time of this thread within calls."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def of(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The call, on this account."""
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            began = time.thread_time()
+            try:
+                return call(*arguments, **named)
+            finally:
+                self.seconds += time.thread_time() - began
+
+        return timed
+
+
+class Watched:
+    """A search whose time is counted, and pyribs' own in it."""
+
+    def __init__(self, search: SearchAlgorithm) -> None:
+        self.whole, self.ribs, self.rows = Share(), Share(), 0
+        for part, names in _parts_of_ribs(search):
+            for name in names:
+                setattr(part, name, self.ribs.of(getattr(part, name)))
+        self._ask, self._tell = self.whole.of(search.ask), self.whole.of(search.tell)
+
+    def ask(self, generation: int) -> Genomes:
+        return self._ask(generation)  # type: ignore[no-any-return]
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self.rows += len(rows)
+        self._tell(generation, rows)
+
+    @property
+    def remark(self) -> str:
+        whole, ribs = (1e6 * share.seconds / self.rows for share in (self.whole, self.ribs))
+        return f"ask and tell {whole:.2f} us, of which pyribs {ribs:.2f} us"
+
+
+def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
+    """What of pyribs a search has, and which calls it makes."""
+    if hasattr(search, "_emitters"):
+        return [(search._archive, ("add",)), *((emitter, ("ask", "tell")) for emitter in search._emitters)]
+    return [(search.archive._grid, ("add", "data", "retrieve"))] if hasattr(search, "archive") else []
+
+
+def measure_searching(seconds: float) -> Iterator[ScaleFigure]:
+    for name, (population, most) in METHODS.items():
+        asked = spec(name, population)
+        search = Watched(method(name).build(asked, plain(SHAPE.genes)))
+        runs = [assignment("run", asked, search)]
+        with router() as (endpoint, _), crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
+            watch = Watch(crew, runs, WARM_UP, seconds)
+            coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
+        cells = runs[0].pipeline.tally.cells
+        remark = f"population {population}, {cells:,} cells with a success at the end; {search.remark}"
+        yield ScaleFigure(
+            f"CPU of a genome, {name}", watch.window.microseconds, "us", most=most, remark=remark
+        )
+
+
+SESSIONS = 1000
+PROCESSES = 2
+SECONDS = 1.0
+"""What a batch takes a stand-in."""
+SESSION_BATCH = 16
+RUNS = 4
+"""A generation of one run holds 4096 genomes at most: too few for so many sessions."""
+SESSION_IN_FLIGHT = 4
+
+
+def measure_sessions(seconds: float) -> Iterator[ScaleFigure]:
+    population = SESSIONS * SESSION_BATCH // RUNS
+    asked = spec("contact_rand", population)
+    runs = [assignment(f"run-{run}", asked, Prepared(population), SESSION_IN_FLIGHT) for run in range(RUNS)]
+    with router() as (endpoint, pid):
+        parts = [Crowd(endpoint, JOB, SESSIONS // PROCESSES, seconds=SECONDS) for _ in range(PROCESSES)]
+        with crowds(parts) as crew:
+            watch = Watch(crew, runs, 2 * SECONDS, max(seconds, 5 * SECONDS))
+            memory: list[tuple[int, int]] = []
+            watch.at_join = watch.at_end = lambda: memory.append((resident(), resident(pid)))
+            memory.append((resident(), resident(pid)))
+            coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, SESSION_BATCH)
+    found, (before, *_, after) = watch.window, memory
+    share = min(100.0, 100 * found.batches * SECONDS / found.seconds / SESSIONS)  # what was late comes too
+    own, its = ((late - early) / SESSIONS / 1024 for early, late in zip(before, after, strict=True))
+    yield ScaleFigure("until 1000 sessions have joined", watch.join_seconds, "s", most=10.0)
+    core = found.cpu_seconds / found.seconds
+    remark = f"batches of {SECONDS:g} s; the coordinator takes {core:.0%} of a core"
+    yield ScaleFigure("served, of the ideal rate", share, "%", 97.0, remark=remark)
+    yield ScaleFigure(
+        "CPU of a batch", found.per_batch, "us", remark=f"{SESSIONS} workers, {SESSION_BATCH} genomes"
+    )
+    yield ScaleFigure("memory of the coordinator for a worker", own, "KiB")
+    yield ScaleFigure("memory of the router for a worker", its, "KiB")
+
+
+ROWS = 1_000_000
+RECORDED_METHODS = {"contact_rand": 50_000, "contact_me_scs": None}
+"""The rows in a second that are wanted."""
+RECORDED_POPULATION, RECORDED_BATCH = 500, 50
+
+
+def measure_recorded(seconds: float) -> Iterator[ScaleFigure]:
+    for name, least in RECORDED_METHODS.items():
+        with (
+            tempfile.TemporaryDirectory(dir=Path.cwd(), prefix=".scale-") as folder,
+            router() as (endpoint, _),
+        ):
+            out = Path(folder) / "job"
+            yield from _record(name, least, endpoint, out)
+            yield from _resume(name, endpoint, out)
+
+
+def _record(name: str, least: float | None, endpoint: str, out: Path) -> Iterator[ScaleFigure]:
+    runs = [_run(name)]
+    with _recorder(endpoint, out) as recorder, crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
+        watch = Watch(crew, runs, 0.0, float("inf"))
+        began, cpu = time.perf_counter(), time.process_time()
+        coordinate(
+            endpoint, runs, lambda bus: lambda run: RecorderClient(bus, JOB, run.shape), watch, RECORDED_BATCH
+        )
+        seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+        memory = resident(recorder.pid)
+    size = sum(path.stat().st_size for path in out.rglob("run.sqlite*"))
+    remark = f"{name}, a million, each on the disk; the coordinator {1e6 * cpu / ROWS:.1f} us of CPU each"
+    yield ScaleFigure("recorded rows a second", ROWS / seconds, "/s", least, remark=remark)
+    yield ScaleFigure(
+        "journal of a row", size / ROWS, "bytes", remark=f"the recorder takes {memory / 1e6:.0f} MB"
+    )
+
+
+def _resume(name: str, endpoint: str, out: Path) -> Iterator[ScaleFigure]:
+    with _recorder(endpoint, out), ZenohBus.connect(endpoint, 10.0, Stop()) as bus:
+        lane = ActiveRun(_run(name), RecorderClient(bus, JOB, SHAPE))
+        began, cpu = time.perf_counter(), time.process_time()
+        lane.open(0, lambda: time.sleep(0.05))
+        seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+    assert lane.tally.rows == ROWS
+    remark = f"{name}: replayed through ask and tell; {cpu:.1f} CPU s of the coordinator"
+    yield ScaleFigure("resume at a million rows", seconds, "s", remark=remark)
+
+
+def _run(name: str) -> RunPlan:
+    asked = spec(name, RECORDED_POPULATION, ROWS)
+    return assignment("run", asked, method(name).build(asked, plain(SHAPE.genes)))
+
+
+@contextmanager
+def _recorder(endpoint: str, out: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """The recorder as it is, in a process of its own."""
+    command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder_process"]
+    command += ["--connect", endpoint, "--job", JOB, "--out", str(out)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+PAIRS = 5
+PAIR_WORKERS = 2
+LEAST = 1.8
+
+
+def measure_pairs(seconds: float) -> Iterator[ScaleFigure]:
+    pairs = [_pair(seconds) for _ in range(PAIRS)]
+    for regime in pairs[0]:
+        found = [pair[regime] for pair in pairs]
+        remark = f"{PAIRS} pairs: {spread(found)}; Panda on the mug"
+        yield ScaleFigure(f"two workers over one, {regime}", median(found), "times", LEAST, remark=remark)
+
+
+def _pair(seconds: float) -> dict[str, float]:
+    """One worker, then two: how many times as fast they are, by regime."""
+    spec = full_spec({"gripper": "panda", "object": "mug", "method": BENCH_METHOD}, "scale")
+    scene, bundle = make_bundle(spec)
+    course = SceneBenchmark(
+        spec, scene, bundle, workers=PAIR_WORKERS, seconds=seconds, display=LineProgress("scale")
+    )
+    with ExitStack() as stack:
+        logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
+        bus, endpoint = ZenohBus.embedded(None)
+        stack.enter_context(bus)
+        found = course.run(bus, endpoint, stack.enter_context(ProcessGroup(logs)), Stop())
+    assert found is not None
+    return found.figures.scaling

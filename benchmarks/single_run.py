@@ -1,0 +1,211 @@
+"""One run in this process, without bus, recorder and workers: `python -m benchmarks.single_run --help`."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+from benchmarks.measure import Figure, Meter
+from numpy.typing import NDArray
+
+from qdgrasp_assets.catalog import build_scene, object_names
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
+from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
+from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
+from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
+from qdgrasp_coordinator.search.registry import BuildSearch, method
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import Genomes, Rows, trial_count
+from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
+from qdgrasp_worker.evaluator import Evaluator
+
+MILESTONES = (1000, 2000, 3000, 5000, 10_000, 20_000, 50_000)
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What a run found, and what it cost."""
+
+    spec: RunSpec
+    scene: Scene
+    rows: Rows
+    """In journal order."""
+    evaluation_seconds: float
+    """CPU time."""
+    search_seconds: float
+    """CPU time of all asks and tells."""
+
+    @property
+    def evaluations(self) -> NDArray[np.int64]:
+        """(n,): counted evaluations up to each row, itself included."""
+        return np.cumsum(evaluation_mask(self.rows, self.spec.overlaps))
+
+    @property
+    def finds(self) -> SuccessHistory:
+        return SuccessHistory.among(self.rows, self.spec.overlaps)
+
+    def coverage(self, evaluations: Sequence[int], fitness: int = 0) -> NDArray[np.float64]:
+        """The share of S_G after so many evaluations, each cell with this fitness; NaN without a set."""
+        known = ReferenceLookup().of(self.scene, self.spec.object).reference
+        if known is None:
+            return np.full(len(evaluations), np.nan)
+        known = known.robust if fitness == 2 else known
+        return self.finds.found(known, fitness).after(evaluations) / len(known)
+
+    def as_dict(self) -> dict[str, Any]:
+        spent = int(self.evaluations[-1])
+        passed = [number for number in MILESTONES if number < spent] + [spent]
+        nominal = self.rows[self.rows["trial"] == 0]
+        return {
+            "gripper": self.spec.gripper,
+            "object": self.spec.object,
+            "method": self.spec.method,
+            "overlaps": self.spec.overlaps,
+            "protocol": self.spec.protocol,
+            "seed": self.spec.seed,
+            "evaluations": passed,
+            "coverage": np.round(self.coverage(passed), 4).tolist(),
+            "robust_coverage": np.round(self.coverage(passed, fitness=2), 4).tolist(),
+            "cells": self.finds.cells().after(passed).tolist(),
+            "successes": len(self.finds.rows),
+            "mean_fitness": round(float(self.finds.rows["fitness"].mean()), 3) if len(self.finds.rows) else 0,
+            "genomes": len(nominal),
+            "proposals": int(nominal["proposals"].sum(dtype=np.int64)),
+            "evaluation_cpu_seconds": round(self.evaluation_seconds, 2),
+            "search_microseconds_per_genome": round(1e6 * self.search_seconds / len(nominal), 1),
+        }
+
+
+class Timed:
+    """A search with a meter."""
+
+    def __init__(self, search: SearchAlgorithm) -> None:
+        self._search = search
+        self.meter = Meter()
+
+    def ask(self, generation: int) -> Genomes:
+        with self.meter.running():
+            return self._search.ask(generation)
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        with self.meter.running():
+            self._search.tell(generation, rows)
+
+
+def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True) -> Alone:
+    """Carry out a run.
+
+    Parameters
+    ----------
+    spec
+        Complete (`full_spec`).
+    build
+        Makes the search; None: the method's own. The prior is the method's.
+    shakes
+        False leaves the shakes out, and every success has fitness 0: coverage of success then costs a
+        fraction, but a search that prefers robust grasps finds none.
+    """
+    prior = method(spec.method).prior
+    scene = build_scene(spec)
+    search = Timed((build or method(spec.method).build)(spec, search_space(scene, prior)))
+    in_flight, more = spec.generations_in_flight, trial_count(spec.protocol)
+    shape = row_shape(scene, prior)
+    pipeline = Pipeline(search, shape, spec.evaluations, spec.overlaps, in_flight, more)
+    with Evaluator(scene) as evaluator:
+        if not shakes:
+            evaluator._protocol = replace(evaluator._protocol, shakes=())
+        rows, seconds = _evaluated(pipeline, evaluator, prior)
+    return Alone(spec, scene, rows, seconds, search.meter.seconds)
+
+
+def _evaluated(pipeline: Pipeline, evaluator: Evaluator, prior: str) -> tuple[Rows, float]:
+    """The journal, and the CPU seconds of its evaluations."""
+    meter, journal = Meter(), [evaluator.shape(prior).empty(0)]
+    while (asked := pipeline.ask()) is not None:
+        with meter.running():
+            rows = evaluator.evaluate(prior, asked.genomes, asked.trials).rows
+        rows["generation"], rows["index"] = asked.number, asked.indices
+        journal.append(pipeline.settle(rows).rows)
+    return np.concatenate(journal), meter.seconds
+
+
+def arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """What says which run."""
+    parser.add_argument("--gripper", default="ref_panda_2f")
+    parser.add_argument("--object", default="ycb_rubiks_cube")
+    parser.add_argument("--method", default="aimed")
+    parser.add_argument("--evaluations", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--overlaps", choices=("count", "redraw"), help="as the method has it")
+    parser.add_argument("--protocol", default="released")
+    return parser
+
+
+def asked_spec(asked: argparse.Namespace) -> RunSpec:
+    names = ("gripper", "object", "method", "evaluations", "seed", "overlaps", "protocol")
+    values = {name: getattr(asked, name) for name in names}
+    return full_spec({name: value for name, value in values.items() if value is not None})
+
+
+def main() -> None:
+    parser = arguments(argparse.ArgumentParser(prog="python -m benchmarks.single_run", description=__doc__))
+    parser.add_argument("--no-shakes", action="store_true", help="look at successes alone, for a fraction")
+    parser.add_argument("--rows", metavar="FILE", help="write the rows there, as .npy")
+    asked = parser.parse_args()
+    try:
+        found = run(asked_spec(asked), shakes=not asked.no_shakes)
+    except InputError as error:
+        parser.error(str(error))
+    if asked.rows:
+        np.save(asked.rows, found.rows)
+    sys.stdout.write(json.dumps(found.as_dict()) + "\n")
+
+
+EVALUATIONS = 1000
+SEEDS = (0, 1)
+HAND, SCANNED, STAND_IN = "panda", "ycb_rubiks_cube", "rubiks_cube"
+ARMS: dict[str, dict[str, Any]] = {
+    DEFAULT_METHOD: {"method": DEFAULT_METHOD},
+    f"{DEFAULT_METHOD}, overlaps counted": {"method": DEFAULT_METHOD, "overlaps": "count"},
+    "contact_me_scs": {"method": "contact_me_scs"},
+    "antipodal_rand": {"method": "antipodal_rand"},
+}
+
+
+def measure_growth(seconds: float) -> list[Figure]:
+    """The lines of `make bench`; `seconds` plays no role: they take what the evaluations take."""
+    thing = SCANNED if SCANNED in object_names() else STAND_IN
+    found: dict[str, list[Alone]] = {name: [] for name in ARMS}
+    for seed in SEEDS:
+        for name, arm in ARMS.items():
+            values = {"gripper": HAND, "object": thing, "evaluations": EVALUATIONS, "seed": seed}
+            found[name].append(run(full_spec(values | arm)))
+    return [_figure(f"{HAND} on {thing}, {name}", runs) for name, runs in found.items()]
+
+
+def _figure(name: str, runs: list[Alone]) -> Figure:
+    cells = [int(run.finds.cells().after([EVALUATIONS])[-1]) for run in runs]
+    seconds = [run.evaluation_seconds + run.search_seconds for run in runs]
+    covered = [100 * float(run.coverage([EVALUATIONS])[-1]) for run in runs]
+    rates = [share / taken for share, taken in zip(covered, seconds, strict=True)]
+    remark = f"cells; {_range(cells, 'd')} in {EVALUATIONS:,} evaluations and {median(seconds):.1f} s"
+    if covered[0] == covered[0]:
+        remark += f"; {_range(covered, '.2f')} % of S_G, {_range(rates, '.3f')} % a second"
+    each = tuple(count / taken for count, taken in zip(cells, seconds, strict=True))
+    return Figure(name, sum(cells), sum(seconds), "cpu", remark, each)
+
+
+def _range(values: list[Any], form: str) -> str:
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f"{low} to {high}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Campaigns, many runs of one job; and runs summed up, merged, pruned and ranked."""

@@ -1,0 +1,131 @@
+"""Ranks grasps of a run: chooses the best, and orders them by eta after reevaluation."""
+
+import csv
+import io
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.text import counted
+
+RANKS_SHOWN = 10  # Grasps that are shown to a person
+RANKING_COLUMNS = (
+    "rank", "eta", "nominal_fitness", "source_generation", "source_index", "source_fitness",
+    "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
+)  # fmt: skip
+
+
+class SourceRow(Struct, frozen=True):
+    """Origin of a pose: a row of the run that found it."""
+
+    generation: int
+    index: int
+    fitness: float
+    """Fitness that the search got there."""
+
+
+class RankingSource(Struct, frozen=True):
+    """Origin of the poses of a run."""
+
+    run: str
+    """The folder of the run that found them."""
+    rows: tuple[SourceRow, ...]
+    """In the order of the poses."""
+
+
+def read_run_grasps(folder: RunFolder) -> Rows:
+    """Read the grasps of a run (n,) in journal order, with the fitness that its search got.
+
+    A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
+    """
+    with folder.journal() as journal:
+        priors = sorted({method(source.asked.method).prior for source in journal.sources})
+        if len(priors) > 1:
+            raise InputError(
+                f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "
+                "genomes mean different things; merge runs of one prior for this."
+            )
+        found = [journal.shape.empty(0), *scored_successes(journal.kept(), trial_count(folder.spec.protocol))]
+    rows = np.concatenate(found)
+    return rows[rows["outcome"] >= Outcome.SHAKEN]
+
+
+def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
+    """Return the best row of each kind, and of these the `most` best, best first.
+
+    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `scores.best_first` orders rows.
+    """
+    kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
+    order = best_first(rows)
+    _, first = np.unique(kinds[order], return_index=True)
+    return rows[order[np.sort(first)]][:most]
+
+
+def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
+    """Note the rows of a run that the poses of another were taken from."""
+    places = tuple(SourceRow(*values) for values in rows[["generation", "index", "fitness"]].tolist())
+    noted = RankingSource(str(source.path.absolute()), places)
+    atomic_files.replace(folder.path / SOURCE, msgspec.json.encode(noted))
+
+
+def is_reranking(folder: RunFolder) -> bool:
+    """Return whether a run scores the grasps of another."""
+    return (folder.path / SOURCE).is_file()
+
+
+def write_ranking(folder: RunFolder) -> str:
+    """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
+
+    Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
+    """
+    table = rank_poses(folder)
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(RANKING_COLUMNS)
+    writer.writerows([f"{value:.9g}" for value in line] for line in table)
+    atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
+    shown = [
+        RANKING_COLUMNS[:9],
+        *(tuple(f"{value:g}" for value in line[:9]) for line in table[:RANKS_SHOWN]),
+    ]
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
+    return "\n".join([*lines, f"{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"])
+
+
+def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
+    """Rank a run's poses by eta, best first, ties in their order; each as in `RANKING_COLUMNS`.
+
+    A pose that is no success any more has eta 0: it has no trials.
+    """
+    try:
+        source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
+    except msgspec.MsgspecError as error:
+        raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
+    known = trial_count(folder.spec.protocol)
+    with folder.journal() as journal:
+        every = journal.rows(0, journal.count)
+    rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known)
+    order = np.argsort(-etas, kind="stable")
+    cell = cells(rows["descriptor"][:, :3])
+    return [
+        (
+            rank,
+            float(etas[place]),
+            float(rows["fitness"][place]),
+            *msgspec.structs.astuple(source.rows[place]),
+            *cell[place].tolist(),
+            *rows["base_to_object"][place].tolist(),
+        )
+        for rank, place in enumerate(order.tolist(), start=1)
+    ]

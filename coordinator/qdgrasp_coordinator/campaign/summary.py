@@ -1,0 +1,124 @@
+"""Summary of a run: the figures that `info` prints, counted from its journal."""
+
+import msgspec
+from msgspec import field, structs
+
+from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
+from qdgrasp_coordinator.metrics.success_metrics import (
+    Diversity,
+    EtaSummary,
+    NuSummary,
+    SuccessMetrics,
+    diversity,
+)
+from qdgrasp_coordinator.report.row_report import empty_niche_archive
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import trial_count
+from qdgrasp_protocol.text import counted
+
+FIRST_FIELDS = (
+    *("gripper", "object", "scale", "method", "protocol", "seed", "overlaps_mode"),
+    *("evaluations", "budget", "rows", "trials"),
+)
+"""Figures that a table begins with."""
+
+
+class RunSummary(RunTotals, frozen=True, kw_only=True):
+    """The figures of a run."""
+
+    gripper: str
+    object: str
+    scale: float = 1.0
+    """Metres to a unit of the object's mesh file."""
+    method: str
+    protocol: str
+    seed: int
+    overlaps_mode: str
+    """Mode of counting overlaps, `count` or `redraw`."""
+    budget: int
+    rows: int
+    """Rows in the journal, overlaps and trials included."""
+    diversity: Diversity
+    """Niches of position, orientation and synergy with a success."""
+    qd_score: float
+    """Best fitness in each of these cells, summed; fitness as the search gets it."""
+    success_share: float | None
+    """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
+    mean_fitness: float | None
+    """Mean fitness of all successes; None without one."""
+    nu: NuSummary
+    """Lean of successes from the surface normal."""
+    eta: EtaSummary | None
+    """Estimated probability that successes transfer; None where the protocol has no trials."""
+    cpu_seconds: float
+    wall_seconds: float
+    complete: bool
+    ended: str
+    """Reason why the run ended, in words; empty while it has not."""
+    collision_source: str
+    """Source of the object's convex parts."""
+    scene: str
+    """sha256 of the scene bundle."""
+    platform: dict[str, str]
+    reduced: str = ""
+    """Rows left out of the journal, in words; empty where every row is there."""
+    sources: list[str] = field(default_factory=list)
+    """The runs that were merged into the journal, a line each."""
+
+    @property
+    def words(self) -> str:
+        """One sentence for a person."""
+        evaluations = counted(self.evaluations, "evaluation")
+        return (
+            f"{evaluations} of {self.method} with {self.gripper} on {self.object}: "
+            f"{self.found}, {counted(self.grasps, 'grasp')}, {self.robust} robust; {self.screened}."
+        )
+
+    @property
+    def table(self) -> str:
+        """All figures, one to a line."""
+        values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
+        platform, sources = values.pop("platform"), values.pop("sources")
+        values["diversity"], values["nu"] = self.diversity.words, self.nu.words
+        values["eta"] = None if self.eta is None else self.eta.words
+        lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
+        lines += [f"{'source':<16} {source}" for source in sources]
+        lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
+        return "\n".join(lines)
+
+
+def run_summary(folder: RunFolder) -> RunSummary:
+    """Count what is in a run's folder, also while the run goes on."""
+    spec = folder.spec
+    with folder.journal() as journal:
+        if journal.sources:
+            return msgspec.json.decode(journal.summary, type=RunSummary)
+        metrics, archive = SuccessMetrics(trial_count(spec.protocol)), empty_niche_archive(folder)
+        found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
+        return RunSummary(
+            **structs.asdict(found.totals),
+            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
+            scale=spec.scale or 1.0,
+            overlaps_mode=spec.overlaps,
+            budget=spec.evaluations,
+            rows=found.rows,
+            diversity=diversity(archive),
+            qd_score=metrics.qd_score,
+            success_share=found.successes / found.evaluations if found.evaluations else None,
+            mean_fitness=metrics.mean_fitness,
+            nu=metrics.nu,
+            eta=metrics.eta,
+            cpu_seconds=journal.cpu_seconds,
+            wall_seconds=journal.wall_seconds,
+            complete=found.finished is not None,
+            ended=found.finished or "",
+            collision_source=folder.scene().object.collision_source,
+            scene=journal.scene,
+            platform=journal.platform,
+        )
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.1f}" if value >= 10 else f"{value:.3g}"
+    return "none" if value is None else str(value)

@@ -1,1 +1,0 @@
-"""Many runs under one name: how they are written down, begun, counted."""

@@ -1,0 +1,258 @@
+"""`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and what they found."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.campaign.campaign_file import (
+    Campaign,
+    MassRule,
+    campaign_of_meshes,
+    check_meshes,
+    read_campaign,
+)
+from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue, begin_campaign, open_campaign
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli.run_commands import check_not_stopped, resume_hint, run_job
+from qdgrasp_coordinator.local.progress import progress_display
+from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.text import counted
+
+
+def campaign(
+    what: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE.toml|DIR]", help="The campaign, or the folder of one that began."),
+    ] = None,
+    objects: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="In place of a file: a run of every mesh in this folder."),
+    ] = None,
+    gripper: Annotated[
+        list[str] | None,
+        typer.Option(help="With --objects: a built-in name or a TOML file; may be repeated."),
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option(help="With --objects: of each [kg] that masses.csv there does not name.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(min=1, help="With --objects: the same by volume [kg/m3]; water: 1000.")
+    ] = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="With --objects: search method; may be repeated.")
+    ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(help="With --objects: may be repeated; default 0.")
+    ] = None,
+    protocol: options.ProtocolOption = None,
+    evaluations: Annotated[
+        int | None, typer.Option(help="With --objects: counted evaluations of each run; default 10000.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    job: options.Job = None,
+    disk_wait: options.DiskWait = 60.0,
+    list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
+) -> None:
+    """Carry out all runs of a campaign;
+    one that was stopped goes on, and finished runs are not repeated.
+
+    The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
+    --successes and --no-new-cell replace what its [defaults] say; a [[cross]] with its own keeps that.
+
+    With --objects there is no file: every mesh in a folder is grasped. What they weigh stands in a table in
+    it, masses.csv, with the columns file and mass [kg], or is said for all of them.
+
+    Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
+
+    Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
+    """  # noqa: D205  # typer joins the lines
+    goals = {"successes": successes, "no_new_cell": no_new_cell}
+    keys = {
+        "gripper": gripper,
+        "method": method,
+        "seed": seed,
+        "protocol": protocol,
+        "evaluations": evaluations,
+    }
+    metres = scale_of(units, scale)
+    if objects is not None:
+        if what is not None:
+            raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
+        if None not in (mass, density):
+            raise InputError("--mass and --density say the same of each object: give one of them.")
+        asked = campaign_of_meshes(objects, MassRule(mass, density), metres, {**keys, **goals})
+    elif flags := options.given(**keys, mass=mass, density=density, scale=metres):
+        raise InputError(
+            f"--{next(iter(flags))} goes with --objects DIR: a campaign's file says its own, "
+            "see docs/campaigns.md."
+        )
+    elif what is None:
+        raise InputError(
+            "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
+        )
+    else:
+        asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what, goals=goals)
+    path = _campaign_folder(what, objects, out)
+    if list_runs:
+        for name, spec in asked.runs.items():
+            typer.echo(f"{name}  {spec.evaluations}")
+        typer.echo(asked.words)
+        return
+    if not JobFolder.is_job(path):
+        check_meshes(asked.runs.values())
+    extent = begin_campaign(path, asked, job)
+    folder = JobFolder(path)
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    with lifetime("qdgrasp campaign") as stop, progress_display(path.name, asked.evaluations) as shown:
+        shown.say(asked.words)
+        if extent.runs_done:
+            shown.say(f"{extent.runs_done} of {counted(extent.runs, 'run is', 'runs are')} finished already")
+        if extent.runs_done < extent.runs:
+            run_job(folder, config, shown, stop)
+    check_not_stopped(folder, stop)
+    print_summary(folder, asked)
+
+
+def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
+    if what is None or not what.is_dir():
+        return out or Path("runs") / (what or objects or Path()).absolute().stem
+    if out is not None:
+        raise InputError(f"{what} is a campaign's folder, and goes on where it is; leave --out out.")
+    return what
+
+
+def print_summary(folder: JobFolder, asked: Campaign) -> None:
+    """Print the campaign's figures."""
+    found = CampaignRunQueue(folder, asked.runs).extent
+    if found.runs_done < found.runs:
+        typer.echo(f"Not all runs are finished; {resume_hint(folder)}")
+    typer.echo(
+        f"{found.runs_done} of {counted(found.runs, 'run')} with "
+        f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
+        f"`qdgrasp analyse {folder.path}` draws the figures."
+    )
+
+
+def analyse(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A campaign's folder, or any folder of run folders.")
+    ],
+    out: Annotated[Path | None, typer.Option(help="Where to write; default DIR/analysis.")] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help="Whose cells are drawn; default: the default method, or what found the most."),
+    ] = None,
+    log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Draw and tabulate what the runs of a campaign found,
+    and hold the paper's claims against them.
+
+    Writes four figures as PNG, SVG and CSV, and the tables as Markdown and CSV; also while runs go on. Runs
+    that keep too little for curves, as pruned ones may, are left out and named.
+
+    Example: qdgrasp analyse campaigns/paper-small
+    """  # noqa: D205  # typer joins the lines
+    from qdgrasp_coordinator.report.report import REPORT_FOLDER, write_report  # matplotlib takes its time
+    from qdgrasp_coordinator.report.tables import left_out_words
+
+    found = write_report(
+        directory, out or directory / REPORT_FOLDER, references=reference or (), method=method, log=log
+    )
+    verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
+    if as_json:
+        values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
+        missing = {"left_out": found.left_out, "without_curves": found.without_curves}
+        typer.echo(json.dumps({**values, "claims": verdicts, **missing}))
+        return
+    for one in found.claims:
+        typer.echo(f"({one.claim.letter}) {one.claim.words}: {one.words}.")
+    if found.without_curves:
+        typer.echo(left_out_words(found.without_curves))
+    mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
+    typer.echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
+
+
+def merge(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs, pruned or merged ones too.")
+    ],
+    out: Annotated[Path, typer.Option(help="The new folder.")],
+    as_json: options.Json = False,
+) -> None:
+    """Join the successes of runs of one scene, whatever their methods and seeds.
+
+    The new folder is read like a run's: info, coverage, reference, rerank. It keeps what each run was, and
+    which rows are its own. A run that is named twice counts once, and so does one beside an earlier copy of
+    itself. The runs stay as they are.
+
+    Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
+    """
+    from qdgrasp_coordinator.campaign.merge_prune import merge_runs  # the scene's libraries take their time
+
+    merged = merge_runs([RunFolder.open(directory) for directory in directories], out)
+    found = merged.summary
+    if as_json:
+        typer.echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
+        return
+    for sentence in merged.repeats:
+        typer.echo(sentence)
+    typer.echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
+
+
+MIN_MEGABYTES = 50_000  # bytes, 0.1 MB when rounded
+
+
+def prune(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
+) -> None:
+    """Drop the failures of finished runs for good; successes, their trials and all figures stay.
+
+    A pruned run cannot be gone on with and has no digest; it has curves where every genome counts as an
+    evaluation (overlaps = "count"). Of a campaign's runs those that are not finished stay as they are.
+
+    Example: qdgrasp prune runs/demo
+    """
+    from qdgrasp_coordinator.campaign.merge_prune import (
+        prune_campaign,
+        prune_run,  # the archives' libraries take their time
+    )
+
+    is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
+    if not is_campaign:
+        freed = prune_run(RunFolder.open(directory))
+        typer.echo(f"{_freed_room(freed)}; {directory} keeps successes alone.")
+        return
+    done = prune_campaign(JobFolder(directory))
+    kept = counted(done.runs, "run keeps", "runs keep")
+    typer.echo(f"{_freed_room(done.freed)}; {done.pruned} of {kept} successes alone.")
+
+
+def _freed_room(freed: int) -> str:
+    """Say how many bytes were freed; a small run may even have grown."""
+    return f"{freed / 1e6:.1f} MB are free" if freed >= MIN_MEGABYTES else "Hardly any room is free"

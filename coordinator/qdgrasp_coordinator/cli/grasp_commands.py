@@ -1,0 +1,199 @@
+"""`qdgrasp export`, `import` and `evaluate`: grasps in files of ours and of other tools."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.local.progress import progress_display, progress_messages
+from qdgrasp_coordinator.local.session import score_poses
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.scheduler.run_plan import make_bundle
+from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
+from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.rows import trial_count
+from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.text import counted
+
+if TYPE_CHECKING:
+    from qdgrasp_coordinator.export.importer import ImportedPoses
+
+
+def export(
+    directory: options.RunDir,
+    name: Annotated[
+        str, typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, moveit, csv.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="OUT",
+            help="The file, for graspgen a folder; those that it lies in are made.",
+        ),
+    ],
+    min_fitness: Annotated[
+        int, typer.Option(min=0, max=2, help="Shakes survived, at least; 0 takes all successes.")
+    ] = 1,
+    top: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, penetration.")
+    ] = None,
+    diverse: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Only N, spread as far as can be; of the best if --top."),
+    ] = None,
+    frame: Annotated[
+        str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
+    ] = "mesh",
+    negatives: Annotated[
+        int | None,
+        typer.Option(
+            min=0, metavar="N", help="Failures written too, at most; default: all in graspgen, else 0."
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+) -> None:
+    """Write the grasps of a run to a file that other tools read.
+
+    Every file says which frames its poses are told in, the order of quaternions, scale, what success means,
+    and under which licence the assets are. A run that goes on gives what it has recorded by now.
+
+    Example: qdgrasp export runs/demo --format isaac -o grasps.yaml
+    """
+    from qdgrasp_coordinator.export.exporter import export_run  # takes its time to load
+
+    with progress_messages() as tell:
+        written = export_run(
+            RunFolder.open(directory),
+            out,
+            name,
+            min_fitness=min_fitness,
+            top=top,
+            diverse=diverse,
+            frame=frame,
+            negatives=negatives,
+            force=force,
+            tell=tell,
+        )
+    typer.echo(written)
+
+
+def import_(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="ACRONYM, GraspGen JSON, Isaac Grasp YAML, or Parquet of ours."),
+    ],
+    gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")],
+    object_: Annotated[str, typer.Option("--object", help="Object: a built-in name or a mesh file.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="OUT", help="The poses: an npz file for `evaluate`; its folder is made."
+        ),
+    ],
+    scale: options.Scale = None,
+    units: options.Units = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="Where poses are told, mesh or com; default: as the file says, else mesh."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+) -> None:
+    """Turn a file of grasps, of ours or of others,
+    into poses that `qdgrasp evaluate` scores again.
+
+    The poses are those of the hand's root link in the object's centre-of-mass frame, as they are simulated.
+
+    Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
+    """  # noqa: D205  # typer joins the lines
+    from qdgrasp_coordinator.export.frames import frame_of  # takes its time to load
+    from qdgrasp_coordinator.export.importer import hand_named, import_poses, object_frame
+
+    output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
+    output.check()
+    metres = scale_of(units, scale)
+    told_in = None if frame is None else frame_of(frame)
+    with progress_messages() as tell:
+        tell(f"reading {file}")
+        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in)
+    flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
+    flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
+    found.write(output)
+    for note in found.notes:
+        typer.echo(note, err=True)
+    words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
+    typer.echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
+    typer.echo(f"  qdgrasp evaluate {shlex.join(words)}")
+
+
+def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
+    """Return the conditions under which the grasps were found, as flags."""
+    about = found.metadata
+    spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
+    mass = about.object_mass if about else found.mass or "KG"
+    return {
+        "mass": mass if Path(object_).suffix else spec.mass,
+        "friction": spec.friction if about else found.friction,
+        "protocol": None if spec.protocol == "paper" else spec.protocol,
+    }
+
+
+def evaluate(
+    gripper: options.Gripper = None,
+    object_: options.Object = None,
+    poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where the scores go: an npz file; its folder is made.")
+    ] = None,
+    mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    friction: options.Friction = None,
+    protocol: options.ProtocolOption = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
+) -> None:
+    """Score given hand poses, in the object's centre-of-mass frame.
+
+    The file holds base_position (n, 3) [m] and base_quaternion_xyzw (n, 4) of the hand's root link and,
+    where the hand has them, synergy (n,) and spread (n, 2) [rad]; -1 and NaN mean none. Written are
+    valid, touched, success (bool), fitness (uint8) and more, in the order that came; with a protocol that has
+    trials also eta, the share of their shakes that was survived.
+
+    Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
+    """
+    values = options.given(
+        gripper=gripper,
+        object=object_,
+        mass=mass,
+        scale=scale_of(units, scale),
+        friction=friction,
+        protocol=protocol,
+    )
+    if poses is None or out is None:
+        missing = "--poses" if poses is None else "--out"
+        raise InputError(f"{missing} is missing: name an npz file (`qdgrasp evaluate --help`).")
+    named = (Path(each) for each in (gripper, object_) if each)
+    output = OutFile(out, force=force, inputs=(poses, *named))
+    output.check()
+    spec = run_spec(values, "evaluate")
+    hand_poses = read_poses(poses)
+    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    with progress_display("evaluate", len(hand_poses)) as shown:
+        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        scene, bundle = make_bundle(spec)
+        with lifetime("qdgrasp evaluate") as stop:
+            rows = score_poses(spec, scene, bundle, hand_poses, config, shown, stop)
+    if stop.is_set:
+        raise typer.Exit(stop.exit_code)
+    with output.writing() as made:
+        write_scores(made, rows, trial_count(spec.protocol))
+    typer.echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

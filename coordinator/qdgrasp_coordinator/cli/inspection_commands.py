@@ -1,0 +1,342 @@
+"""Commands that read runs: `info`, `show`, `digest`, `verify`, `render`, `view`, `coverage`.
+
+Also `methods`, which lists the search methods, and `reference`, which makes reference sets for `coverage`.
+"""
+
+import json
+import os
+import threading
+import webbrowser
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+import typer
+
+from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli.options import host_and_port
+from qdgrasp_coordinator.local.progress import progress_display
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
+from qdgrasp_coordinator.metrics.reference_coverage import (
+    is_stand_in,
+    object_identity,
+    read_reference,
+    released_archive,
+)
+from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
+from qdgrasp_coordinator.report.row_report import row_report
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
+from qdgrasp_coordinator.verification.verify import choose_rows, run_folders_at, verify_rows
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.text import counted, parse_numbers
+
+if TYPE_CHECKING:
+    from qdgrasp_coordinator.verification.replay_client import PictureSize
+
+
+def info(directory: options.RunDir, as_json: options.Json = False) -> None:
+    """Say what a run is and what it has found, also while it goes on.
+
+    Example: qdgrasp info runs/demo --json
+    """
+    found = run_summary(RunFolder.open(directory))
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def show(
+    directory: options.RunDir,
+    grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
+    as_json: options.Json = False,
+) -> None:
+    """Print everything known about one grasp of a run, or about any other row of its journal.
+
+    Rows are counted as the monitor's view in 3D counts them. Poses are in the object's centre-of-mass frame,
+    quaternions in the order x, y, z, w.
+
+    Example: qdgrasp show runs/demo --grasp 17
+    """
+    found = row_report(RunFolder.open(directory), grasp)
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def digest(directory: options.RunDir) -> None:
+    """Print one sha256 over the journal's rows in order.
+
+    It does not depend on workers, batches, kills, hosts or time: two runs of one spec have the same.
+
+    Example: qdgrasp digest runs/demo
+    """
+    with RunFolder.open(directory).journal() as journal:
+        typer.echo(digest_of(journal))
+
+
+SAMPLE_ROWS = 100
+
+
+def verify(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a campaign.")],
+    sample: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help=f"How many rows; default {SAMPLE_ROWS}.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed draws other rows.")] = 0,
+    every: Annotated[bool, typer.Option("--all", help="Evaluate every row again.")] = False,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    as_json: options.Json = False,
+) -> None:
+    """Evaluate recorded rows again, and compare every result with the recorded one, bit for bit.
+
+    Rows are drawn from all runs in the folder, of each outcome as many as of any other, trials apart; each
+    goes through its own prior, genome and trial. Where something differs, the rows and columns are named, and
+    how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
+
+    Example: qdgrasp verify runs/demo --sample 500
+    """
+    if every and sample is not None:
+        raise InputError("--all leaves nothing to --sample: give one of them.")
+    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    folders = run_folders_at(directory)
+    samples = choose_rows(folders, None if every else sample or SAMPLE_ROWS, seed)
+    with (
+        progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,
+        lifetime("qdgrasp verify") as stop,
+    ):
+        found = verify_rows(samples, config, shown, stop)
+    if stop.is_set:
+        raise typer.Exit(stop.exit_code)
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    if not found.is_same:
+        raise typer.Exit(1)
+
+
+RenderFlag = Literal["all", "closing", "shakes"]
+
+
+def render(
+    directory: options.RunDir,
+    grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif); its folder is made."
+        ),
+    ],
+    trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
+    what: Annotated[
+        RenderFlag | None, typer.Option(help="Which part of the evaluation a film has; default: all.")
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Width and height [pixels].")] = "640x560",
+    view: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="AZIMUTH,ELEVATION",
+            help="Where the camera stands about the object's z [deg]; default: where most is seen.",
+        ),
+    ] = None,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="Draw the object's convex parts, which are simulated.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Carry one evaluation of a run out again and draw it, with its contacts and frames.
+
+    Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
+    was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. What is seen
+    is compared with what is recorded: where they differ that is said, and the exit code is 1.
+
+    Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
+    """
+    from qdgrasp_coordinator.verification.evaluation_picture import (
+        LARGEST,  # what draws takes its time to load
+        difference_reason,
+        write_evaluation,
+    )
+    from qdgrasp_coordinator.verification.replay_client import ReplayOptions, replay_target
+
+    output = OutFile(out, suffixes=tuple(LARGEST), force=force)
+    output.check()
+    is_film = out.suffix.lower() == ".gif"
+    if what is not None and not is_film:
+        raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
+    wish = ReplayOptions(
+        _picture_size(size, out), _camera_view(view), (what or "all") if is_film else None, parts
+    )
+    shown = replay_target(RunFolder.open(directory), grasp, trial)
+    typer.echo(f"replaying row {shown.number} of {directory}", err=True)
+    with lifetime("qdgrasp render") as stop:
+        unlike = write_evaluation(shown, wish, output, stop)
+        if stop.is_set:
+            raise typer.Exit(stop.exit_code)
+        if unlike:
+            typer.echo(difference_reason(shown, unlike), err=True)
+    typer.echo(f"{shown.outcome.name.lower()}, row {shown.number}: drawn in {out}")
+    if unlike:
+        raise typer.Exit(1)
+
+
+def _picture_size(text: str, out: Path) -> "PictureSize":
+    from qdgrasp_coordinator.verification.evaluation_picture import LARGEST, SMALLEST
+    from qdgrasp_coordinator.verification.replay_client import PictureSize
+
+    largest = LARGEST[out.suffix.lower()]
+    words = text.lower().split("x")
+    if len(words) == 2 and all(word.isdecimal() for word in words):
+        size = PictureSize(*map(int, words))
+        if SMALLEST.width <= size.width <= largest.width and SMALLEST.height <= size.height <= largest.height:
+            return size
+    raise ImpossibleValue("--size", text, f"{SMALLEST} to {largest} for a {out.suffix.lower()}")
+
+
+def _camera_view(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    match parse_numbers(text):
+        case [azimuth, elevation] if abs(azimuth) <= 360.0 and abs(elevation) <= 90.0:
+            return azimuth, elevation
+    raise ImpossibleValue(
+        "--from", text, "AZIMUTH,ELEVATION in degrees, -360 to 360 and -90 to 90, as in 40,25"
+    )
+
+
+LOCAL_PAGE = "127.0.0.1:0"
+
+
+def view(
+    directories: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders of runs and campaigns, or ones that hold such folders."
+        ),
+    ],
+    web: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT",
+            show_default=False,
+            help="Serve the page there; default: on loopback, at a port that is free.",
+        ),
+    ] = LOCAL_PAGE,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
+) -> None:
+    """Look at the grasps of runs in the browser: in 3D, with filters, and the hand as it grasps.
+
+    Runs may be finished or going on; nothing is changed. The page is there until Ctrl-C. Beyond loopback it
+    wants a token, which is printed.
+
+    Example: qdgrasp view runs/demo
+    """
+    host, port = host_and_port(web)
+    with lifetime("qdgrasp-view") as stop:
+        from qdgrasp_coordinator.monitor.records import FolderIndex
+        from qdgrasp_coordinator.monitor.web.routes import folder_site
+        from qdgrasp_coordinator.monitor.web.server import serve
+
+        def opened(address: str) -> None:
+            typer.echo(f"The grasps are shown at {address} until Ctrl-C.")
+            if not no_open and has_desktop(os.environ):
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+        serve(folder_site(FolderIndex(directories)), host, port, "", stop, opened)
+    raise typer.Exit(stop.exit_code)
+
+
+def has_desktop(environment: Mapping[str, str]) -> bool:
+    """Return True if this machine has a screen and the user is not connected over SSH."""
+    shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
+    return bool(shown) and not environment.get("SSH_CONNECTION")
+
+
+METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "summary")
+METHOD_WIDTHS = (18, 10, 9, 11, 22, 0)
+
+
+def methods(as_json: options.Json = False) -> None:
+    """Name every search method with its prior and its defaults; the first is the default.
+
+    Example: qdgrasp methods --json
+    """
+    table = [{column: getattr(entry, column) for column in METHOD_COLUMNS} for entry in METHODS.values()]
+    if as_json:
+        typer.echo(json.dumps(table))
+        return
+    typer.echo(_method_line(METHOD_COLUMNS))
+    for entry in table:
+        typer.echo(_method_line(tuple(entry.values())))
+
+
+def _method_line(cells: tuple[object, ...]) -> str:
+    return " ".join(f"{cell!s:<{width}}" for cell, width in zip(cells, METHOD_WIDTHS, strict=True))
+
+
+def coverage(
+    directory: options.RunDir,
+    reference: Annotated[Path | None, typer.Option(help="The reference set, an npz file.")] = None,
+    object_: Annotated[str | None, typer.Option("--object", help="The object's name in the set.")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say how much of a reference set of graspable positions a run has found.
+
+    Counted are distinct success positions, rounded to 1 cm, that are in the set, over its size.
+
+    Example: qdgrasp coverage runs/demo --reference S_G_panda_2f.npz --object rubiks_cube
+    """
+    if reference is None or object_ is None:
+        raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
+    folder = RunFolder.open(directory)
+    entries = read_reference(reference, object_)
+    scene = folder.scene()
+    stand_in = is_stand_in(folder.spec.object, object_identity(scene.object), entries)
+    with folder.journal() as journal:
+        successes = journal.successes()
+    positions = successes["base_to_object"][:, :3]
+    found = coverage_of(positions, successes["fitness"], entries, released_archive(scene))
+    if as_json:
+        values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
+        typer.echo(json.dumps(values))
+        return
+    typer.echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
+
+
+reference_app = typer.Typer(
+    no_args_is_help=True, help="Reference sets of graspable positions: build them from runs."
+)
+
+
+@reference_app.callback()
+def _reference_group() -> None:
+    """Keep `build` a command of its own while it is the only one."""
+
+
+@reference_app.command()
+def build(
+    directories: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs.")],
+    out: Annotated[Path, typer.Option(help="The reference set, an npz file; added to where it exists.")],
+    name: Annotated[
+        str | None, typer.Option(help="The object's name in the set; default: the run's, without ycb_.")
+    ] = None,
+    mixed: Annotated[bool, typer.Option("--mixed", help="Take runs under different protocols.")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Gather the cells of all successes of runs, with the best fitness in each.
+
+    One file holds the sets of one gripper. Runs may be added later, and again.
+
+    Example: qdgrasp reference build runs/part-s0 runs/part-s1 --out S_G_part.npz
+    """
+    sets = build_sets(map(RunFolder.open, directories), out, name, mixed=mixed)
+    if as_json:
+        sizes = {key: {"size": len(one), "robust_size": len(one.robust)} for key, one in sets.items()}
+        typer.echo(json.dumps({"out": str(out), "objects": sizes}))
+        return
+    for key, known in sets.items():
+        typer.echo(
+            f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust."
+        )

@@ -1,0 +1,160 @@
+"""`qdgrasp jobs`, `pause`, `continue`, `cancel` and `drain`: running jobs on the bus."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.metrics.job_status import utc_now
+from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines
+from qdgrasp_protocol import cli_support, messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Order, OrderReply
+from qdgrasp_protocol.session import Credentials, Role, default_endpoint
+from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+SESSION_SECONDS = 3.0  # seconds that a router may take to answer
+
+
+@contextmanager
+def open_session(
+    connect: str, security: Path | None, role: Role = Role.ADMIN, wait: float = SESSION_SECONDS
+) -> Iterator[Bus]:
+    """Open a session at a router that answers within `wait` seconds; a signal ends it.
+
+    Raises
+    ------
+    EndpointError
+        Nothing answers there.
+    SecurityError
+        The folder of certificates lacks those of the role.
+    """
+    credentials = Credentials.find(security, role)
+    with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
+        yield bus
+
+
+def no_job_message(endpoint: str) -> str:
+    """The sentence for a router without jobs."""
+    return f"No job is at {endpoint}: the router answers, but no coordinator does."
+
+
+def router_endpoint(connect: str | None, security: Path | None) -> str:
+    """Return the endpoint that was given, or the default one."""
+    return connect or default_endpoint(encrypted=security is not None).text
+
+
+def jobs(
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say which jobs there are, what they have done, and who works on them.
+
+    Example: qdgrasp jobs --connect tcp/head:7447
+    """
+    endpoint = router_endpoint(connect, security)
+    with open_session(endpoint, security, Role.MONITOR) as bus:
+        found = reachable_jobs(bus)
+    if as_json:
+        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
+    elif not found:
+        typer.echo(no_job_message(endpoint))
+    for job in () if as_json else found:
+        for line in summary_lines(job, utc_now()):
+            typer.echo(printable(line))
+
+
+JobName = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qdgrasp jobs` lists them.")]
+
+
+def pause(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """Hand out no more work of a job until `qdgrasp continue`; what is out still counts.
+
+    What a run finds does not depend on it. A coordinator that is started again goes on by itself.
+
+    Example: qdgrasp pause mugs
+    """
+    send_order(job, connect, security, Order(act="pause"))
+
+
+def continue_(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """Let a paused job go on.
+
+    Example: qdgrasp continue mugs
+    """
+    send_order(job, connect, security, Order(act="continue"))
+
+
+def cancel(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """End a job before it is done: what is recorded stays, and can be gone on with.
+
+    Its coordinator ends with exit code 0. A `qdgrasp run` or `campaign` that started it ends with 1, because
+    the job is not done, and names the command that goes on.
+
+    Example: qdgrasp cancel mugs
+    """
+    send_order(job, connect, security, Order(act="cancel"))
+
+
+def drain(
+    job: JobName,
+    worker: Annotated[
+        str | None, typer.Option(metavar="WID", help="A worker's id, or how it begins; see `jobs --json`.")
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Every worker on this host.")] = None,
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+) -> None:
+    """Have workers finish the batches at hand and leave a job.
+
+    Example: qdgrasp drain mugs --host node7
+    """
+    if (worker is None) == (host is None):
+        raise InputError("Whom is the job to do without? Name a worker with --worker, or a host with --host.")
+    if worker is not None and not (worker and set(worker) <= set("0123456789abcdef") and len(worker) <= 32):
+        raise InputError(f"'{worker}' is no worker's id: 32 hexadecimal digits, or the first few of them.")
+    send_order(job, connect, security, Order(act="drain", worker=worker or "", host=host or ""))
+
+
+def send_order(job: str, connect: str | None, security: Path | None, order: Order) -> None:
+    """Send an order to a job's coordinator, and print its reply.
+
+    Raises
+    ------
+    UnknownName
+        There is no such job.
+    InputError
+        It cannot be done.
+    """
+    endpoint = router_endpoint(connect, security)
+    with open_session(endpoint, security) as bus:
+        try:
+            answer = bus.ask(Keys(job).control, messages.encode(order))
+        except Refused as refusal:
+            raise InputError(f"Nothing was done: {refusal}.") from None
+        except NoReply:
+            raise _no_coordinator(bus, job, endpoint) from None
+    typer.echo(printable(messages.decode(answer, OrderReply).words))
+
+
+def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:
+    """Return the error for a job whose coordinator does not answer."""
+    known = [view.meta.job for view in reachable_jobs(bus)]
+    if not known:
+        return InputError(no_job_message(endpoint))
+    return UnknownName("job", job, known)

@@ -1,0 +1,280 @@
+"""`qdgrasp doctor`, `bench` and `security`: checking, measuring and securing machines.
+
+Whether a machine has what a run needs, how fast it is, and certificates and access lists for jobs on many.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform as machine
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_assets import catalog
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD, NodeFigures, node_info
+from qdgrasp_coordinator.local.node_benchmark import SceneBenchmark, SceneMeasurement
+from qdgrasp_coordinator.local.progress import LineProgress
+from qdgrasp_coordinator.local.restart_policy import GRACE
+from qdgrasp_coordinator.scheduler.run_plan import full_spec, make_bundle
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
+from qdgrasp_protocol.process import ProcessGroup, lifetime
+from qdgrasp_protocol.session import Role, default_endpoint
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+PACKAGES = ("eclipse-zenoh", "pybullet", "numpy", "ribs", "trimesh", "msgpack", "coacd")
+NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
+SIMULATOR_SECONDS = 60  # seconds
+
+
+class MissingRequirement(InputError):
+    """Something that a run needs is not there."""
+
+
+def doctor() -> None:
+    """Check what a run needs on this machine: Python, packages, bus, simulator, disk and assets.
+
+    Example: qdgrasp doctor
+    """
+    checks: dict[str, Callable[[], str]] = {
+        "python": _check_python,
+        "packages": _check_packages,
+        "cores": lambda: str(options.cores()),
+        "bus": _check_bus,
+        "simulator": _check_simulator,
+        "disk": _check_disk,
+        "assets": _check_assets,
+    }
+    failed = [name for name, check in checks.items() if not _report(name, check)]
+    if failed:
+        raise MissingRequirement(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}.")
+
+
+def _report(name: str, check: Callable[[], str]) -> bool:
+    try:
+        typer.echo(f"ok      {name:<10} {check()}")
+    except (QdgraspError, OSError, ImportError) as error:
+        typer.echo(f"FAILED  {name:<10} {error}")
+        return False
+    return True
+
+
+def _check_python() -> str:
+    if sys.version_info[:2] != (3, 11):
+        raise MissingRequirement(f"Python 3.11 is needed, this is {machine.python_version()}.")
+    return f"{machine.python_version()} on {machine.machine()}"
+
+
+def _check_packages() -> str:
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
+
+
+def _check_bus() -> str:
+    router, endpoint = ZenohBus.embedded(None)
+    with router, ZenohBus.connect(endpoint, 5.0) as client:
+        client.put("qdgrasp/v1/doctor/meta", b"{}", encoding="application/json")
+    return f"a router listened on {endpoint} and took a client"
+
+
+def _check_simulator() -> str:
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SIMULATOR_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        raise MissingRequirement(f"the probe set took more than {SIMULATOR_SECONDS} s.") from None
+    if done.returncode:
+        raise MissingRequirement(
+            (done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1]
+        )
+    return f"probe set {json.loads(done.stdout.strip().splitlines()[-1])['probes'][:12]}"
+
+
+def _check_disk() -> str:
+    here = Path.cwd()
+    kind = _file_system(here)
+    if kind in NETWORK_FILE_SYSTEMS:
+        raise MissingRequirement(f"{here} is on a network file system ({kind}); records need a local disk.")
+    with tempfile.NamedTemporaryFile(dir=here):
+        free = os.statvfs(here)
+    return f"{free.f_bavail * free.f_frsize >> 30} GiB free, SQLite {sqlite3.sqlite_version}"
+
+
+def _file_system(path: Path) -> str:
+    """Return the type of the file system that holds `path`, empty where it is not known."""
+    try:
+        mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text().splitlines()]
+    except OSError:
+        return ""
+    holding = [(mount, kind) for mount, kind in mounts if path.is_relative_to(mount)]
+    return max(holding, key=lambda entry: len(entry[0]))[1] if holding else ""
+
+
+def _check_assets() -> str:
+    return f"grippers {', '.join(catalog.gripper_names())}; objects {', '.join(catalog.object_names())}"
+
+
+BENCH_OBJECTS = ("rubiks_cube", "mug")
+
+
+def bench(
+    gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")] = "panda",
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object", help="Object: a built-in name or a mesh file; may be repeated. Default: two."
+        ),
+    ] = None,
+    mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    protocol: options.ProtocolOption = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, help="How long each regime is measured.")
+    ] = 4.0,
+    as_json: options.Json = False,
+) -> None:
+    """Measure what this node makes of evaluations: with one worker, and with all.
+
+    A job is carried out as `qdgrasp run` does it, but nothing is kept. Poses anywhere are mostly rejected at
+    once; poses near grasps are mostly shaken to the end. Any run lies between the two.
+
+    Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
+    """
+    values = options.given(
+        gripper=gripper, mass=mass, scale=scale_of(units, scale), protocol=protocol, method=BENCH_METHOD
+    )
+    specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
+    count, here = options.worker_count(workers), node_info()
+    found = [_measure_scene(spec, count, seconds) for spec in specs]
+    figures = NodeFigures(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        node=here,
+        platform=found[0].platform,
+        scenes=[scene.figures for scene in found],
+    )
+    typer.echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
+
+
+def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurement:
+    """Measure one scene with workers of its own; a signal ends the command."""
+    lines = LineProgress("bench")
+    lines.say(f"building the scene of {spec.gripper} and {spec.object}")
+    scene, bundle = make_bundle(spec)
+    benchmark = SceneBenchmark(spec, scene, bundle, workers=workers, seconds=seconds, display=lines)
+    with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
+        logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
+        bus, endpoint = ZenohBus.embedded(None)
+        stack.enter_context(bus)
+        measured = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs, GRACE)), stop)
+    if measured is None:
+        raise typer.Exit(stop.exit_code)
+    return measured
+
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+security_app = typer.Typer(
+    no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
+)
+
+Days = Annotated[int, typer.Option(min=1, max=36500, help="How long certificates are good [days].")]
+Hosts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--host",
+        help="Name or address by which a router is reached; may be repeated; default: this machine's.",
+    ),
+]
+Directory = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of certificates.")]
+
+
+@security_app.command()
+def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
+    """Write an authority, a certificate for each role, and the routers' access list.
+
+    DIR/ca.key signs further certificates and is needed by nobody else. A node that only serves workers needs
+    ca.pem, worker.pem and worker.key; `qdgrasp security add` makes a folder for one.
+
+    Example: qdgrasp security init security --host head --host 10.0.0.1
+    """
+    from qdgrasp_coordinator.security.folder import SecurityFolder  # cryptography takes a while to load
+
+    made = SecurityFolder.create(directory, hosts=_router_hosts(host), days=days)
+    typer.echo(
+        f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for "
+        f"{counted(days, 'day')}. "
+        f"Start a router: `qdgrasp-router --listen tls/0.0.0.0:7447 --security {made.path}`."
+    )
+
+
+@security_app.command()
+def add(
+    directory: Directory,
+    role: Annotated[Role, typer.Argument(help="What it allows.")],
+    name: Annotated[str, typer.Argument(help="Whose it is: a node's name.")],
+    host: Hosts = None,
+    days: Days = 365,
+) -> None:
+    """Issue one more certificate,
+    in a folder DIR/NAME that holds what one node needs and nothing else.
+
+    Example: qdgrasp security add security worker lab-7
+    """  # noqa: D205  # typer joins the lines
+    from qdgrasp_coordinator.security.folder import SecurityFolder
+
+    place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
+    typer.echo(
+        f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}."
+    )
+
+
+@security_app.command()
+def check(
+    security: cli_support.SecurityOption = None,
+    connect: cli_support.ConnectOption = None,
+    through: Annotated[
+        str | None, typer.Option(help="Endpoint of a second router: who hears and answers is its client.")
+    ] = None,
+) -> None:
+    """Prove the access list at a running router: every role tries every verb on every key.
+
+    It takes a quarter of a minute and needs the folder that `qdgrasp security init` wrote, with ca.key: a
+    certificate without a role, an expired one and another authority's are tried too. The job that it plays
+    is called security-check; running jobs do not notice.
+
+    Example: qdgrasp security check --security security --connect tls/head:7447
+    """
+    if security is None:
+        raise SecurityError("Name the folder that `qdgrasp security init` wrote with --security.")
+    from qdgrasp_coordinator.security.access_report import check_access, matrix_table
+
+    found = check_access(connect or default_endpoint(encrypted=True).text, security, takers_at=through)
+    typer.echo(matrix_table(found.matrix))
+    for fault in found.faults:
+        typer.echo(f"WRONG: {fault}")
+    typer.echo(found.summary)
+    if found.faults:
+        raise typer.Exit(1)
+
+
+def _router_hosts(given: list[str] | None) -> list[str]:
+    """The names of a router: those given, or this machine's, and always those of loopback."""
+    return list(dict.fromkeys([*(given or [socket.gethostname()]), *LOOPBACK]))

@@ -1,0 +1,324 @@
+"""`qdgrasp run`, `resume` and `rerank`: runs that this machine carries out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.campaign.campaign_folder import extend_run
+from qdgrasp_coordinator.campaign.ranking import (
+    best_of_kinds,
+    is_reranking,
+    read_run_grasps,
+    write_ranking,
+    write_source,
+)
+from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
+from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_coordinator.metrics.niches import niches
+from qdgrasp_coordinator.metrics.reference_coverage import object_identity
+from qdgrasp_coordinator.report.row_report import synergy_reader
+from qdgrasp_coordinator.scheduler import run_plan
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
+from qdgrasp_protocol.process import Stop, lifetime
+from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
+from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.text import counted
+
+
+def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
+    """Carry a job out; an error that ends it early names the command that continues it."""
+    try:
+        Supervisor(job, config, shown, stop).run()
+    except EndedEarly as error:
+        raise EndedEarly(f"{error} {resume_hint(job)}") from None
+
+
+def check_not_stopped(job: JobFolder, stop: Stop) -> None:
+    """Exit if there was a signal, and name the command that continues the job."""
+    if stop.is_set:
+        typer.echo(f"Stopped; {resume_hint(job)}", err=True)
+        raise typer.Exit(stop.exit_code)
+
+
+def resume_hint(job: JobFolder) -> str:
+    """Name the command that continues a job."""
+    command = "campaign" if job.is_campaign else "resume"
+    return f"`qdgrasp {command} {job.path}` goes on where it stopped."
+
+
+def run(
+    spec: Annotated[
+        Path | None, typer.Argument(metavar="SPEC.toml", help="A spec; flags replace what it says.")
+    ] = None,
+    gripper: options.Gripper = None,
+    object_: options.Object = None,
+    mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    friction: options.Friction = None,
+    method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
+    protocol: options.ProtocolOption = None,
+    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
+    overlaps: Annotated[
+        str | None,
+        typer.Option(
+            help="count: every pose is an evaluation; redraw: simulated ones are; default: the method's."
+        ),
+    ] = None,
+    population: Annotated[
+        int | None,
+        typer.Option(help="Genomes in a generation; default: the method's, see `qdgrasp methods`."),
+    ] = None,
+    mutation_sigma: Annotated[
+        float | None, typer.Option(help="Of the Gaussian mutation; default 0.1.")
+    ] = None,
+    mutation_probability: Annotated[float | None, typer.Option(help="Of each gene; default 0.3.")] = None,
+    generations_in_flight: Annotated[
+        int | None, typer.Option(help="Generations asked before the first is told; default: the method's.")
+    ] = None,
+    surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    job: options.Job = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
+
+    Example: qdgrasp run --gripper panda --object mug --evaluations 10000 --seed 1
+    """
+    flags = options.given(
+        gripper=gripper,
+        object=object_,
+        mass=mass,
+        scale=scale_of(units, scale),
+        friction=friction,
+        method=method,
+        protocol=protocol,
+        evaluations=evaluations,
+        successes=successes,
+        no_new_cell=no_new_cell,
+        seed=seed,
+        overlaps=overlaps,
+        population=population,
+        mutation_sigma=mutation_sigma,
+        mutation_probability=mutation_probability,
+        generations_in_flight=generations_in_flight,
+        surface_seed=surface_seed,
+    )
+    values = read_run_spec(spec) if spec else {}
+    if "cross" in values:
+        raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
+    asked = run_plan.full_spec(values | flags, str(spec) if spec else "run")
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)
+
+
+def start_run(
+    spec: RunSpec,
+    out: Path,
+    config: LocalJobConfig,
+    job: str | None = None,
+    begun: Callable[[RunFolder], None] = lambda _folder: None,
+) -> None:
+    """Begin a run in a new folder and carry it out; `begun` is called in between."""
+    RunFolder.check_free(out)
+    with progress_display(out.name, spec.evaluations) as shown:
+        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        _, bundle = run_plan.make_bundle(spec)
+        with lifetime("qdgrasp run") as stop:
+            folder = RunFolder.create(out, spec, bundle, job=job)
+            begun(folder)
+            run_job(folder.job, config, shown, stop)
+    print_result(folder, stop)
+
+
+def print_result(folder: RunFolder, stop: Stop) -> None:
+    """Print the run's figures, or exit if there was a signal."""
+    check_not_stopped(folder.job, stop)
+    found = run_summary(folder)
+    typer.echo(found.words)
+    if not found.complete:
+        typer.echo(f"It is not finished; {resume_hint(folder.job)}")
+    elif found.evaluations < found.budget:
+        typer.echo(f"It ended early: {found.ended}.")
+    write_ranking_of(folder)
+
+
+def write_ranking_of(folder: RunFolder) -> None:
+    """Rank the grasps of a complete run that has scored them again."""
+    if is_reranking(folder):
+        typer.echo(write_ranking(folder))
+
+
+def resume(
+    directory: options.RunDir,
+    evaluations: Annotated[
+        int | None, typer.Option(help="The new total of counted evaluations; default: the spec's.")
+    ] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Go on with a run where its journal ends; --evaluations extends a finished one.
+
+    So do --successes and --no-new-cell where a run ended with these.
+
+    Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
+    """
+    folder = RunFolder.open(directory)
+    if folder.job.is_campaign:
+        raise FolderError(
+            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
+        )
+    folder.job.check_not_in_use()
+    with folder.journal() as journal:
+        journal.check_whole()
+    if goals := options.given(evaluations=evaluations, successes=successes, no_new_cell=no_new_cell):
+        extend_run(folder, **goals)
+    found = run_summary(folder)
+    if found.complete:
+        typer.echo(f"{directory} is finished: {found.words}")
+        write_ranking_of(folder)
+        return
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    with (
+        lifetime("qdgrasp resume") as stop,
+        progress_display(directory.name, folder.spec.evaluations) as shown,
+    ):
+        shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
+        run_job(folder.job, config, shown, stop)
+    print_result(folder, stop)
+
+
+def rerank(
+    directory: options.RunDir,
+    protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
+    top: Annotated[
+        int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
+    ] = 100,
+    by_niche: Annotated[
+        bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
+    ] = False,
+    discard_table: Annotated[
+        bool, typer.Option("--discard-table", help="Leave out hands that cut a table under the object.")
+    ] = False,
+    object_pose: Annotated[
+        str | None,
+        typer.Option(
+            help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
+        ),
+    ] = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    job: options.Job = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
+    ] = None,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
+
+    Taken is the best grasp of each cell or niche, and of these the best ones. The folder is that of a run:
+    `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
+
+    Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
+    """
+    if protocol not in TRIAL_COUNTS:
+        raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
+    if object_pose is not None and not discard_table:
+        raise InputError("--object-pose says how the object stands on a table: add --discard-table.")
+    source = RunFolder.open(directory)
+    folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
+    RunFolder.check_free(folder)
+    found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None)
+    chosen = best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
+    spec = rerank_spec(source, protocol, chosen)
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
+    with progress_display(folder.name, spec.evaluations) as shown:
+        shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
+        scene, bundle = run_plan.make_bundle(spec)
+        _check_same(source.scene(), scene)
+        with lifetime("qdgrasp rerank") as stop:
+            begun = RunFolder.create(folder, spec, bundle, job=job)
+            write_source(begun, source, chosen)
+            run_job(begun.job, config, shown, stop)
+    print_result(begun, stop)
+
+
+def _grasps_of(source: RunFolder, object_pose: str | None) -> Rows:
+    """The grasps of a run, clear of a table if the object stands on one."""
+    found = read_run_grasps(source)
+    if not len(found):
+        raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
+    if object_pose is not None:
+        from qdgrasp_coordinator.rendering.hand_geometry import (  # scipy takes its time
+            orientation,
+            table_under,
+        )
+
+        scene = source.scene()
+        table = table_under(scene, orientation(object_pose))
+        found = found[table.is_clear_of(scene, method(source.spec.method).prior, found)]
+    if not len(found):
+        raise InputError(
+            f"Every grasp in {source.path} would cut the table; turn the object with --object-pose."
+        )
+    return found
+
+
+def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
+    """The spec of a run that scores grasps of another."""
+    genomes = as_given(source.scene(), method(source.spec.method).prior, chosen)
+    poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
+    values = to_values(source.spec) | {
+        "method": GIVEN,
+        "protocol": protocol,
+        "evaluations": len(poses),
+        "population": len(poses),
+        "generations_in_flight": 1,
+        "overlaps": "count",
+        "poses": poses,
+    }
+    return run_spec(values, "rerank")
+
+
+def _check_same(old: Scene, new: Scene) -> None:
+    """Check that two scenes have the same hand and object, so that poses keep their meaning."""
+    hands = [msgspec.structs.asdict(scene.gripper) | {"carrier": None, "urdf": None} for scene in (old, new)]
+    if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
+        raise InputError(
+            f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "
+            "its poses mean something else; restore their files."
+        )

@@ -1,1 +1,0 @@
-"""Grasps as other tools take them: choosing, writing and reading."""

@@ -1,0 +1,1 @@
+"""Grasps as files of other tools: chosen and written, or read and checked."""

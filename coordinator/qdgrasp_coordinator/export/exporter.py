@@ -1,0 +1,118 @@
+"""Exports the selected grasps of a run: the table of formats, and `qdgrasp export`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
+from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
+from qdgrasp_coordinator.export.frames import frame_of
+from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
+from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.text import counted
+
+ALL_FAILURES = -1  # So many failures as there are
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """One format of files of grasps."""
+
+    name: str
+    write: Callable[[Path, Grasps, GraspMetadata], None]
+    suffix: str
+    """Ending of its files; empty: it is a folder."""
+    default_failures: int | None = 0
+    """Failures that are written by default; None: the format has no place for them."""
+
+    def output(self, path: Path, *, force: bool = False) -> WholeOutput:
+        """Return the file or folder at a path; `force` replaces one of the same format."""
+        if self.suffix:
+            return OutFile(path, force=force)
+        return OutFolder(path, force=force, is_kind=graspgen.is_ours)
+
+
+FORMATS = {
+    each.name: each
+    for each in (
+        ExportFormat("isaac", isaac_moveit.write_isaac, ".yaml", default_failures=None),
+        ExportFormat("acronym", acronym.write, ".h5"),
+        ExportFormat("graspgen", graspgen.write, "", default_failures=ALL_FAILURES),
+        ExportFormat("parquet", tabular.write_parquet, ".parquet"),
+        ExportFormat("moveit", isaac_moveit.write_moveit, ".yaml", default_failures=None),
+        ExportFormat("csv", tabular.write_csv, ".csv"),
+    )
+}
+
+
+def export_run(
+    folder: RunFolder,
+    out: Path,
+    name: str,
+    *,
+    min_fitness: int = 1,
+    top: int | None = None,
+    diverse: int | None = None,
+    frame: str = "mesh",
+    negatives: int | None = None,
+    force: bool = False,
+    tell: Tell = ignore_progress,
+) -> str:
+    """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
+
+    The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`
+    and `diverse` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or "com". At most
+    `negatives` failures are written behind the grasps; None: as many as is usual in the format. `tell` is
+    called with each step that begins. Raises InputError if there is no such format or frame, there is nothing
+    to write, or it cannot be read or written.
+    """
+    if name not in FORMATS:
+        raise UnknownName("format", name, FORMATS)
+    form, object_frame = FORMATS[name], frame_of(frame)
+    if negatives and form.default_failures is None:
+        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
+    wanted = negatives if negatives is not None else form.default_failures or 0
+    output = form.output(out, force=force)
+    output.check()
+    tell(f"reading {folder.path}")
+    every = read_run(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
+    tell(f"choosing from {counted(len(every), 'evaluation')}")
+    chosen = select_grasps(every, min_fitness, top, diverse)
+    if not len(chosen):
+        raise InputError(_no_grasps(folder, every, min_fitness))
+    failures = _failures(every, chosen, wanted)
+    written = join_grasps([chosen, failures])
+    tell(f"writing {counted(len(written), 'evaluation')} to {out}")
+    with output.writing() as made:
+        form.write(made, written, grasp_metadata(folder, written, object_frame))
+    beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
+    grasps_written = f"{counted(len(chosen), 'grasp')}{beside} written to {out}"
+    return f"{grasps_written}, poses in the object's {object_frame} frame."
+
+
+def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
+    """Return evaluations that were no grasps, at most `most`, spread over the journal."""
+    places = np.flatnonzero(~every.is_grasp & ~np.isin(every.numbers, chosen.numbers))
+    if most != ALL_FAILURES and most < len(places):
+        places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
+    return every[places if most else places[:0]]
+
+
+def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
+    """Explain that there is no grasp to write."""
+    successes = every[every.is_success]
+    if not len(successes):
+        with folder.journal() as journal:
+            rows = counted(journal.count, "row")
+        return f"{folder.path} has no grasp to write: there is no success among {rows}."
+    best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
+    return (
+        f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
+        f"{many} has {best}, and --min-fitness {best} writes those."
+    )

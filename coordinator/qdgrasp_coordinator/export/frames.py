@@ -1,0 +1,108 @@
+"""Frames of an object that grasps are given in, and its mesh, mass and inertia in them."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
+from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_protocol.errors import UnknownName
+
+Frame = Literal["mesh", "com"]
+MESH: Frame = "mesh"
+COM: Frame = "com"
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+
+
+def frame_of(name: str) -> Frame:
+    """Return the object's frame of that name; raises UnknownName."""
+    for frame in FRAMES:
+        if frame == name:
+            return frame
+    raise UnknownName("frame", name, FRAMES)
+
+
+def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
+    """Move poses (n, 7), xyz [m] and xyzw, from one frame of the object to another."""
+    found = poses.copy()
+    found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
+    return found
+
+
+def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
+    """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
+    rotations = np.broadcast_to(rotation, (len(poses), 4))
+    return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
+
+
+def to_matrices(poses: Floats) -> Floats:
+    """Convert poses (n, 7) to homogeneous matrices (n, 4, 4)."""
+    quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    matrices = np.zeros((len(poses), 4, 4))
+    for column, axis in enumerate(np.eye(3)):
+        matrices[:, :3, column] = rotate(quaternions, np.broadcast_to(axis, (len(poses), 3)))
+    matrices[:, :3, 3], matrices[:, 3, 3] = poses[:, :3], 1.0
+    return matrices
+
+
+def from_matrices(matrices: Floats) -> Floats:
+    """Convert homogeneous matrices to poses, the inverse of `to_matrices`, with w >= 0."""
+    x, y, z = np.moveaxis(matrices[:, :3, :3], 2, 0)
+    return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
+
+
+def jaw_turn(gripper: SceneGripper) -> Floats:
+    """Rotation (4,), xyzw, from a hand's root link to axes with +z toward the object, x across.
+
+    x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
+    tangents to its approach axis (`rotation.tangents`), which is its own x if that axis is +z.
+    """
+    z = np.array([gripper.approach_axis])
+    x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
+    return np.asarray(from_frame(x, np.cross(z, x), z)[0])
+
+
+@dataclass(frozen=True)
+class UniformSolid:
+    """A solid of uniform density."""
+
+    mesh: Mesh
+    """[m], in the frame of the poses."""
+    mass: float
+    """[kg]."""
+    com: Floats
+    """(3,) [m]: the centre of mass."""
+
+    @property
+    def volume(self) -> float:
+        """Volume that the mesh encloses [m3]."""
+        return self.mesh.volume
+
+    @property
+    def density(self) -> float:
+        """[kg/m3]."""
+        return self.mass / self.volume
+
+    @property
+    def inertia(self) -> Floats:
+        """(3, 3) [kg m2]: about the centre of mass, along the axes of the mesh.
+
+        Integrals over the tetrahedra between triangles and centre (Tonon 2004, "Explicit exact formulas for
+        the 3-D tetrahedron inertia tensor in terms of its vertex coordinates").
+        """
+        a, b, c = np.moveaxis(self.mesh.corners - self.com, 1, 0)
+        volumes = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
+        total = a + b + c
+        seconds = np.einsum("n,nki,nkj->ij", volumes, (s := np.stack([a, b, c, total], axis=1)), s) / 20
+        return np.asarray(self.density * (np.trace(seconds) * np.eye(3) - seconds))
+
+
+def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:
+    """Return the object of a scene in one of its frames."""
+    com = np.zeros(3) if frame == COM else np.array(body.com_in_mesh)
+    vertices = np.frombuffer(body.mesh_vertices, dtype="<f4").reshape(-1, 3).astype(np.float64)
+    faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
+    return UniformSolid(Mesh(vertices + com, faces), body.mass, com)

@@ -1,0 +1,306 @@
+"""Grasps of a run as arrays: read from its journal; selected by fitness, rank and spread."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats, multiply
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
+from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
+from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, best_first, eta, genome_numbers
+from qdgrasp_coordinator.search.fixed_poses import as_given, opened
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows, trial_count
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import counted
+
+GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
+
+
+class Grasp(NamedTuple):
+    """One grasp: the pose of the hand's root link in the frame of the object's mesh file."""
+
+    number: int
+    """Number of its row in the journal, from 0, as in `qdgrasp show DIR --grasp NUMBER`."""
+    position: Floats
+    """(3,) x y z [m]."""
+    quaternion_xyzw: Floats
+    """(4,), unit to the accuracy of float32."""
+    joints: NDArray[np.float32]
+    """(j,) finger joints at the grasp [rad or m], in the gripper's order."""
+    pregrasp: NDArray[np.float32]
+    """(j,) finger joints that the hand starts from."""
+    synergy: str
+    """The synergy that closes the hand; empty: all driven joints."""
+    outcome: Outcome
+    fitness: float
+    """Shakes survived: 0, 1 or 2."""
+    eta: float
+    """The estimated probability of transfer; NaN where it is not known."""
+    confidence: float
+    """0 to 1."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grasps:
+    """Evaluations of one scene, as arrays of n lines.
+
+    Indexed by a number it gives one grasp, by a slice, mask or array several.
+    """
+
+    scene: Scene
+    spec: RunSpec
+    """Of the run's folder."""
+    sources: tuple[Provenance, ...]
+    """The runs that found them: one, but for a merged folder."""
+    origins: NDArray[np.int64]
+    """(n,): index of the source that each comes from."""
+    numbers: NDArray[np.int64]
+    """(n,): the rows' numbers in the journal."""
+    rows: Rows
+    """(n,): all columns of the journal; positions in the object's centre-of-mass frame."""
+    eta: Floats
+    """(n,): estimated probability of transfer; NaN unless all trials of a success are there."""
+
+    def __repr__(self) -> str:
+        return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, places: int) -> Grasp: ...
+
+    @overload
+    def __getitem__(self, places: GraspIndices) -> "Grasps": ...
+
+    def __getitem__(self, places: int | GraspIndices) -> "Grasp | Grasps":
+        if isinstance(places, int | np.integer):
+            return self._grasp(places)
+        return replace(
+            self,
+            origins=self.origins[places],
+            numbers=self.numbers[places],
+            rows=take_rows(self.rows, places),
+            eta=self.eta[places],
+        )
+
+    def __iter__(self) -> Iterator[Grasp]:
+        return map(self._grasp, range(len(self)))
+
+    def _grasp(self, place: int) -> Grasp:
+        row, names = self.rows[place], (*self.synergy_names, "")
+        return Grasp(
+            number=int(self.numbers[place]),
+            position=self._in_mesh[place, :3],
+            quaternion_xyzw=self._in_mesh[place, 3:],
+            joints=row["joints"],
+            pregrasp=self.pregrasp[place],
+            synergy=names[self.synergies[place]],
+            outcome=Outcome(row["outcome"]),
+            fitness=float(row["fitness"]),
+            eta=float(self.eta[place]),
+            confidence=float(self.confidence[place]),
+        )
+
+    @cached_property
+    def _in_mesh(self) -> Floats:
+        return self.poses(MESH)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The finger joints, in the order of `joints` and `pregrasp`."""
+        return tuple(joint.name for joint in self.scene.gripper.joints)
+
+    @property
+    def synergy_names(self) -> tuple[str, ...]:
+        """Names of the labels in `synergies`."""
+        return tuple(synergy.name for synergy in self.scene.gripper.synergies)
+
+    @property
+    def joints(self) -> NDArray[np.float32]:
+        """(n, j): finger joints at the grasp [rad or m]."""
+        return np.asarray(self.rows["joints"])
+
+    @property
+    def fitness(self) -> NDArray[np.float32]:
+        """(n,): shakes survived in the nominal evaluation, 0, 1 or 2."""
+        return np.asarray(self.rows["fitness"])
+
+    @property
+    def is_success(self) -> NDArray[np.bool_]:
+        """(n,): True if a finger touches the object after closing."""
+        return np.asarray(self.rows["outcome"] >= Outcome.DROPPED)
+
+    @property
+    def is_grasp(self) -> NDArray[np.bool_]:
+        """(n,): True if at least one shake was survived."""
+        return np.asarray(self.rows["outcome"] >= Outcome.SHAKEN)
+
+    @cached_property
+    def confidence(self) -> Floats:
+        """(n,), 0 to 1, higher is better: eta if it is known, else the share of shakes survived."""
+        return np.where(np.isnan(self.eta), self.fitness / SHAKES, self.eta)
+
+    @cached_property
+    def starts(self) -> NDArray[np.float32]:
+        """(n, d): genomes of the prior `given` that evaluate to these very rows, bit for bit."""
+        columns = 7 + bool(self.synergy_names) + len(self.scene.gripper.free_joints)
+        starts = np.zeros((len(self), columns), np.float32)
+        for origin, source in enumerate(self.sources):
+            here = self.origins == origin
+            starts[here] = as_given(self.scene, method(source.spec.method).prior, self.rows[here])
+        return starts
+
+    @cached_property
+    def pregrasp(self) -> NDArray[np.float32]:
+        """(n, j): finger joints that hands start from: open, free joints as the genome says."""
+        return opened(self.scene.gripper, self.spreads)
+
+    @cached_property
+    def synergies(self) -> NDArray[np.int64]:
+        """(n,): label of the synergy that closes each hand, or `NO_SYNERGY`: all driven joints do."""
+        if not self.scene.gripper.synergies:
+            return np.full(len(self), NO_SYNERGY)
+        return self.starts[:, 7].astype(np.int64)
+
+    @property
+    def spreads(self) -> NDArray[np.float32]:
+        """(n, k): initial positions of the free joints [rad]."""
+        count = len(self.scene.gripper.free_joints)
+        return self.starts[:, self.starts.shape[1] - count :]
+
+    def poses(self, frame: Frame = MESH) -> Floats:
+        """(n, 7): the hand's root link, x y z [m] and quaternion xyzw, as simulated.
+
+        `frame` "mesh" is that of the object's mesh file, in metres; "com" has the same axes at the centre of
+        mass. Raises UnknownName if it is neither.
+        """
+        poses = self.rows["base_to_object"].astype(np.float64)
+        return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
+
+    def matrices(self, frame: Frame = MESH) -> Floats:
+        """(n, 4, 4): the poses as homogeneous matrices."""
+        return to_matrices(self.poses(frame))
+
+
+def join_grasps(parts: Sequence[Grasps]) -> Grasps:
+    """Join grasps of one run, one behind the other."""
+    return replace(
+        parts[0],
+        origins=np.concatenate([part.origins for part in parts]),
+        numbers=np.concatenate([part.numbers for part in parts]),
+        rows=join_rows([part.rows for part in parts]),
+        eta=np.concatenate([part.eta for part in parts]),
+    )
+
+
+def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
+    """Read the nominal evaluations of a run that got as far as `least`, in journal order.
+
+    The run may go on: what is recorded by now is read. `DROPPED` gives all successes, `MISSED` all that were
+    simulated; a pruned or merged folder has kept successes alone. Raises FolderError if the folder cannot be
+    read, or has no scene yet.
+    """
+    scene, spec = folder.scene(), folder.spec
+    with folder.journal() as journal:
+        sources = tuple(provenances(folder, journal))
+        parts = []
+        for origin, source in enumerate(sources):
+            numbers, rows, etas = _source_grasps(journal, source, least)
+            parts.append(Grasps(scene, spec, sources, np.full(len(rows), origin), numbers, rows, etas))
+    return join_grasps(parts)
+
+
+def _source_grasps(
+    journal: Journal, source: Provenance, least: Outcome
+) -> tuple[NDArray[np.int64], Rows, Floats]:
+    """Read the rows of one run that got far enough, with numbers and etas (NaN: unknown)."""
+    trials = trial_count(source.spec.protocol)
+    scores, first = TrialSums(trials), source.rows.start
+    numbers, rows, scored = [np.zeros(0, np.int64)], [journal.shape.empty(0)], [journal.shape.empty(0)]
+    for block in journal.kept(source.rows.start, source.rows.stop) if source.rows else ():
+        here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
+        numbers.append(first + here)
+        rows.append(take_rows(block, here))
+        if trials:
+            scored.append(scores.take(block))
+        first += len(block)
+    found, complete = join_rows(rows), join_rows(scored)
+    etas = np.full(len(found), np.nan)
+    if trials:
+        places = np.searchsorted(genome_numbers(found), genome_numbers(complete))
+        etas[places] = eta(complete["fitness"], trials)
+    return np.concatenate(numbers), found, etas
+
+
+def select_grasps(
+    grasps: Grasps, min_fitness: float = 1, top: int | None = None, diverse: int | None = None
+) -> Grasps:
+    """Select grasps that are good enough, of these the best, and of these well spread ones.
+
+    `min_fitness` is the least number of shakes survived in the nominal evaluation, 0, 1 or 2; 0 takes all
+    successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by
+    fitness); `diverse` takes so many at most, each as far as can be from those before it (`spread_places`),
+    the best one first. Without both, grasps are in journal order. Raises ImpossibleValue for other numbers.
+    """
+    _check_number("min_fitness", min_fitness, whole=False)
+    for name, value in (("top", top), ("diverse", diverse)):
+        if value is not None:
+            _check_number(name, value, whole=True)
+    chosen = grasps[grasps.is_success & (grasps.fitness >= min_fitness)]
+    if top is None and diverse is None:
+        return chosen
+    chosen = chosen[best_first(chosen.rows, chosen.eta)[:top]]
+    return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
+
+
+def _check_number(name: str, value: object, *, whole: bool) -> None:
+    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value < np.inf:
+        raise ImpossibleValue(name, value, f"{'an integer' if whole else 'a number'} not less than 0")
+
+
+def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
+    """Choose at most `most` well-spread grasps: the first, then ever the farthest from those.
+
+    The distance of two hands is the root of the sum of two squares: the distance of their root links, and the
+    way that a point at the hand's reach from its root link moves when the one hand is turned as the other, 2
+    reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally far
+    ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
+    """
+    poses, hand = grasps.poses(COM), grasps.scene.gripper
+    nearest = np.full(len(poses), np.inf)
+    chosen: list[int] = []
+    while len(chosen) < min(most, len(poses)):
+        place = int(np.argmax(nearest)) if chosen else 0
+        chosen.append(place)
+        nearest = np.minimum(nearest, _squared_distances(poses, poses[place], hand))
+        nearest[place] = -1.0
+    return np.array(chosen, dtype=np.int64)
+
+
+def _squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
+    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
+    apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
+    if hand.jaw:
+        half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
+        cosine = np.maximum(
+            cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
+        )
+    x, y, z = apart.T
+    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
+
+
+def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
+    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
+    x, y, z, w = quaternions.T
+    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))

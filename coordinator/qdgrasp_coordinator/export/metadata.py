@@ -1,0 +1,203 @@
+"""Metadata of a file of grasps: frames, units, success, licences, source runs."""
+
+import hashlib
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
+from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_protocol.rows import trial_count
+from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
+from qdgrasp_protocol.text import join_numbers
+
+SUCCESS_WORDS = "a finger touches the object after closing"
+GRASP_WORDS = "a success that survives at least one of the two shakes: fitness 1 or 2"
+FITNESS_MEANING = "shakes survived in the nominal evaluation: 0, 1 or 2; higher is better"
+ETA_WORDS = (
+    "the share of shakes survived in all trials with disturbed pose and friction, "
+    "the estimated probability of transfer"
+)
+MESH_FILE = "the mesh file"
+MESH_WRITTEN = "the mesh that `qdgrasp export --format graspgen --frame mesh` writes"
+"""Mesh of an object that is built in or from the asset path."""
+OBJECT_FRAMES: dict[Frame, str] = {
+    "mesh": "that of {}: its origin and axes, its lengths times object_scale",
+    "com": "origin at the centre of mass, axes of {}",
+}
+UNITS = "m, rad, kg"
+XYZW = "x, y, z, w"
+
+
+class SourceRun(Struct, frozen=True, kw_only=True):
+    """A run that found grasps of a file."""
+
+    run: str
+    """The name of its folder."""
+    digest: str
+    """The sha256 over its rows, as `qdgrasp digest` prints it; of a run in progress by now."""
+    spec: str
+    """Its spec as TOML, without folders of its files and without given poses."""
+
+    @property
+    def asked(self) -> RunSpec:
+        """The spec as it was asked for."""
+        return from_toml(self.spec, self.run)
+
+
+class GraspMetadata(Struct, frozen=True, kw_only=True):
+    """Metadata of a file of grasps. Lengths are metres."""
+
+    qdgrasp: str
+    """The version that wrote it."""
+    gripper: str
+    gripper_frame: str
+    """The hand's link that has the poses."""
+    gripper_axes: str
+    """Orientation of the pose's axes on that link."""
+    gripper_source: str
+    """"built in", "asset path" or a file's name."""
+    gripper_licence: str
+    gripper_sha256: str = ""
+    """Digest of its part of a scene bundle; empty in a file of an earlier version."""
+    object: str
+    object_file: str
+    """The mesh file's name; empty for an object that is built in or from the asset path."""
+    object_scale: float
+    """Factor of the lengths in the mesh file, to metres."""
+    object_frame: str
+    """Meaning of `frame` in words."""
+    frame: Frame
+    object_com: tuple[float, float, float]
+    """The centre of mass in that frame [m]."""
+    com_in_mesh: tuple[float, float, float]
+    """The centre of mass in the frame of the mesh [m]: mesh = com + this."""
+    object_mass: float
+    """[kg]."""
+    object_friction: float
+    """Lateral friction coefficient."""
+    object_source: str
+    object_licence: str
+    object_sha256: str = ""
+    """Digest of its part of a scene bundle; empty in a file of an earlier version."""
+    collision_parts: str
+    """Source of the convex parts that were simulated."""
+    quaternions: str
+    """Order of their components in this file."""
+    units: str = UNITS
+    protocol: str
+    success: str = SUCCESS_WORDS
+    grasp: str = GRASP_WORDS
+    fitness: str = FITNESS_MEANING
+    confidence: str
+    """Its meaning, 0 to 1; higher is better."""
+    scene: str
+    """sha256 of the scene bundle."""
+    runs: tuple[SourceRun, ...]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The fields as plain values."""
+        return dict(msgspec.to_builtins(self))
+
+    @property
+    def json(self) -> str:
+        """The fields as one JSON object."""
+        return msgspec.json.encode(self).decode()
+
+
+def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMetadata:
+    """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
+    scene = grasps.scene
+    hand, body = scene.gripper, scene.object
+    file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
+    with folder.journal() as journal:
+        runs, bundle = _source_runs(folder, journal), journal.scene
+    return GraspMetadata(
+        qdgrasp=version("qdgrasp"),
+        gripper=hand.name,
+        gripper_frame=hand.base_link,
+        gripper_axes=f"those of link '{hand.base_link}'; it approaches along "
+        f"({join_numbers(hand.approach_axis)})",
+        gripper_source=_printable(hand.source),
+        gripper_licence=_printable(hand.licence),
+        gripper_sha256=_part_digest(hand),
+        object=body.name,
+        object_file=file,
+        object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
+        object_frame=OBJECT_FRAMES[frame].format(MESH_FILE if file else MESH_WRITTEN),
+        frame=frame,
+        object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
+        com_in_mesh=body.com_in_mesh,
+        object_mass=body.mass,
+        object_friction=body.lateral_friction,
+        object_source=_printable(body.source),
+        object_licence=_printable(body.licence),
+        object_sha256=_part_digest(body),
+        collision_parts=body.collision_source,
+        quaternions=XYZW,
+        protocol=scene.protocol,
+        confidence=f"eta, {ETA_WORDS}; where it is not known fitness / 2"
+        if trial_count(scene.protocol)
+        else "fitness / 2",
+        scene=bundle,
+        runs=runs,
+    )
+
+
+def _source_runs(folder: RunFolder, journal: Journal) -> tuple[SourceRun, ...]:
+    if journal.sources:
+        return tuple(
+            SourceRun(run=source.run, digest=source.digest, spec=_public_spec(source.asked))
+            for source in journal.sources
+        )
+    name = folder.path.absolute().name
+    return (SourceRun(run=name, digest=journal_digest(journal), spec=_public_spec(folder.spec)),)
+
+
+def _public_spec(spec: RunSpec) -> str:
+    """Write a spec without the folders of its author's files, and without poses."""
+    names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
+    return to_toml(msgspec.structs.replace(spec, poses=None, **names))
+
+
+def _part_digest(part: SceneGripper | SceneObject) -> str:
+    """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
+    values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
+    return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
+
+
+def _printable(text: str) -> str:
+    """Remove control characters, which formats have no place for; lines stay."""
+    return "".join(letter for letter in text if letter.isprintable() or letter == "\n")
+
+
+MATRIX_WORDS = "none: rotations are matrices, columns are the axes of the hand"
+
+
+def jaw_transforms(grasps: Grasps, metadata: GraspMetadata) -> Floats:
+    """(n, 4, 4): the turned axes of the hand in the object's frame [m]."""
+    return to_matrices(turn_hand_axes(grasps.poses(metadata.frame), jaw_turn(grasps.scene.gripper)))
+
+
+def jaw_metadata(metadata: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:
+    """Describe the turned axes in the metadata."""
+    across = (
+        f"x from one finger to the other, along ({join_numbers(gripper.jaw.axis)}) of it"
+        if gripper.jaw
+        else "x at right angles to it, for the hand has no jaw"
+    )
+    turn = ", ".join(f"{value:.9g}" for value in jaw_turn(gripper) + 0.0)
+    words = (
+        f"origin of link '{gripper.base_link}'; +z approaches, along ({join_numbers(gripper.approach_axis)}) "
+        f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
+    )
+    return msgspec.structs.replace(metadata, gripper_axes=words, quaternions=MATRIX_WORDS)

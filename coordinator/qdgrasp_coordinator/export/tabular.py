@@ -1,0 +1,212 @@
+"""CSV and Parquet: one table with a line for each grasp.
+
+Lines of CSV that begin with # are metadata.
+
+Parquet keeps every bit, and is read again.
+"""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.export.frames import COM, Frame
+from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.imported_grasps import (
+    MOST_GRASPS,
+    ImportedGrasps,
+    UnreadableGrasps,
+    decode_metadata,
+    to_words,
+)
+from qdgrasp_coordinator.export.metadata import GraspMetadata
+from qdgrasp_coordinator.export.text_format import shortest_decimals
+from qdgrasp_protocol.rows import Outcome
+
+JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
+
+
+class GraspColumn(NamedTuple):
+    """One column of the table."""
+
+    name: str
+    values: NDArray[np.generic]
+    """(n,): numbers, NaN where one is missing, or words, empty where one is missing."""
+    meaning: str
+
+
+def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
+    """Yield the columns of a table of grasps whose poses are in a frame of the object."""
+    rows, poses = grasps.rows, grasps.poses(frame)
+    yield GraspColumn("number", grasps.numbers, "the row's number in the journal, from 0")
+    runs = _label_words([source.run for source in grasps.sources], grasps.origins)
+    yield GraspColumn("run", runs, "what found it")
+    yield GraspColumn("generation", rows["generation"], "of the search")
+    yield GraspColumn("index", rows["index"], "in the generation")
+    yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
+    yield GraspColumn("fitness", grasps.fitness, "shakes survived: 0, 1 or 2")
+    yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
+    yield GraspColumn("confidence", grasps.confidence, "0 to 1, higher is better")
+    for name, values in zip(POSE, poses.T, strict=True):
+        meaning = "hand's root link in the object's frame [m]" if len(name) == 1 else "its quaternion"
+        yield GraspColumn(name, values, meaning)
+    for name, joint, start in zip(grasps.joint_names, grasps.joints.T, grasps.pregrasp.T, strict=True):
+        yield GraspColumn(JOINT + name, joint, "joint at the grasp [rad or m]")
+        yield GraspColumn(PREGRASP + name, start, "joint that the hand starts from [rad or m]")
+    synergies = _label_words(grasps.synergy_names, grasps.synergies)
+    yield GraspColumn("synergy", synergies, "what closes; none: all that can")
+    aims = rows["surface_point"].astype(np.float64)
+    offset = np.zeros(3) if frame == COM else np.array(grasps.scene.object.com_in_mesh)
+    aims = np.where(aims.any(axis=1, keepdims=True), aims + offset, np.nan)
+    for name, values in zip("xyz", aims.T, strict=True):
+        yield GraspColumn(f"aim_{name}", values, "surface point that was aimed at, object's frame [m]")
+    yield GraspColumn("nu", rows["nu"], "angle of its normal to the direction to the hand [rad]")
+    yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
+    yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
+
+
+def _label_words(words: list[str] | tuple[str, ...], labels: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Return words by their labels; -1 stands for an empty one."""
+    return np.array([*words, ""])[labels]
+
+
+QUOTED_LETTERS = frozenset('",#\r\n')
+"""Words with one of these are quoted: readers take what is behind a bare # for a remark."""
+
+
+def write_csv(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
+    """Write grasps as CSV in UTF-8, lines ended by a newline."""
+    table = list(grasp_columns(grasps, metadata.frame))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"# {line}\n" for text in _comment_lines(metadata) for line in text.splitlines())
+        file.write(_csv_line(_csv_field(column.name) for column in table))
+        file.writelines(map(_csv_line, zip(*(_csv_fields(column.values) for column in table), strict=True)))
+
+
+def _comment_lines(metadata: GraspMetadata) -> Iterator[str]:
+    """Yield the metadata as texts, the lines of each spec on lines of their own."""
+    for name, value in metadata.values.items():
+        if name != "runs":
+            words = " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            yield f"{name}: {words}"
+    for run in metadata.runs:
+        yield f"run: {run.run}"
+        yield f"  digest: {run.digest}"
+        yield from (f"  {line}" for line in run.spec.splitlines())
+
+
+def _csv_line(fields: Iterable[str]) -> str:
+    return ",".join(fields) + "\n"
+
+
+def _csv_fields(values: NDArray[np.generic]) -> list[str]:
+    """Write values (n,) as fields of CSV; NaN is empty."""
+    if values.dtype.kind == "f":
+        numbers = shortest_decimals(values)  # type: ignore[arg-type]  # the kind says that they are floats
+        return [word if word != "nan" else "" for word in numbers]
+    return [_csv_field(str(value)) for value in values.tolist()]
+
+
+def _csv_field(word: str) -> str:
+    if QUOTED_LETTERS.isdisjoint(word):
+        return word
+    return '"' + word.replace('"', '""') + '"'
+
+
+METADATA_KEY = "qdgrasp"
+POSE_COLUMN = "base_to_object"
+MAGIC = b"PAR1"
+COLUMNS_READ = ("number", "synergy", "confidence", POSE_COLUMN)
+"""Columns that are read, beside those of joints."""
+MOST_NUMBERS = 100_000_000
+"""Numbers in all columns that are read: few bytes can stand for very many equal ones."""
+
+
+def write_parquet(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
+    """Write grasps as a Parquet file, compressed with zstd."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    poses = pa.FixedSizeListArray.from_arrays(pa.array(grasps.rows[POSE_COLUMN].ravel()), 7)
+    arrays = {POSE_COLUMN: poses}
+    meanings = {POSE_COLUMN: "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"}
+    for column in grasp_columns(grasps, metadata.frame):
+        arrays[column.name] = _arrow_array(column.values)
+        meanings[column.name] = column.meaning
+    fields = [
+        pa.field(name, array.type, metadata={"meaning": meanings[name]}) for name, array in arrays.items()
+    ]
+    schema = pa.schema(fields, metadata={METADATA_KEY: metadata.json})
+    pq.write_table(pa.table(list(arrays.values()), schema=schema), path, compression="zstd")
+
+
+def _arrow_array(values: NDArray[np.generic]) -> Any:
+    """Convert values (n,) of a column to Arrow; NaN and empty words are null."""
+    import pyarrow as pa
+
+    if values.dtype.kind == "U":
+        return pa.array(values.tolist(), pa.string(), mask=values == "").dictionary_encode()
+    return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
+
+
+def read_parquet(path: Path) -> ImportedGrasps:
+    """Read the grasps in a Parquet file that `write_parquet` wrote."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        entries = pq.read_schema(path).metadata or {}
+        if METADATA_KEY.encode() not in entries:
+            raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
+        with pq.ParquetFile(path, read_dictionary=["synergy"]) as file:
+            if file.metadata.num_rows > MOST_GRASPS:
+                raise UnreadableGrasps(
+                    path, f"it has {file.metadata.num_rows} rows; at most {MOST_GRASPS} are read"
+                )
+            names = _columns_to_read(file.schema_arrow)
+            if file.metadata.num_rows * len(names) > MOST_NUMBERS:
+                raise UnreadableGrasps(path, f"it has more than {MOST_NUMBERS} numbers")
+            table = file.read(columns=names)
+        return _imported_grasps(path, table, decode_metadata(path, entries[METADATA_KEY.encode()]))
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableGrasps(path, f"it is a damaged Parquet file ({error})") from None
+
+
+def _columns_to_read(schema: Any) -> list[str]:
+    """Return the columns that are read; each is of numbers but for the synergies."""
+    import pyarrow.types as kinds
+
+    fields = [field for field in schema if field.name in COLUMNS_READ or field.name.startswith(PREGRASP)]
+    for field in fields:
+        kind = field.type.value_type if field.name in (POSE_COLUMN, "synergy") else field.type
+        is_number = kinds.is_integer(kind) or kinds.is_floating(kind)
+        if not (kinds.is_string(kind) if field.name == "synergy" else is_number):
+            raise TypeError(f"its column '{field.name}' is of type {field.type}")
+    return [field.name for field in fields]
+
+
+def _imported_grasps(path: Path, table: Any, metadata: GraspMetadata) -> ImportedGrasps:
+    """Convert a table; its poses are those in `base_to_object`, always at the centre of mass."""
+    simulated = table[POSE_COLUMN].combine_chunks()
+    poses = np.asarray(simulated.flatten(), dtype=np.float64).reshape(len(table), 7)
+    words = table["synergy"].unify_dictionaries().combine_chunks()
+    names = to_words(path, "synergies", [*(name or "" for name in words.dictionary.to_pylist()), ""])
+    joints = [name for name in table.column_names if name.startswith(PREGRASP)]
+    return ImportedGrasps(
+        names=np.asarray(table["number"]).astype(str),
+        poses=poses,
+        start_positions={
+            name.removeprefix(PREGRASP): np.asarray(table[name], dtype=np.float64) for name in joints
+        },
+        synergies=names[np.asarray(words.indices.fill_null(len(names) - 1), dtype=np.int64)],
+        confidence=np.asarray(table["confidence"], dtype=np.float64),
+        scale=metadata.object_scale,
+        frame=COM,
+        gripper=metadata.gripper,
+        link=metadata.gripper_frame,
+        metadata=metadata,
+    )

@@ -1,0 +1,137 @@
+"""Progress on standard error: a moving bar on a terminal, now and then a line elsewhere."""
+
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from qdgrasp_assets.geometry.collision_parts import Tell
+from qdgrasp_coordinator.metrics.job_status import JobStatus
+from qdgrasp_protocol.text import printable
+
+QUIET_INTERVAL = 5.0  # seconds between lines where there is no terminal
+
+
+class ProgressDisplay(Protocol):
+    """Shows the figures of a job."""
+
+    def show(self, figures: JobStatus) -> None:
+        """Show how far the job is."""
+
+    def say(self, sentence: str) -> None:
+        """Say something that happened, in one line."""
+
+
+class ProgressBar(Progress):
+    """Bar with a job's name and time left; all figures stand in the lines below."""
+
+    def __init__(self, console: Console) -> None:
+        name = TextColumn("{task.description}", markup=False)
+        left = TextColumn("{task.percentage:.0f} %  {task.fields[left]}", markup=False)
+        super().__init__(name, BarColumn(None), left, console=console, expand=True)
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield the bar, then the figures."""
+        yield from super().get_renderables()
+        for task in self.tasks:
+            yield Text(task.fields["words"])
+
+
+class LiveProgress:
+    """A moving bar on a terminal."""
+
+    def __init__(self, bar: ProgressBar, name: str, budget: int) -> None:
+        self._bar = bar
+        self._task = bar.add_task(name, total=budget, words="starting", left="")
+
+    def show(self, figures: JobStatus) -> None:
+        """Move the bar on."""
+        self._bar.update(
+            self._task,
+            completed=figures.evaluations,
+            total=max(1, figures.evaluations + figures.remaining),
+            words=printable(figures.words),
+            left=figures.left,
+        )
+
+    def say(self, sentence: str) -> None:
+        """Print a line above the bar."""
+        self._bar.console.print(sentence, highlight=False, markup=False)
+
+
+class LineProgress:
+    """A line every few seconds, for logs."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._next = 0.0
+        self._trouble = ""
+
+    def show(self, figures: JobStatus) -> None:
+        """Print a line if the last one is long enough ago, or if trouble came or went."""
+        if time.monotonic() >= self._next or figures.obstacle != self._trouble:
+            self._trouble = figures.obstacle
+            self._next = time.monotonic() + QUIET_INTERVAL
+            self.say(f"{self._name}: {printable(figures.words)}, {figures.left}")
+
+    def say(self, sentence: str) -> None:
+        """Print a line."""
+        _print_line(sentence)
+
+
+@contextmanager
+def progress_display(name: str, budget: int) -> Iterator[ProgressDisplay]:
+    """Yield a bar if standard error is a terminal, else plain lines."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield LineProgress(name)
+        return
+    with ProgressBar(console) as bar:
+        yield LiveProgress(bar, name, budget)
+
+
+@contextmanager
+def progress_messages() -> Iterator[Tell]:
+    """Yield a function that shows what a command does; nothing is left on a terminal."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        with repeat_latest(_print_line, QUIET_INTERVAL) as tell:
+            yield tell
+        return
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("")
+        yield lambda sentence: shown.update(task, description=printable(sentence))
+
+
+@contextmanager
+def repeat_latest(say: Tell, interval: float) -> Iterator[Tell]:
+    """Yield a function for sentences; the latest is said every `interval` s, with its age."""
+    latest, over = ("starting", time.monotonic()), threading.Event()
+
+    def note(sentence: str) -> None:
+        nonlocal latest
+        latest = printable(sentence), time.monotonic()
+
+    def repeat() -> None:
+        while not over.wait(interval):
+            sentence, since = latest
+            say(f"{sentence}, {time.monotonic() - since:.0f} s")
+
+    thread = threading.Thread(target=repeat, name="repeat-latest", daemon=True)
+    thread.start()
+    try:
+        yield note
+    finally:
+        over.set()
+        thread.join()
+
+
+def _print_line(sentence: str) -> None:
+    print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints

@@ -1,1 +1,0 @@
-"""Looking: one evaluation shown again, and recorded rows evaluated again."""

@@ -1,0 +1,1 @@
+"""Counts, scores and bins over the rows of runs: functions of rows, without files or a bus."""

@@ -1,0 +1,91 @@
+"""Cells and orientations: the bins that hand positions and rotations are counted in.
+
+Cells are cubes of 1 cm. S_G, the paper's reference set, holds positions rounded to 1 cm; everything that
+counts or keeps positions by cell (archive, coverage, progress, `info`) makes its cells here, so that all of
+them agree.
+
+Orientations are 60 bins. A rotation belongs to the nearest of the 60 that turn an icosahedron into itself.
+They lie in the rotations as evenly as so many can: every bin is congruent to every other, a regular
+dodecahedron of unit quaternions. A rotation is 29.5 degrees from the middle of its bin on average and 44.5
+at most, and the middles of bins that share a face are 72 degrees apart (Coxeter 1973, "Regular Polytopes":
+the 600-cell and its dual).
+"""
+
+from itertools import permutations, product
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
+
+Number = TypeVar("Number", bound=np.number)
+PER_METRE = 100  # Cells in a metre: an edge is 1 cm, cell k reaches from k - 0.5 to k + 0.5 cm
+_REACH = 1 << 20  # `keys` tells cells apart whose components are smaller than this: positions within 10 km
+
+
+def cells(positions: ArrayLike) -> NDArray[np.int64]:
+    """Return the cell (n, 3) of each position (n, 3) [m].
+
+    `round(100 x)`, halves to even, computed in float64 as S_G was rounded.
+    """
+    return np.rint(np.asarray(positions, dtype=np.float64) * PER_METRE).astype(np.int64)
+
+
+def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number per cell (n, 3), equal for equal cells only: (n,), for sets and for counting."""
+    shifted = cells + _REACH
+    return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+
+
+def best_per_cell(
+    cells: NDArray[np.int64], values: NDArray[Number]
+) -> tuple[NDArray[np.int64], NDArray[Number]]:
+    """Return the greatest of `values` (n,) per distinct cell (n, 3), in lexicographic order."""
+    _, first, place = np.unique(cell_keys(cells), return_index=True, return_inverse=True)
+    order = np.argsort(values, kind="stable")
+    greatest = np.zeros(len(first), dtype=values.dtype)
+    greatest[place[order]] = values[order]  # of several, the last stays
+    return cells[first], greatest
+
+
+BINS = 60
+TURN = (-2.0, -2.0, -2.0, 3.0)
+"""Rotation of the bin middles, a quaternion xyzw before normalisation.
+
+With it, the 24 rotations that put a hand's axes on those of the object are all at least 17 degrees from a
+border. Without it, 12 of them lie where four bins meet, and rounding would spread them.
+"""
+GOLDEN = (1.0 + np.sqrt(5.0)) / 2.0
+
+
+def orientations(quaternions: ArrayLike) -> NDArray[np.int64]:
+    """Return the bin (n,), 0 to 59, of each rotation (n, 4), quaternion xyzw; of ties the first.
+
+    Written out in products and sums of float64, so that it is the same on every machine.
+    """
+    x, y, z, w = np.asarray(quaternions, dtype=np.float64).T[..., None]
+    a, b, c, d = MIDDLES.T
+    nearest: NDArray[np.int64] = np.abs(x * a + y * b + z * c + w * d).argmax(axis=1)
+    return nearest
+
+
+def _icosahedral() -> Floats:
+    """The rotations (60, 4) of an icosahedron; each of a quaternion and its negative the first."""
+    axes = np.eye(4)
+    halves = np.array(list(product((0.5, -0.5), repeat=4)))
+    golden = np.array([(p * GOLDEN, q, r / GOLDEN, 0.0) for p, q, r in product((0.5, -0.5), repeat=3)])
+    others = [golden[:, order] for order in permutations(range(4)) if _is_even(order)]
+    vertices = np.concatenate([axes, -axes, halves, *others])
+    leading = vertices[np.arange(len(vertices)), (vertices != 0).argmax(axis=1)]
+    chosen: Floats = vertices[leading > 0]
+    return chosen
+
+
+def _is_even(order: tuple[int, ...]) -> bool:
+    swaps = sum(first > second for i, first in enumerate(order) for second in order[i + 1 :])
+    return swaps % 2 == 0
+
+
+MIDDLES: Floats = multiply(_icosahedral(), np.broadcast_to(unit(np.array([TURN])), (BINS, 4)))
+"""(60, 4): the middle of each bin."""

@@ -1,0 +1,342 @@
+"""Published status of a job, its runs, workers and events; each struct travels as JSON.
+
+Defined once, published about once a second (docs/bus.md), shown by every monitor.
+"""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from functools import cache
+from typing import Annotated, Literal, TypeVar, get_type_hints
+
+import msgspec
+from msgspec import Meta, Struct, structs
+
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import shorten
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import counted
+
+RUNS_PER_PAGE = 256  # The most entries in one answer
+
+
+class RunListing(RunTotals, frozen=True, kw_only=True):
+    """Identity of a run, and what its rows add up to: in progress, or in a job's folder."""
+
+    run: Annotated[str, "Its name in its job."]
+    gripper: Annotated[str, "As the spec names it: built in, or a file."]
+    object: Annotated[str, "As the spec names it: built in, on the asset path, or a file."]
+    method: Annotated[str, "The search with its prior."]
+    protocol: Annotated[str, "The evaluation protocol."]
+    seed: Annotated[int, "Of the search."]
+    scene: Annotated[str, "sha256 of the scene bundle."]
+    budget: Annotated[int, "Counted evaluations after which it is over."]
+    rows: Annotated[int, "Journal rows: genomes and trials."]
+    outcomes: Annotated[
+        dict[str, int],
+        "Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case.",
+    ]
+    finished: Annotated[str, "Why the run is over, in words; empty while it is not."] = ""
+    folder: Annotated[
+        str, "Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."
+    ] = ""
+
+    @classmethod
+    def of(cls, run: str, spec: RunSpec, scene: str, counter: RunCounter) -> "RunListing":
+        """Return the listing of a run from its name, spec, scene and the counter of its rows."""
+        return RunListing(
+            **structs.asdict(counter.totals),
+            run=run,
+            gripper=spec.gripper,
+            object=spec.object,
+            method=spec.method,
+            protocol=spec.protocol,
+            seed=spec.seed,
+            scene=scene,
+            budget=counter.budget,
+            rows=counter.rows,
+            outcomes=counter.outcomes,
+            finished=counter.finished or "",
+        )
+
+
+class RunListings(Struct, frozen=True, kw_only=True):
+    """Runs in a job's folder, also finished ones, by name. JSON, the answer on `rec/runs`."""
+
+    runs: Annotated[list[RunListing], "Those whose rows are counted."]
+    next: Annotated[int, "Ask with `from=<next>` for the runs behind these; 0: there are none."] = 0
+    uncounted: Annotated[
+        int, "Runs left out because their rows are still being counted: ask again in a while."
+    ] = 0
+    host: Annotated[str, "The recorder's machine."] = ""
+    curve: Annotated[
+        GrowthCurve | None,
+        (
+            "How the one run grew that was asked for; "
+            "None where all were, or where its rows are not all there."
+        ),
+    ] = None
+
+
+EVENTS_KEPT = 200  # Events that a coordinator keeps for late subscribers
+
+EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
+"""Subject; "trouble" keeps a job from going on, "error" is a row or run that is given up."""
+
+
+class JobEvent(Struct, frozen=True, kw_only=True):
+    """Something that happened. Travels as JSON on `event/<kind>`."""
+
+    number: Annotated[int, "Counts the events of one coordinator process, from 1."]
+    at: Annotated[datetime, Meta(tz=True), "When."]
+    kind: Annotated[
+        EventKind,
+        "job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up.",
+    ]
+    words: Annotated[str, "What, in a sentence for a person."]
+    run: Annotated[str, "Which run it is about; empty: none."] = ""
+    worker: Annotated[str, "Which worker (its `wid`) it is about; empty: none."] = ""
+
+
+class JobEvents(Struct, frozen=True, kw_only=True):
+    """Latest events, eldest first, at most `EVENTS_KEPT`. JSON, the answer to `event/recent`."""
+
+    events: Annotated[list[JobEvent], "At most 200, eldest first."]
+
+
+WORKERS_PER_PAGE = 64  # The most workers on one page
+
+
+class WorkerStatus(Struct, frozen=True, kw_only=True):
+    """A worker of a job, as the coordinator sees it."""
+
+    wid: Annotated[str, "Its id: 32 hexadecimal digits, new at every start."]
+    host: Annotated[str, "Where it runs."]
+    pid: Annotated[int, "Of its process."]
+    state: Annotated[
+        str, '"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone".'
+    ]
+    batches: Annotated[int, "Batches that it holds."]
+    rows: Annotated[int, "Rows that it has settled."]
+    rate: Annotated[
+        float, "Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."
+    ]
+    seconds: Annotated[float, "Since it joined [s]."]
+    seen: Annotated[float, "Since it was heard of last, by a sign, a result or a join [s]."]
+    memory: Annotated[
+        int, "What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."
+    ]
+    restarts: Annotated[int, "How often it has started its simulator again."]
+
+
+class WorkersPage(Struct, frozen=True, kw_only=True):
+    """A page of a job's workers, in the order of their joins. JSON on `stat/team/<page>`.
+
+    A worker that is gone stays on it for a minute.
+    """
+
+    page: Annotated[int, "Counted from 0."]
+    pages: Annotated[
+        int, "How many there are; those of a higher number, shown before, are not valid any more."
+    ]
+    workers: Annotated[
+        list[WorkerStatus],
+        "At most 64, in the order in which they joined; those that are gone stand last, for a minute.",
+    ]
+
+
+@cache
+def meanings(kind: type[Struct]) -> dict[str, str]:
+    """Return the docstring of each field of a struct, of its bases too, each in one line."""
+    hints = get_type_hints(kind, include_extras=True)
+    noted = {field: getattr(hint, "__metadata__", ()) for field, hint in hints.items()}
+    words = ((field, getattr(note, "description", note)) for field, notes in noted.items() for note in notes)
+    return {field: text for field, text in words if isinstance(text, str)}
+
+
+GREATEST_COUNT = 2**63  # Greatest number allowed in a published struct
+LONGEST_WAIT = 1e10  # seconds that nobody waits for
+STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
+
+
+class RunStatus(RunListing, frozen=True, kw_only=True):
+    """Progress of a run. Travels as JSON on `stat/run/<run>`."""
+
+    workers: Annotated[int, "Workers of the job that are there, and make progress."]
+    durable: Annotated[int, "Rows that the recorder reports to be on disk."]
+    seconds: Annotated[float, "Since the coordinator opened the run [s]."]
+    rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
+    trouble: Annotated[str, "What keeps the run from going on, in words; empty when nothing does."] = ""
+
+    @property
+    def remaining(self) -> int:
+        """Counted evaluations that it may still take; 0 once it is over."""
+        return 0 if self.finished else max(0, self.budget - self.evaluations)
+
+    @property
+    def done(self) -> float:
+        """Share of the run that is done, 0 to 1."""
+        return _share_done(self.evaluations, self.remaining)
+
+    @property
+    def left(self) -> str:
+        """The time left in words, at the speed so far."""
+        return _time_left(self.remaining, self.rate)
+
+
+class JobStatus(RunTotals, frozen=True, kw_only=True):
+    """Progress of a job with all of its runs. Travels as JSON on `stat/job`."""
+
+    job: Annotated[str, "Its name."]
+    runs: Annotated[int, "Of the job, begun or not."]
+    runs_done: Annotated[int, "Finished and recorded, also by earlier coordinators."]
+    runs_failed: Annotated[int, "Which cannot be carried out."]
+    runs_open: Annotated[int, "In progress."]
+    budget: Annotated[int, "Counted evaluations after which all runs are over."]
+    remaining: Annotated[
+        int,
+        ("Counted evaluations that runs which are not over may still take; those that end early take fewer."),
+    ]
+    waiting: Annotated[
+        int, "Settled rows that are not known to be on disk: how far the recorder is behind."
+    ] = 0
+    requeued: Annotated[
+        int, "Batches that were queued again, as their worker was lost, in this coordinator's turn."
+    ] = 0
+    strays: Annotated[
+        int, "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
+    ] = 0
+    workers: Annotated[int, "Workers that are there, and make progress."]
+    seconds: Annotated[float, "Since the coordinator started [s]."]
+    rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
+    trouble: Annotated[str, "What keeps the job from going on, in words; empty when nothing does."] = ""
+    state: Annotated[
+        str,
+        ('"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled".'),
+    ] = "running"
+    recorders: Annotated[int, "Recorders of this job that are there."] = 0
+
+    @property
+    def words(self) -> str:
+        """One line for a person."""
+        failed = f" and {self.runs_failed} failed" if self.runs_failed else ""
+        runs = f"{self.runs_done} of {self.runs} runs{failed}, " if self.runs > 1 else ""
+        done = f"{runs}{self.evaluations} of {counted(self.budget, 'evaluation')}"
+        if self.obstacle:
+            return f"{done}, paused: {self.obstacle}"
+        if self.state == "starting":
+            return f"{done}, starting"
+        if self.state == "paused":
+            return f"{done}, paused until `qdgrasp continue {self.job}`"
+        if not self.workers and not self.rate:
+            return f"{done}, no worker yet"
+        trials = f"{counted(self.trials, 'trial')}, " if self.trials else ""
+        workers = counted(self.workers, "worker")
+        return f"{done}, {self.rate:.0f}/s, {self.found}, {self.screened}, {trials}{workers}"
+
+    @property
+    def obstacle(self) -> str:
+        """The trouble; empty at first, while a recorder may still be starting."""
+        return "" if self.state == "starting" and self.seconds < STARTUP_SECONDS else self.trouble
+
+    @property
+    def done(self) -> float:
+        """Share of the job that is done, 0 to 1; a run that ended early or failed has nothing left."""
+        return _share_done(self.evaluations, self.remaining)
+
+    @property
+    def left(self) -> str:
+        """The time left in words, at the speed so far."""
+        return _time_left(self.remaining, self.rate)
+
+
+class JobMeta(Struct, frozen=True, kw_only=True):
+    """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
+
+    job: Annotated[str, "Its name."]
+    epoch: Annotated[int, "The coordinator's turn; 0 before it has one: no recorder has answered yet."]
+    since: Annotated[datetime, Meta(tz=True), "When this coordinator started."]
+    host: Annotated[str, "The coordinator's."]
+    pid: Annotated[int, "Of the coordinator's process."]
+    version: Annotated[str, "Of qdgrasp."]
+    runs: Annotated[int, "Of the job, begun or not."]
+    budget: Annotated[int, "Counted evaluations after which all runs are over."]
+    identity: Annotated[str, "What tells the job from another one of its name; empty: it is not known."] = ""
+
+
+def _share_done(evaluations: int, remaining: int) -> float:
+    """Return the share of evaluations that are done, 0 to 1."""
+    return evaluations / (evaluations + remaining) if evaluations else 0.0
+
+
+def _time_left(evaluations: int, rate: float) -> str:
+    """The time that so many evaluations take at so many per second, in words."""
+    if rate <= 0 or evaluations / rate > LONGEST_WAIT:
+        return "time left unknown"
+    seconds = round(evaluations / rate)
+    hours, seconds = divmod(seconds, 3600)
+    return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
+
+
+Kind = TypeVar("Kind", bound=Struct)
+
+
+def to_json(shown: Struct) -> bytes:
+    """Encode a published struct as JSON, readable with any zenoh tool."""
+    return msgspec.json.encode(shown)
+
+
+def from_json(payload: bytes, kind: type[Kind]) -> Kind:
+    """Decode a published struct; raise `MessageError` for other JSON, or numbers beyond bounds."""
+    try:
+        shown = msgspec.json.decode(payload, type=kind)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # ValueError: text that is not UTF-8
+        raise MessageError(f"not figures: {error}") from None
+    if not _are_counts(shown):
+        raise MessageError("not figures: a number is negative, or beyond all bounds")
+    return shown
+
+
+def _are_counts(value: object) -> bool:
+    """Return whether all numbers in a published value are between 0 and `GREATEST_COUNT`."""
+    match value:
+        case int() | float():
+            return 0 <= value <= GREATEST_COUNT
+        case Struct():
+            return all(_are_counts(getattr(value, name)) for name in value.__struct_fields__)
+        case list():
+            return all(map(_are_counts, value))
+        case dict():
+            return all(map(_are_counts, value.values()))
+    return True
+
+
+def utc_now() -> datetime:
+    """Return the present time in UTC."""
+    return datetime.now(UTC)
+
+
+class EventLog:
+    """Numbers events, keeps the latest, and shows each as it happens."""
+
+    def __init__(
+        self, show: Callable[[JobEvent], None] = lambda _event: None, clock: Callable[[], datetime] = utc_now
+    ) -> None:
+        self._show = show
+        self._clock = clock
+        self._latest: tuple[JobEvent, ...] = ()
+        self._count = 0
+
+    def note(self, kind: EventKind, words: str, *, run: str = "", worker: str = "") -> None:
+        """Add an event: a sentence, and the run or worker that it is about, if any."""
+        self._count += 1
+        event = JobEvent(
+            number=self._count, at=self._clock(), kind=kind, words=shorten(words), run=run, worker=worker
+        )
+        self._latest = (*self._latest[1 - EVENTS_KEPT :], event)
+        self._show(event)
+
+    @property
+    def latest(self) -> JobEvents:
+        """The latest events."""
+        return JobEvents(events=list(self._latest))

@@ -1,0 +1,370 @@
+"""Coverage of reference sets, and which set belongs to a scene.
+
+S_G and cvg are those of Huber et al. 2024, section IV.
+
+A reference set holds the cells that are known to be graspable. It is an `.npz` file with, for each object,
+`<object>.cm` (n, 3), hand positions in whole centimetres in the object's CoM frame, and `<object>.fitness`
+(n,), the best fitness known there: 0, 1 or 2. Sets that were built here also say of what
+(`ReferenceOrigin`): `gripper`, and for each object `<object>.made_with`, `.identity` and `.protocols`.
+
+`ReleasedArchive` is the outcome archive of the authors' released code, which keeps fewer successes than a
+journal does: coverage is given in both countings.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_assets.asset_paths import on_asset_path
+from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
+from qdgrasp_assets.scene import Scene, SceneObject
+from qdgrasp_coordinator.metrics.arrays import read_arrays
+from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.scores import ROBUST
+from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+from qdgrasp_protocol.text import counted
+
+SCAN_PREFIX = "ycb_"
+
+
+ARCHIVE_BIN = 0.01  # The bins are this wide or a little wider [m]
+HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
+"""Largest extent of each reference hand's bounding box, added to that of the object [m]."""
+SAME_HAND = {"panda": "panda_2f", "barrett": "bh280"}
+"""Models of our own, by the reference hand that they stand for."""
+
+
+@dataclass(frozen=True)
+class ReleasedArchive:
+    """The cube of the released code's archive, in the frame of the positions."""
+
+    low: NDArray[np.float64]
+    """(3,) [m]: the corner with the smallest coordinates."""
+    side: float
+    """Length of its edges [m]."""
+
+    @property
+    def bins(self) -> int:
+        """Number of bins along each axis."""
+        return int(self.side / ARCHIVE_BIN)
+
+    def keys(self, positions: NDArray[np.floating]) -> NDArray[np.int64]:
+        """The flattened bin of each position (n, 3) [m]; (n,), not clipped below, as released."""
+        place = np.floor((positions.astype(np.float64) - self.low) / (self.side / self.bins)).astype(np.int64)
+        place = np.where(place > self.bins, self.bins - 1, place)
+        keys: NDArray[np.int64] = place @ np.array([1, self.bins, self.bins**2])
+        return keys
+
+    def elites(self, positions: NDArray[np.floating], fitness: NDArray[np.number]) -> NDArray[np.intp]:
+        """Return places (m,) of the elites: in each cell the first success of the greatest fitness.
+
+        `positions` (n, 3) [m], CoM frame, and their `fitness` (n,) are in journal order.
+        """
+        keys = self.keys(positions)
+        order = np.lexsort((np.arange(len(keys)), -fitness.astype(np.float64), keys))
+        _, first = np.unique(keys[order], return_index=True)
+        return order[first]
+
+
+def released_archive(scene: Scene) -> ReleasedArchive | None:
+    """Return the released code's archive for a scene; None: that code does not have this hand.
+
+    The cube stands around the object's bounding box as it was while the mesh frame lay at the origin. The
+    object is moved to its centre of mass afterwards, the cube is not.
+    """
+    extent = HAND_EXTENT.get(reference_hand(scene.gripper.name))
+    if extent is None:
+        return None
+    hulls = _hull_vertices(scene.object.collision) + np.array(scene.object.com_in_mesh)
+    low, high = hulls.min(axis=0) - BULLET_MARGIN, hulls.max(axis=0) + BULLET_MARGIN
+    side = extent + float((high - low).max())
+    return ReleasedArchive((low + high) / 2 - side / 2, side)
+
+
+def reference_hand(gripper: str) -> str:
+    """Return the reference hand that a gripper is or stands for; else its own name."""
+    hand = gripper.removeprefix("ref_")
+    return SAME_HAND.get(hand, hand)
+
+
+def _hull_vertices(obj: bytes) -> NDArray[np.float64]:
+    lines = (line.split() for line in obj.splitlines() if line.startswith(b"v "))
+    return np.array([[float(number) for number in line[1:4]] for line in lines])
+
+
+EXPECTED_FILE = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
+ORIGIN_KEYS = ("made_with", "identity", "protocols")
+"""Keys under which a set that was built here describes each object, beside its gripper."""
+
+
+@dataclass(frozen=True)
+class ReferenceOrigin:
+    """Runs that a set was built from."""
+
+    gripper: str
+    object: str
+    """The object of its runs: a name of the catalog or that of a mesh file."""
+    identity: str
+    """`object_identity` of that object."""
+    protocols: tuple[str, ...]
+    """The evaluation protocols of its runs, sorted."""
+
+
+@dataclass(frozen=True)
+class ReferenceSet:
+    """The graspable cells of one object."""
+
+    object: str
+    cells: NDArray[np.int64]
+    """(n, 3), distinct, whole centimetres, CoM frame."""
+    fitness: NDArray[np.uint8]
+    """(n,), the best fitness known in each cell: 0, 1 or 2."""
+    origin: ReferenceOrigin | None = None
+    """None: of the published scans, and the file does not say more."""
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    @property
+    def robust(self) -> "ReferenceSet":
+        """The entries with fitness 2."""
+        chosen = self.fitness == ROBUST
+        return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen])
+
+
+def read_reference(path: Path, name: str) -> ReferenceSet:
+    """Return the set of the object `name` in a file.
+
+    Raises `InputError` where there is no npz file of plain arrays, `AssetError` where it is not a reference
+    set, and `UnknownName` where it has no set for this object; those it has are named.
+    """
+    sets = read_references(path)
+    if name not in sets:
+        raise UnknownName(f"object of the reference set '{path}'", name, sets)
+    return sets[name]
+
+
+def read_references(path: Path) -> dict[str, ReferenceSet]:
+    """All sets in a file by object; raises as `read_reference`."""
+    arrays = read_arrays(path, "reference set")
+    objects = [key.removesuffix(".cm") for key in arrays if key.endswith(".cm")]
+    if not objects:
+        raise AssetError(
+            f"'{path}' holds no reference set: {EXPECTED_FILE}, found {', '.join(arrays) or 'nothing'}."
+        )
+    return {name: _checked_set(path, name, arrays) for name in objects}
+
+
+def is_stand_in(run_object: str, identity: str, reference: ReferenceSet) -> bool:
+    """Return whether a run's object only stands in for the scan that a set was made with.
+
+    The object is given as the run's spec names it, with its `object_identity`; a set that does not say what
+    it was built from was made with the scan. Raises `InputError` where the run is neither on the object that
+    the set was made with nor, where that is the scan, on its stand-in: its positions mean something else.
+    """
+    name, origin = reference.object, reference.origin
+    if origin is not None and origin.identity == identity:
+        return False
+    if origin is not None and origin.object != f"ycb_{name}":
+        raise InputError(
+            f"The set of '{name}' was built from runs on '{origin.object}', but this run is on "
+            f"'{run_object}', whose mesh or centre of mass is another."
+        )
+    if run_object not in (name, f"ycb_{name}"):
+        raise InputError(
+            f"The set of '{name}' compares with runs on 'ycb_{name}' or on the stand-in '{name}', "
+            f"but this run is on '{run_object}'; name the run's object with --object."
+        )
+    return run_object == name
+
+
+def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:
+    found, fitness = arrays[f"{name}.cm"], arrays.get(f"{name}.fitness")
+    if found.dtype.kind not in "iu" or found.ndim != 2 or found.shape[1] != 3:
+        raise AssetError(f"'{name}.cm' in '{path}' must be whole numbers (n, 3), got {_array_form(found)}.")
+    if fitness is None or fitness.shape != (len(found),):
+        form = "nothing" if fitness is None else _array_form(fitness)
+        raise AssetError(f"'{name}.fitness' in '{path}' must be ({len(found)},), got {form}.")
+    cells = found.astype(np.int64)
+    if len(np.unique(cells, axis=0)) != len(cells):
+        raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")
+    return ReferenceSet(name, cells, fitness.astype(np.uint8), _origin(name, arrays))
+
+
+def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOrigin | None:
+    values = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
+    gripper, made_with, identity, protocols = values
+    if gripper is None or made_with is None or identity is None or protocols is None:
+        return None
+    return ReferenceOrigin(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))
+
+
+def _array_form(array: NDArray[np.generic]) -> str:
+    return f"{array.dtype} {array.shape}"
+
+
+PUBLISHED_SETS = "reference/S_G_{hand}.npz"  # Where the published sets lie on the asset path
+
+
+@dataclass(frozen=True)
+class CoverageTarget:
+    """Reference set and archive that a scene's positions are compared with."""
+
+    reference: ReferenceSet | None = None
+    """Never empty; None: there is nothing to compare with."""
+    archive: ReleasedArchive | None = None
+    """The released code's archive; None for a hand that it lacks, and for a set of one's own."""
+    stand_in: bool = False
+    """True if the scene's object only stands in for the scan that the set was made with."""
+    why: str = ""
+    """Reason why there is no set, in words."""
+
+    @property
+    def size(self) -> int:
+        """Number of entries of the set; 0 without one."""
+        return 0 if self.reference is None else len(self.reference)
+
+
+class ReferenceLookup:
+    """Finds the target of each scene.
+
+    Sets in `files` come before the published ones on the asset path. A file that does not say which hand it
+    is for says it by its name, `S_G_<hand>.npz`.
+    """
+
+    def __init__(self, files: Sequence[Path] = ()) -> None:
+        self._own = [(path, read_references(path)) for path in files]
+
+    def of(self, scene: Scene, run_object: str) -> CoverageTarget:
+        """The target of a scene whose object a run's spec calls `run_object`."""
+        hand, body = reference_hand(scene.gripper.name), object_identity(scene.object)
+        name = scene.object.name.removeprefix(SCAN_PREFIX)
+        for known in self._candidates(hand, scene.gripper.name, body, name):
+            try:
+                stand_in = is_stand_in(run_object, body, known)
+            except InputError:
+                continue
+            if len(known):
+                archive = released_archive(scene) if known.origin is None else None
+                return CoverageTarget(known, archive, stand_in)
+            return CoverageTarget(why=f"S_G of {hand} and {name} is empty")
+        return CoverageTarget(why=f"no S_G of {hand} and {name}")
+
+    def _candidates(self, hand: str, gripper: str, body: str, name: str) -> Iterator[ReferenceSet]:
+        for path, sets in self._own:
+            for known in sets.values():
+                origin = known.origin
+                hers = path.stem.endswith(f"_{hand}") if origin is None else origin.gripper == gripper
+                if hers and (known.object == name or (origin is not None and origin.identity == body)):
+                    yield known
+        published = on_asset_path(PUBLISHED_SETS.format(hand=hand))
+        if published is not None and name in (sets := _read_published(published)):
+            yield sets[name]
+
+
+_read_published = cache(read_references)
+
+
+class Coverage(Struct, frozen=True, kw_only=True):
+    """Coverage of a reference set; None where the denominator of a ratio is 0."""
+
+    coverage: float | None
+    """`found` over `size`, 0 to 1."""
+    robust: float | None
+    """`robust_found` over `robust_size`, 0 to 1."""
+    released: float | None
+    """`released_found` over `size`: the authors' code counts elites, not positions."""
+    released_robust: float | None
+    """Elites of fitness 2 whose position is in the set, over `robust_size`; may exceed 1."""
+    size: int
+    """Entries of the set."""
+    found: int
+    """Distinct success positions, rounded to 1 cm, that are in the set."""
+    outside: int
+    """Distinct success positions, rounded to 1 cm, that are not."""
+    robust_size: int
+    """Entries of the set with fitness 2."""
+    robust_found: int
+    """Those in which a success of fitness 2 was found."""
+    released_found: int | None
+    """Elites of the released code's archive in the set; None for a foreign hand or set."""
+    sentence: str = ""
+    """The result in words."""
+
+
+def coverage(
+    positions: NDArray[np.floating],
+    fitness: NDArray[np.number],
+    reference: ReferenceSet,
+    archive: ReleasedArchive | None = None,
+) -> Coverage:
+    """Compare a run's successes with the reference set of the same object.
+
+    `positions` (n, 3) [m] of the hand, CoM frame, and `fitness` (n,) are in journal order. Without the
+    released code's archive for this scene, its figures are left out, and so they are for a set of one's own,
+    which that code never had.
+    """
+    reached, robust = cells(positions), reference.robust
+    distinct = np.unique(reached, axis=0)
+    found = _common_cells(distinct, reference)
+    robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
+    elites = robust_elites = None
+    if archive is not None and reference.origin is None:
+        kept = archive.elites(positions, fitness)
+        elites = _common_cells(reached[kept], reference)
+        robust_elites = _common_cells(reached[kept[fitness[kept] == ROBUST]], reference)
+    result = Coverage(
+        coverage=_ratio(found, len(reference)),
+        robust=_ratio(robust_found, len(robust)),
+        released=_ratio(elites, len(reference)),
+        released_robust=_ratio(robust_elites, len(robust)),
+        size=len(reference),
+        found=found,
+        outside=len(distinct) - found,
+        robust_size=len(robust),
+        robust_found=robust_found,
+        released_found=elites,
+    )
+    return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
+
+
+def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:
+    """Count the `positions` (n, 3) that are cells of the set; repeated ones count repeatedly."""
+    return int(np.isin(cell_keys(positions), cell_keys(reference.cells)).sum())
+
+
+def _ratio(found: int | None, size: int) -> float | None:
+    return None if found is None or size == 0 else found / size
+
+
+def _sentence(result: Coverage, name: str) -> str:
+    if result.coverage is None:
+        return f"The reference set of '{name}' is empty, so that there is no coverage of it."
+    words = (
+        f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
+        f"and {counted(result.outside, 'cell that is', 'cells that are')} not in the set."
+    )
+    if result.robust is not None:
+        found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
+        words += f" With fitness 2 were found {found} ({result.robust:.2%})."
+    if result.released is not None:
+        found = f"{result.released_found} of the {result.size}"
+        words += f" The released code counts {found} ({result.released:.2%})."
+    return words
+
+
+def object_identity(body: SceneObject) -> str:
+    """The sha256 of an object's surface mesh and centre of mass: what positions on it depend on.
+
+    Mass, friction, convex parts, gripper and protocol are not part of it.
+    """
+    com = np.array(body.com_in_mesh, dtype="<f8").tobytes()
+    parts = (com, body.mesh_vertices, body.mesh_faces)
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()

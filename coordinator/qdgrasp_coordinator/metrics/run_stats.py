@@ -1,0 +1,343 @@
+"""Counts over the rows of a run: totals, growth by generation, and whether it is complete.
+
+All of it is a function of the journal's rows in their order, so that a run that was replayed has the same
+counts.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Self
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.metrics.arrays import take_rows
+from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria, StopTracker, count_to_first
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.spec import Overlaps, RunSpec
+from qdgrasp_protocol.text import counted
+
+CURVE_POINTS = 512  # The most points of a curve
+
+
+class CurvePoint(Struct, frozen=True, array_like=True):
+    """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
+
+    evaluations: Annotated[int, "Counted evaluations."]
+    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
+    successes: Annotated[int, "A finger touches the object after closing."]
+    cells: Annotated[int, "Distinct 1 cm cells with a success."]
+    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
+
+
+class GrowthCurve(Struct, frozen=True, kw_only=True):
+    """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
+
+    run: Annotated[str, "Its name in its job."]
+    points: Annotated[
+        list[CurvePoint],
+        "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust.",
+    ]
+
+
+class CurveRecorder:
+    """Keeps the counts of a run generation by generation, and thins them by halves.
+
+    A function of the rows alone: a run that was replayed has the same curve.
+    """
+
+    def __init__(self) -> None:
+        self.points: list[CurvePoint] = []
+        self._step = 1
+        self._generations = 0
+
+    def record(self, point: CurvePoint) -> None:
+        """Record the counts at the end of the next generation."""
+        self._generations += 1
+        if self._generations % self._step == 0 and len(self.points) == CURVE_POINTS:
+            self.points = self.points[1::2]
+            self._step *= 2
+        if self._generations % self._step == 0:
+            self.points.append(point)
+
+
+class RunTotals(Struct, frozen=True, kw_only=True):
+    """Counts of a run or, summed, of a job; the first part of all structs that show them."""
+
+    evaluations: Annotated[int, "Counted evaluations."]
+    simulated: Annotated[int, "Genomes whose hand closed."]
+    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
+    overlaps: Annotated[
+        int, "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
+    ]
+    dead_ends: Annotated[int, "Genomes for which there was no pose, or none worth a simulation."]
+    successes: Annotated[int, "A finger touches the object after closing."]
+    grasps: Annotated[int, "Successes that survived a shake: fitness 1 or more."]
+    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
+    errors: Annotated[int, "Rows on which the simulator failed three times, trials included."]
+    cells: Annotated[int, "Distinct 1 cm cells with a success; of a job their sum over its runs."]
+    trials: Annotated[int, "Rows that are trials of successes; 0 where no protocol has them."]
+
+    @property
+    def found(self) -> str:
+        """Number of successes and of cells, in words."""
+        return f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
+
+    @property
+    def screened(self) -> str:
+        """The other counting, beside evaluations, in words: how much was screened for them."""
+        return (
+            f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
+            f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
+        )
+
+    @property
+    def totals(self) -> "RunTotals":
+        """These counts alone, without those that a derived struct adds."""
+        return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
+
+    def __add__(self, other: "RunTotals") -> "RunTotals":
+        return RunTotals(**{name: getattr(self, name) + getattr(other, name) for name in TOTAL_NAMES})
+
+
+TOTAL_NAMES = RunTotals.__struct_fields__  # Names of all counts that are added up
+NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
+
+
+BARREN = 20  # Generations in a row that counted nothing after which a run may end (`BARREN_GENOMES`)
+BARREN_GENOMES = 1000  # Least genomes in these generations: with few at a time, bad luck may last for twenty
+
+BUDGET_ALONE = StopCriteria()
+
+
+def evaluation_mask(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
+    """Flag the rows that count as evaluations: (n,).
+
+    "count": every nominal row, as every pose was given to the simulator or its filters (the paper's
+    "evaluated samples"). "redraw": those that were simulated. Trials above 0 never count.
+    """
+    nominal: NDArray[np.bool_] = rows["trial"] == 0
+    return nominal if overlaps == "count" else nominal & (rows["outcome"] >= Outcome.MISSED)
+
+
+def success_mask(rows: Rows) -> NDArray[np.bool_]:
+    """Flag the nominal successes, which archives, coverage and figures count: (n,)."""
+    found: NDArray[np.bool_] = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
+    return found
+
+
+def successes(rows: Rows) -> Rows:
+    """The nominal successes among rows, in their order."""
+    return rows[success_mask(rows)]
+
+
+class RunCounter:
+    """Counts the rows of a journal in its order; outcomes are those of nominal rows.
+
+    The run is over after `budget` counted evaluations, or when a goal is reached; each success has `trials`
+    trials; `overlaps` says whether overlaps count as evaluations.
+    """
+
+    rows: int = 0
+    evaluations: int = 0
+    """Counted evaluations: what the budget limits."""
+    proposals: int = 0
+    """Poses that decoding screened."""
+    trials: int = 0
+    """Rows that are trials."""
+    errors: int = 0
+    """Rows on which the simulator failed three times, trials included."""
+
+    def __init__(
+        self, budget: int, overlaps: Overlaps, trials: int = 0, goals: StopCriteria = BUDGET_ALONE
+    ) -> None:
+        self.budget = budget
+        self._overlaps = overlaps
+        self._trials = trials
+        self._barren = 0
+        self._before = 0
+        self._nominal = 0
+        self._fruitful = 0  # nominal rows up to the last generation that counted something
+        self._last: np.void | None = None  # the last nominal row
+        self._trials_follow = False
+        self._outcomes = [0] * len(Outcome)
+        self._cells: set[int] = set()
+        self._goals = goals
+        self._tracker = StopTracker(goals, self._cells)
+        self._curve = CurveRecorder()
+        self.finished = self._ending()
+        """Reason why the run is over, in words; None while it is not."""
+
+    @classmethod
+    def of(cls, spec: RunSpec) -> Self:
+        """Return the counter of a run that has no rows yet."""
+        return cls(spec.evaluations, spec.overlaps, trial_count(spec.protocol), StopCriteria.of(spec))
+
+    def count_block(self, block: Rows, population: int) -> None:
+        """Count the next rows of a journal, and record where each generation of this size ends."""
+        for number in np.unique(block["generation"]):
+            rows = block[block["generation"] == number]
+            self.count(rows)
+            if ((rows["index"] == population - 1) & (rows["trial"] == 0)).any():
+                self.end_generation()
+
+    def count(self, rows: Rows) -> None:
+        """Count the next rows."""
+        if not len(rows):
+            return
+        self.rows += len(rows)
+        self.errors += int(np.count_nonzero(rows["outcome"] == Outcome.ERROR))
+        is_nominal = rows["trial"] == 0
+        self._trials_follow = not is_nominal[-1]
+        self._count_nominal(rows if is_nominal.all() else take_rows(rows, is_nominal))
+        self.trials = self.rows - sum(self._outcomes)
+        self.finished = self._ending()
+
+    def _count_nominal(self, rows: Rows) -> None:
+        if self._goals != BUDGET_ALONE:
+            self._tracker.count(rows, evaluation_mask(rows, self._overlaps))
+        outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
+        self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
+        self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
+        self.proposals += int(rows["proposals"].sum(dtype=np.int64))
+        found = rows["outcome"] >= Outcome.DROPPED
+        self._cells.update(cell_keys(cells(rows["descriptor"][found, :3])).tolist())
+        if len(rows):
+            self._last = rows[-1]
+
+    def end_generation(self) -> None:
+        """Record that the rows counted so far end a generation."""
+        self._nominal = self.rows - self.trials
+        self._barren += 1
+        if self.evaluations > self._before:
+            self._barren, self._before, self._fruitful = 0, self.evaluations, self._nominal
+        self.finished = self._ending()
+        self._curve.record(
+            CurvePoint(self.evaluations, self.proposals, self.successes, self.cells, self.robust)
+        )
+
+    def curve(self, run: str) -> GrowthCurve:
+        """Return the growth of the counts so far, of the run of that name."""
+        return GrowthCurve(run=run, points=list(self._curve.points))
+
+    @property
+    def totals(self) -> RunTotals:
+        """The counts that are published."""
+        return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
+
+    @property
+    def left(self) -> int:
+        """Counted evaluations that the budget still allows."""
+        return self.budget - self.evaluations
+
+    @property
+    def is_reached(self) -> bool:
+        """True if the budget or a goal is reached: only trials may follow."""
+        return self.left <= 0 or self._goal is not None
+
+    def rows_until_stop(self, rows: Rows) -> int:
+        """Return how many of the next rows, nominal ones or trials, belong to the run.
+
+        All, if it goes on behind them, or if it is reached and these are trials.
+        """
+        if self.is_reached or not len(rows) or rows["trial"][0] > 0:
+            return len(rows)
+        ends = [len(rows)]
+        if self.left <= len(rows):
+            ends.append(count_to_first(np.cumsum(evaluation_mask(rows, self._overlaps)) >= self.left))
+        if self._goals != BUDGET_ALONE:
+            ends.append(
+                self._tracker.rows_until_stop(rows, evaluation_mask(rows, self._overlaps), self.successes)
+            )
+        return min(ends)
+
+    @property
+    def _goal(self) -> str | None:
+        return self._tracker.reached(self.successes)
+
+    def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
+        """Check that the rows counted begin a journal of `spec`, which may have another budget.
+
+        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on behind that budget or a
+        goal, or if they end a generation early for the sake of other ones: what follows then are trials,
+        where a greater budget has nominal rows first.
+        """
+        if self._last is None:
+            return
+        is_counted = bool(evaluation_mask(self._last.reshape(1), self._overlaps)[0])
+        least = self.evaluations + (not is_counted)
+        if spec.evaluations < least:
+            raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
+        self._tracker.check(self.successes, bool(self._last["outcome"] >= Outcome.DROPPED))
+        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
+        if is_cut and spec.evaluations > least and self._goal is None:
+            expected = f"{least}: trials end the generation there, and only whole generations can be extended"
+            raise ImpossibleValue(where, spec.evaluations, expected)
+
+    def _ending(self) -> str | None:
+        if self.left <= 0 and not self._missing_trials:
+            return f"the budget of {self.budget} evaluations is spent"
+        if self._goal is not None and not self._missing_trials:
+            return self._goal
+        genomes = self._nominal - self._fruitful
+        if self._barren >= BARREN and genomes >= BARREN_GENOMES:
+            return f"the last {genomes} genomes, {self._barren} generations, counted no evaluation"
+        return None
+
+    @property
+    def _missing_trials(self) -> int:
+        """Trials of the successes so far that have not been counted yet."""
+        return self._trials * self.successes - self.trials
+
+    def _from(self, outcome: Outcome) -> int:
+        return sum(self._outcomes[outcome:])
+
+    @property
+    def cells(self) -> int:
+        """Distinct 1 cm cells with a success."""
+        return len(self._cells)
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """Number of nominal rows by outcome, under the `Outcome`'s name in lower case."""
+        return {outcome.name.lower(): self._outcomes[outcome] for outcome in Outcome}
+
+    @property
+    def dead_ends(self) -> int:
+        """Rows for which decoding found no pose."""
+        return self._outcomes[Outcome.DEAD_END]
+
+    @property
+    def overlaps(self) -> int:
+        """Rows whose open hand overlapped the object."""
+        return self._outcomes[Outcome.OVERLAP]
+
+    @property
+    def simulated(self) -> int:
+        """Rows whose hand closed."""
+        return self._from(Outcome.MISSED)
+
+    @property
+    def successes(self) -> int:
+        """Rows with a finger on the object after closing."""
+        return self._from(Outcome.DROPPED)
+
+    @property
+    def grasps(self) -> int:
+        """Successes that survived a shake."""
+        return self._from(Outcome.SHAKEN)
+
+    @property
+    def robust(self) -> int:
+        """Successes that survived both shakes."""
+        return self._from(Outcome.HELD)
+
+
+def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:
+    """Return the counter of a journal's rows, in their order, in blocks of any length."""
+    counter = RunCounter.of(spec)
+    for block in blocks:
+        counter.count_block(block, spec.population)
+    return counter

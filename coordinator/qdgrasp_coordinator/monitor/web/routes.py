@@ -1,0 +1,143 @@
+"""Routes of the two sites: jobs that a monitor watches, and jobs in folders."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import indent
+
+import msgspec
+from anyio import CapacityLimiter, to_thread
+from msgspec import Struct
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from qdgrasp_coordinator.monitor.feed import Feed
+from qdgrasp_coordinator.monitor.prometheus import exposition
+from qdgrasp_coordinator.monitor.records import FolderIndex, FolderRecords
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_coordinator.monitor.web.state_stream import MAX_BROWSERS, Broadcast, EventStream, PageState
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.keys import parse_number
+from qdgrasp_protocol.text import printable
+
+PAGES = Path(__file__).with_name("pages")
+PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
+MAX_THREADS = 16  # Threads for answers that may take long; requests that wait for them delay no others
+MAX_ROW = (1 << 32) - 1  # The greatest number of a row in a journal
+JSON = "application/json"
+
+
+@dataclass(frozen=True)
+class Site:
+    """A page with its data."""
+
+    routes: list[BaseRoute]
+    end: Callable[[], None] = lambda: None
+    """Called when the server ends, to end streams."""
+
+
+class JobListing(Struct, frozen=True):
+    """A job in a folder."""
+
+    job: str
+    folder: str  # Its path, printable
+    runs: list[str]  # Names of its runs that were begun
+
+
+def live_site(feed: Feed, runs: RunCaches) -> Site:
+    """Return the site of the jobs in a feed."""
+    state, limiter = PageState(feed), CapacityLimiter(MAX_THREADS)
+    broadcast = Broadcast(state.state)
+
+    async def stream(request: Request) -> Response:
+        if broadcast.watchers >= MAX_BROWSERS:
+            return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
+        return EventStream(broadcast, packed="gzip" in request.headers.get("accept-encoding", ""))
+
+    def metrics(_request: Request) -> Response:
+        text, kind = exposition(state.views())
+        return Response(text, headers={"Content-Type": kind})
+
+    routes = [
+        Route("/", lambda _: HTMLResponse(html("index"))),
+        Route("/api/state", lambda _: _json(state.state())),
+        Route("/api/stream", stream),
+        Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
+        _slow("/api/jobs/{job}/runs", lambda request: runs.runs(request.path_params["job"]), limiter),
+        Route("/metrics", metrics),
+    ]
+    return Site([*routes, *_run_routes(runs, limiter)], broadcast.end)
+
+
+def folder_site(index: FolderIndex) -> Site:
+    """Return the site of the jobs in folders."""
+    limiter = CapacityLimiter(MAX_THREADS)
+
+    def listings(_request: Request) -> bytes:
+        jobs = index.jobs.items()
+        found = [JobListing(name, printable(str(job.folder.path)), list(job.runs)) for name, job in jobs]
+        return msgspec.json.encode(found)
+
+    page = Route("/", lambda _: HTMLResponse(html("view")))
+    runs = _run_routes(RunCaches(FolderRecords(index)), limiter)
+    return Site([page, _slow("/api/jobs", listings, limiter), *runs])
+
+
+def html(name: str) -> str:
+    """Return the page of that name, with its parts."""
+
+    def read(path: str) -> str:
+        return (PAGES / path).read_text(encoding="utf-8")
+
+    return PART.sub(lambda part: indent(read(part[2]), part[1]), read(f"{name}.html"))
+
+
+def _run_routes(runs: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
+    """Return the routes of one run's data, which both sites have."""
+
+    def cells(request: Request) -> bytes:
+        return runs.cells(*_run(request), _row(request.query_params.get("from", "")) or 0)
+
+    def grasp(request: Request) -> bytes:
+        row = _row(text := request.path_params["number"])
+        if row is None:
+            raise InputError(f"'{text[:20]}' is not the number of a row.")
+        return runs.grasp(*_run(request), row)
+
+    run = "/api/jobs/{job}/runs/{run}"
+    return [
+        _slow(f"{run}/curve", lambda request: runs.curve(*_run(request)), limiter),
+        _slow(f"{run}/scene", lambda request: runs.scene(*_run(request)), limiter),
+        _slow(f"{run}/cells", cells, limiter, "application/octet-stream"),
+        _slow(f"{run}/grasps/{{number}}", grasp, limiter),
+    ]
+
+
+def _slow(
+    path: str, query: Callable[[Request], bytes], limiter: CapacityLimiter, media_type: str = JSON
+) -> BaseRoute:
+    """Return a route whose answer may take long, and is queried in a thread."""
+
+    async def respond(request: Request) -> Response:
+        text = await to_thread.run_sync(query, request, limiter=limiter)
+        return _json(text) if media_type == JSON else Response(text, media_type=media_type)
+
+    return Route(path, respond)
+
+
+def _json(text: bytes) -> Response:
+    """Return JSON that is not cached."""
+    return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON)
+
+
+def _run(request: Request) -> tuple[str, str]:
+    """Return the job and the run in the path."""
+    return request.path_params["job"], request.path_params["run"]
+
+
+def _row(text: str) -> int | None:
+    """Return the number of a row of a journal; None where the text is not one."""
+    found = parse_number(text)
+    return found if found is None or found <= MAX_ROW else None

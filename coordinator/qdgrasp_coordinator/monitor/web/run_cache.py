@@ -1,0 +1,213 @@
+"""Caches of the runs in the view in 3D, read once for all browsers.
+
+One thread at a time queries an answer; the others take the one before.
+"""
+
+import threading
+import time
+import zlib
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
+from math import inf
+from typing import Generic, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from qdgrasp_coordinator.metrics.job_status import RunListings
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
+from qdgrasp_coordinator.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
+from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
+
+WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
+BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
+MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
+MAX_JOBS = 16  # Jobs whose lists of runs are kept
+MAX_CURVES = 64
+MAX_SCENES = 2  # Scenes of a run: another journal may have another one
+FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
+LISTED_SECONDS = 5.0  # Nor are lists of runs and curves [s]
+SCENE_WAIT_SECONDS = 1.0  # Successes are read for so long before an answer is given with those that came [s]
+
+T = TypeVar("T")
+
+
+class TtlCache(Generic[T]):
+    """The latest answer to a query that may take long; any thread may get it.
+
+    `query` is called with the answer before, None at first; `fresh` gives the time for which an answer is
+    good [s], and `clock` the time [s].
+    """
+
+    def __init__(
+        self,
+        query: Callable[[T | None], T],
+        fresh: Callable[[T], float],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._query, self._fresh, self._clock = query, fresh, clock
+        self._lock = threading.Lock()
+        self._answer: T | None = None
+        self._failure: QdgraspError | None = None
+        self._due = -inf
+
+    def get(self) -> T:
+        """Return the answer, renewed where it is due; the one before while there is no new one.
+
+        Without any, raise what `query` raised, or `NoReply` while another thread waits for it for long.
+        """
+        if self._is_due and self._lock.acquire(timeout=WAIT_SECONDS if self._answer is None else 0):
+            try:
+                if self._is_due:  # no other thread has queried meanwhile
+                    self._renew()
+            finally:
+                self._lock.release()
+        answer, failure = self._answer, self._failure
+        if answer is None or (failure is not None and not isinstance(failure, BusError)):
+            raise (failure or NoReply("It is asked for already; try again.")).with_traceback(None)
+        return answer
+
+    @property
+    def _is_due(self) -> bool:
+        return self._clock() >= self._due
+
+    def _renew(self) -> None:
+        try:
+            answer = self._query(self._answer)
+        except QdgraspError as error:
+            self._failure, self._due = error, self._clock() + BUSY_SECONDS
+        else:
+            self._answer, self._failure = answer, None
+            self._due = self._clock() + self._fresh(answer)
+
+
+@dataclass(frozen=True)
+class JournalReading:
+    """The part of a journal that has been read."""
+
+    origin: JournalId
+    voxels: VoxelPages
+
+    @property
+    def fresh(self) -> float:
+        """The time for which it is good [s]."""
+        return FRESH_SECONDS if self.voxels.is_whole else 0.0
+
+    def with_pages(self, pages: list[RecordPage]) -> "JournalReading":
+        """Return this with the pages that follow."""
+        voxels, last = copy(self.voxels), pages[-1]
+        before = pages[-2].next if len(pages) > 1 else voxels.next
+        found = np.concatenate([page.found for page in pages])
+        voxels.insert(found, last.next, is_whole=last.is_last(before))
+        return JournalReading(self.origin, voxels)
+
+
+class RunCache:
+    """One run in the view; any thread may call it. Its methods raise as those of `Records`."""
+
+    def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
+        self._records, self._job, self._run, self._clock = records, job, run, clock
+        self._reading = TtlCache(self._read, lambda reading: reading.fresh, clock)
+
+        def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene]]:
+            return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
+
+        self._scenes = lru_cache(MAX_SCENES)(scene)
+
+    def scene(self) -> bytes:
+        """Return JSON of the `BrowserScene` of the journal that the cells are from."""
+        reading = self._reading.get()
+        _, scene = self._scenes(reading.origin.scene).get()
+        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
+
+    def cells(self, first: int) -> bytes:
+        """Return a page of voxels from the serial `first` on, with the successes read until now."""
+        return self._reading.get().voxels.page(first)
+
+    def grasp(self, number: int) -> bytes:
+        """Return JSON of the `GraspView` of a journal row."""
+        page = self._records.page(self._job, self._run, number)
+        if not len(page.found) or page.found["number"][0] != number:
+            raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
+        commands = self._records.place(self._job, self._run).commands(number)
+        hand, scene = self._scenes(page.origin.scene).get()
+        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands))
+
+    def _load_scene(self, digest: str) -> tuple[HandGeometry, BrowserScene]:
+        scene = self._records.scene(self._job, self._run, digest)
+        hand = hand_geometry(scene.gripper)
+        return hand, browser_scene(scene, hand)
+
+    def _read(self, before: JournalReading | None) -> JournalReading:
+        """Read the successes since then; all of them where the journal is another, or fell back."""
+        pages = self._pages(before.voxels.next if before else 0)
+        if before:
+            first = pages[0]
+            if first.origin == before.origin and first.rows >= before.voxels.next:
+                return before.with_pages(pages)
+            pages = self._pages(0)
+        origin = pages[0].origin
+        if before and before.origin == origin:  # the same journal fell back: its number must be another
+            number = (before.voxels.origin + 1) % (1 << 32)
+        else:
+            number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
+        return JournalReading(origin, VoxelPages(number)).with_pages(pages)
+
+    def _pages(self, first: int) -> list[RecordPage]:
+        """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""
+        until = self._clock() + SCENE_WAIT_SECONDS
+        pages = [self._records.page(self._job, self._run, first)]
+        while not (pages[-1].is_last(first) or self._clock() > until):
+            first = pages[-1].next
+            page = self._records.page(self._job, self._run, first)
+            if page.origin != pages[0].origin:
+                break
+            pages.append(page)
+        return pages
+
+
+class RunCaches:
+    """Data of all runs, as the page reads them; `clock` gives the time [s].
+
+    The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
+    job, run or grasp, or no answer.
+    """
+
+    def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
+        def listings(job: str) -> TtlCache[RunListings]:
+            return TtlCache(lambda _: records.entries(job), lambda _: LISTED_SECONDS, clock)
+
+        def curve(job: str, run: str) -> TtlCache[GrowthCurve]:
+            return TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
+
+        def cache(job: str, run: str) -> RunCache:
+            return RunCache(records, job, run, clock)
+
+        self._listings = lru_cache(MAX_JOBS)(listings)
+        self._curves = lru_cache(MAX_CURVES)(curve)
+        self._runs = lru_cache(MAX_RUNS)(cache)
+
+    def runs(self, job: str) -> bytes:
+        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
+        return msgspec.json.encode(self._listings(job).get())
+
+    def curve(self, job: str, run: str) -> bytes:
+        """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
+        return msgspec.json.encode(self._curves(job, run).get())
+
+    def scene(self, job: str, run: str) -> bytes:
+        """Return the object, the hand and the bounds of a run: JSON of `BrowserScene`."""
+        return self._runs(job, run).scene()
+
+    def cells(self, job: str, run: str, since: int) -> bytes:
+        """Return a page of voxels from the serial `since` on, as `scene_data` packs them."""
+        return self._runs(job, run).cells(since)
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        """Return the success in a journal row: JSON of `GraspView`."""
+        return self._runs(job, run).grasp(number)

@@ -1,0 +1,40 @@
+// The selected job and run, and what follows from a job's figures: its extent, and whether it is over.
+
+/** The selected job and run, kept in the address, so that it can be shared and gone back to. */
+export class Selection {
+  constructor(onchange) {
+    addEventListener("hashchange", () => onchange());
+  }
+
+  get job() {
+    return this.#read("job");
+  }
+
+  /** The run; empty: all of them. */
+  get run() {
+    return this.#read("run");
+  }
+
+  #read(name) {
+    return new URLSearchParams(location.hash.slice(1)).get(name) ?? "";
+  }
+
+  static address(job, run = "") {
+    return `#${new URLSearchParams(run ? { job, run } : { job })}`;
+  }
+}
+
+/** States of jobs that are over. */
+export const OVER = ["gone", "ended", "cancelled"];
+
+/** A job as it is shown: ended as soon as all its runs are, though its coordinator may still publish. */
+export function withEndedState(job) {
+  const { runs, runs_done: done, runs_failed: failed } = job.figures;
+  return runs && done + failed >= runs ? { ...job, state: "ended" } : job;
+}
+
+/** The counted evaluations that a job or run will have at most; at least 1. */
+export function extentOf({ evaluations, budget, remaining, finished }) {
+  const left = remaining ?? (finished ? 0 : Math.max(0, budget - evaluations));
+  return Math.max(1, evaluations + left);
+}

@@ -1,0 +1,193 @@
+// Controls of the view: the legend of colours with its buttons, and the filters of grasps.
+
+import { element, setAttribute, setText, updateChildren } from "../dom.js";
+import { count } from "../format.js";
+import { ANY } from "./cells.js";
+
+/** The legend of cells: how many show each kind of grasp, which kinds are shown, and the buttons of the view. */
+export class Legend {
+  #view = null;
+
+  constructor(node) {
+    this.kinds = element("ul", { "aria-label": "Cells by the best grasp shown in them; press one to leave out or show such grasps" });
+    this.frames = this.#button("Frames", "Draw the frames of a chosen grasp (F)", (view) => (view.showsFrames = !view.showsFrames));
+    this.cut = this.#button("Cut open", "Leave out the cells toward you on the right (C)", (view) => (view.cut = !view.cut));
+    this.steps = element("div", { class: "steps" },
+      this.#button("‹", "Previous grasp (P)", (view) => view.step(-1)), this.#button("›", "Next grasp (N)", (view) => view.step(1)),
+      this.#button("Whole", "See everything again (Home)", (view) => view.home()), this.cut, this.frames);
+    node.replaceChildren(this.kinds, this.steps);
+  }
+
+  /** Control this view; null: none. */
+  connect(view) {
+    this.#view = view;
+    this.kinds.replaceChildren();
+    this.steps.hidden = true;
+  }
+
+  /** Show the state of the view. */
+  show() {
+    const { description, cells, cut, showsFrames } = this.#view;
+    this.steps.hidden = false;
+    setAttribute(this.cut, "aria-pressed", String(cut));
+    setAttribute(this.frames, "aria-pressed", String(showsFrames));
+    const kinds = description.kinds.map((kind, k) => ({ ...kind, cells: cells.counts[k], shown: cells.filter.kinds[k] }));
+    updateChildren(this.kinds, kinds, ({ outcome }) => outcome, (kind) => this.#made(kind), (item, { cells: number, shown }) => {
+      setAttribute(item.firstChild, "aria-pressed", String(shown));
+      setText(item.querySelector("b"), shown ? count(number) : "–");
+    });
+  }
+
+  #made({ colour, words }) {
+    const swatch = element("i", { class: "swatch" });
+    swatch.style.background = colour;
+    const button = element("button", { type: "button" }, swatch, element("b"), ` ${words}`);
+    button.addEventListener("click", () => this.#toggle([...this.kinds.children].indexOf(button.parentNode)));
+    return element("li", {}, button);
+  }
+
+  #toggle(place) {
+    const { kinds } = this.#view.cells.filter;
+    this.#view.applyFilter({ kinds: kinds.map((flag, k) => flag !== (k === place)) });
+  }
+
+  #button(words, title, action) {
+    const button = element("button", { type: "button", class: "quiet", title, "aria-label": title }, words);
+    button.addEventListener("click", () => this.#view && action(this.#view));
+    return button;
+  }
+}
+
+const AXES = ["x", "y", "z"];
+const OPEN = { eta: 0, synergy: ANY, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
+
+/** Filters of grasps by eta, by synergy, and by the hand's position. */
+export class FilterControls {
+  #view = null;
+
+  /** @param node a details element with its summary */
+  constructor(node) {
+    this.node = node;
+    this.words = node.querySelector("summary span");
+    this.eta = element("input", { type: "range", min: 0, max: 1, step: 0.01, value: 0 });
+    this.least = element("output");
+    this.synergy = element("select");
+    this.spans = AXES.map((name, axis) => new RangeSlider(name, (low, high) => this.#setRange(axis, low, high)));
+    this.scores = element("label", { class: "sort" }, element("span", {}, "eta at least"), this.eta, this.least);
+    this.synergies = element("label", { class: "sort" }, element("span", {}, "Synergy"), this.synergy);
+    this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
+    this.sorts = element("div", { hidden: true }, this.scores, this.synergies);
+    const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
+    const region = element("fieldset", {}, legend, ...this.spans.map((span) => span.node));
+    node.append(element("div", { class: "filter-form" }, this.sorts, region, this.reset));
+    this.eta.addEventListener("input", () => this.#apply({ eta: Number(this.eta.value) }));
+    this.synergy.addEventListener("change", () => this.#apply({ synergy: this.synergy.value === "" ? ANY : Number(this.synergy.value) }));
+    this.reset.addEventListener("click", () => this.#showAll());
+  }
+
+  /** Filter what this view shows; null: there is none. */
+  connect(view) {
+    this.#view = view;
+    this.node.hidden = !view;
+    this.#reset();
+  }
+
+  /** Show the state of the view's filter. */
+  show() {
+    const { description, cells } = this.#view, { filter } = cells;
+    this.scores.hidden = !description.scored;
+    this.synergies.hidden = !description.synergies.length;
+    this.sorts.hidden = this.scores.hidden && this.synergies.hidden;
+    const names = [{ value: "", name: "any" }, ...description.synergies.map((name, value) => ({ value, name }))];
+    updateChildren(this.synergy, names, ({ value }) => value, ({ value, name }) => element("option", { value }, name), (option, { name }) => setText(option, name));
+    this.spans.forEach((span, axis) => cells.size && span.reach(cells.low[axis], cells.high[axis]));
+    setText(this.least, filter.eta.toFixed(2));
+    setText(this.words, filter.narrowed ? `${filter.narrowed} in use` : "");
+    setAttribute(this.reset, "disabled", !filter.narrowed);
+  }
+
+  #setRange(axis, low, high) {
+    const { filter } = this.#view.cells;
+    this.#apply({ low: filter.low.with(axis, low), high: filter.high.with(axis, high) });
+  }
+
+  #showAll() {
+    this.#reset();
+    this.#apply(OPEN);
+  }
+
+  #apply(part) {
+    this.#view?.applyFilter(part);
+  }
+
+  /** Set all controls so that they leave nothing out. */
+  #reset() {
+    this.eta.value = 0;
+    this.synergy.value = "";
+    for (const span of this.spans) span.open();
+  }
+}
+
+/** A slider with two handles; a handle at its end sets no bound there. */
+class RangeSlider {
+  #least = 0;
+  #most = 0;
+
+  /** `onchange(low, high)`: where the handles stand; infinite at the ends. */
+  constructor(name, onchange) {
+    this.name = name;
+    this.onchange = onchange;
+    this.low = this.#handle("lowest");
+    this.high = this.#handle("highest");
+    this.words = element("output");
+    this.node = element("div", { class: "span" }, element("b", {}, name), element("span", { class: "track" }, this.low, this.high), this.words);
+  }
+
+  /** Set the range of values; a handle that stood at an end stays there. */
+  reach(least, most) {
+    if (least === this.#least && most === this.#most) return;
+    const low = this.from, high = this.upto;
+    [this.#least, this.#most] = [least, most];
+    for (const handle of [this.low, this.high]) {
+      setAttribute(handle, "min", least);
+      setAttribute(handle, "max", most);
+    }
+    this.low.value = Number.isFinite(low) ? low : least;
+    this.high.value = Number.isFinite(high) ? high : most;
+    this.#setWords();
+  }
+
+  /** Leave nothing out. */
+  open() {
+    this.low.value = this.#least;
+    this.high.value = this.#most;
+    this.#setWords();
+  }
+
+  get from() {
+    return Number(this.low.value) > this.#least ? Number(this.low.value) : -Infinity;
+  }
+
+  get upto() {
+    return Number(this.high.value) < this.#most ? Number(this.high.value) : Infinity;
+  }
+
+  #handle(end) {
+    const handle = element("input", { type: "range", step: 1, min: 0, max: 0, "aria-label": `${this.name} ${end} [cm]` });
+    handle.addEventListener("input", () => this.#moved(end));
+    return handle;
+  }
+
+  /** A handle pushes the other along rather than pass it, so two in one place can be moved either way. */
+  #moved(end) {
+    const [mine, other] = end === "lowest" ? [this.low, this.high] : [this.high, this.low];
+    if (Number(this.low.value) > Number(this.high.value)) other.value = mine.value;
+    this.#setWords();
+    this.onchange(this.from, this.upto);
+  }
+
+  #setWords() {
+    const word = (value) => String(value).replace("-", "−");
+    setText(this.words, `${word(this.low.value)} to ${word(this.high.value)}`);
+  }
+}

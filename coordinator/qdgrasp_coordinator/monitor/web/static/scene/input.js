@@ -1,0 +1,108 @@
+// Input to the view: keys do all that mouse and fingers do; a click selects the voxel under it.
+
+const TURN = Math.PI / 24;
+const SHIFT = 24; // px
+
+/** Carry out the action of a key; false where it has none. */
+export function handleKey(view, { key, shiftKey, ctrlKey, altKey, metaKey }) {
+  if (ctrlKey || altKey || metaKey) return false;
+  const action = ACTIONS[`${shiftKey && key.startsWith("Arrow") ? "Shift+" : ""}${key}`];
+  if (!action) return false;
+  action(view);
+  return true;
+}
+
+const turn = (left, up) => ({ renderer }) => {
+  if (left) renderer.controls.rotateLeft(left * TURN);
+  if (up) renderer.controls.rotateUp(up * TURN);
+  renderer.touched = true;
+  renderer.moved();
+};
+const shift = (x, y) => ({ renderer }) => {
+  renderer.controls.pan(x * SHIFT, y * SHIFT);
+  renderer.touched = true;
+  renderer.moved();
+};
+const zoom = (factor) => ({ renderer }) => {
+  renderer.controls.dollyIn(1 / factor);
+  renderer.touched = true;
+  renderer.moved();
+};
+
+const ACTIONS = {
+  ArrowLeft: turn(1, 0), ArrowRight: turn(-1, 0), ArrowUp: turn(0, 1), ArrowDown: turn(0, -1),
+  "Shift+ArrowLeft": shift(1, 0), "Shift+ArrowRight": shift(-1, 0), "Shift+ArrowUp": shift(0, 1), "Shift+ArrowDown": shift(0, -1),
+  "+": zoom(1.2), "=": zoom(1.2), "-": zoom(1 / 1.2),
+  n: (view) => view.step(1), p: (view) => view.step(-1),
+  Escape: (view) => view.select(null),
+  Home: (view) => view.home(), 0: (view) => view.home(),
+  c: (view) => (view.cut = !view.cut),
+  f: (view) => (view.showsFrames = !view.showsFrames),
+};
+
+const TAP = 5; // px: a longer movement turns the view
+const NEAR = { mouse: 3, pen: 6, touch: 14 }; // px: a press so close to a voxel selects it
+
+/** Finds the voxel under the mouse or the finger when it is pressed and let go. */
+export class VoxelPicker {
+  #down = null;
+
+  /** `onpick(slot)` with the slot of the voxel; -1: there is none. */
+  constructor(renderer, { onpick, onfail }) {
+    Object.assign(this, { renderer, onpick, onfail });
+    this.#listen("addEventListener");
+  }
+
+  dispose() {
+    this.#listen("removeEventListener");
+  }
+
+  #listen(verb) {
+    this.renderer.canvas[verb]("pointerdown", this.#pressed);
+    this.renderer.canvas[verb]("pointerup", this.#released);
+  }
+
+  #pressed = ({ clientX, clientY, isPrimary }) => {
+    this.#down = isPrimary ? [clientX, clientY] : null;
+  };
+
+  #released = async ({ clientX, clientY, button, pointerType }) => {
+    const moved = this.#down && Math.hypot(clientX - this.#down[0], clientY - this.#down[1]);
+    if (!this.renderer.voxels || this.#down === null || moved > TAP || button) return;
+    const { left, top } = this.renderer.canvas.getBoundingClientRect();
+    try {
+      this.onpick(await this.#slotAt(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse));
+    } catch (error) {
+      this.onfail(error);
+    }
+  };
+
+  /** The slot of the voxel at a place on the canvas [px]: drawn in the colours of their numbers, it is looked up. */
+  async #slotAt(x, y, near) {
+    const { renderer } = this, { projection, webgl, voxels } = renderer;
+    projection.aim();
+    const size = voxels.aim(projection);
+    const side = 2 * Math.max(Math.ceil(size / 2), near) + 1;
+    const pixels = await renderer.sample(x, y, side, (camera) => {
+      voxels.material = voxels.named;
+      webgl.render(voxels, camera);
+    });
+    return closest(pixels, side, near);
+  }
+}
+
+/** The slot that a pixel near the middle names, the nearest one; -1 where none does. */
+function closest(pixels, side, near) {
+  const middle = (side - 1) / 2;
+  let slot = -1, least = near * near + 1;
+  for (let y = 0; y < side; y++) {
+    for (let x = 0; x < side; x++) {
+      const far = (x - middle) ** 2 + (y - middle) ** 2, i = 4 * (y * side + x);
+      if (far < least && pixels[i + 3]) {
+        least = far;
+        slot = pixels[i] + 256 * pixels[i + 1] + 65536 * pixels[i + 2] - 1;
+      }
+    }
+  }
+  return slot;
+}

@@ -1,0 +1,186 @@
+// Triangle meshes with creases where they have edges, lit from beside the viewer; the hand; edges of a box.
+
+import {
+  BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, FrontSide, GLSL3, Group, LineSegments, Matrix4,
+  Mesh, RawShaderMaterial,
+} from "../vendor/three/three.module.min.js";
+
+const CREASE = 0.7; // cosine: faces that meet at a sharper angle keep an edge
+const MESH_VERTEX = `
+in vec3 position;
+in vec3 normal;
+uniform mat4 modelViewMatrix, projectionMatrix;
+uniform mat3 normalMatrix;
+out vec3 n;
+void main() {
+  n = normalMatrix * normal;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+}`;
+const MESH_FRAGMENT = `
+precision highp float;
+uniform vec3 colour;
+uniform float solidity;
+in vec3 n;
+out vec4 painted;
+void main() {
+  vec3 m = normalize(gl_FrontFacing ? n : -n);
+  float light = 0.5 + 0.5 * max(dot(m, vec3(-0.4, 0.62, 0.68)), 0.0) + 0.1 * m.y;
+  float edge = pow(1.0 - abs(m.z), 2.0);
+  float alpha = mix(solidity, 1.0, edge * (1.0 - solidity) * 0.8);
+  painted = vec4(colour * light * alpha, alpha);
+}`;
+
+/** A material in a colour; `solidity` below 1 makes it glass whose edges show. */
+export function meshMaterial(colour, solidity = 1) {
+  const glass = solidity < 1;
+  return new RawShaderMaterial({
+    glslVersion: GLSL3,
+    uniforms: { colour: { value: drawnColour(colour) }, solidity: { value: solidity } },
+    vertexShader: MESH_VERTEX,
+    fragmentShader: MESH_FRAGMENT,
+    transparent: glass,
+    premultipliedAlpha: true,
+    depthWrite: !glass,
+    side: glass ? FrontSide : DoubleSide,
+  });
+}
+
+/** A CSS colour as it is drawn: no conversion between colour spaces. */
+export function drawnColour(colour) {
+  return new Color().setStyle(colour, "srgb-linear");
+}
+
+/** The geometry of a mesh as the server sends it. */
+export function meshGeometry({ positions, indices }) {
+  return creased(new Float32Array(bytes(positions)), new Uint32Array(bytes(indices)));
+}
+
+function bytes(base64) {
+  return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer;
+}
+
+/** Each corner's normal is the mean of the faces around it that are no crease away, weighed by their areas. */
+function creased(vertices, corners) {
+  const normals = faceNormals(vertices, corners);
+  const { first, faces } = facesAround(vertices.length / 3, corners);
+  const position = new Float32Array(3 * corners.length), normal = new Float32Array(3 * corners.length);
+  for (let corner = 0; corner < corners.length; corner++) {
+    const vertex = corners[corner], own = 4 * ((corner / 3) | 0);
+    let x = 0, y = 0, z = 0;
+    for (let i = first[vertex]; i < first[vertex + 1]; i++) {
+      const other = 4 * faces[i];
+      const turned = normals[own] * normals[other] + normals[own + 1] * normals[other + 1] + normals[own + 2] * normals[other + 2];
+      const weight = turned < CREASE && own !== other ? 0 : normals[other + 3];
+      x += weight * normals[other];
+      y += weight * normals[other + 1];
+      z += weight * normals[other + 2];
+    }
+    const length = Math.sqrt(x * x + y * y + z * z) || 1;
+    normal.set([x / length, y / length, z / length], 3 * corner);
+    for (let k = 0; k < 3; k++) position[3 * corner + k] = vertices[3 * vertex + k];
+  }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(position, 3));
+  geometry.setAttribute("normal", new BufferAttribute(normal, 3));
+  return geometry;
+}
+
+/** (4 f): each face's unit normal, and twice its area. */
+function faceNormals(vertices, corners) {
+  const normals = new Float32Array((corners.length / 3) * 4);
+  const edge = (from, to, k) => vertices[3 * to + k] - vertices[3 * from + k];
+  for (let face = 0; face < corners.length / 3; face++) {
+    const a = corners[3 * face], b = corners[3 * face + 1], c = corners[3 * face + 2];
+    const x = edge(a, b, 1) * edge(a, c, 2) - edge(a, b, 2) * edge(a, c, 1);
+    const y = edge(a, b, 2) * edge(a, c, 0) - edge(a, b, 0) * edge(a, c, 2);
+    const z = edge(a, b, 0) * edge(a, c, 1) - edge(a, b, 1) * edge(a, c, 0);
+    const area = Math.sqrt(x * x + y * y + z * z);
+    normals.set([x / (area || 1), y / (area || 1), z / (area || 1), area], 4 * face);
+  }
+  return normals;
+}
+
+/** The faces around each vertex: those of vertex k are `faces` from `first[k]` up to `first[k + 1]`. */
+function facesAround(count, corners) {
+  const first = new Uint32Array(count + 1), faces = new Uint32Array(corners.length);
+  for (const vertex of corners) first[vertex + 1] += 1;
+  for (let vertex = 0; vertex < count; vertex++) first[vertex + 1] += first[vertex];
+  const place = first.slice();
+  for (let corner = 0; corner < corners.length; corner++) faces[place[corners[corner]]++] = (corner / 3) | 0;
+  return { first, faces };
+}
+
+const PALM = 0.42; // solidity
+
+/** The hand: its links in the frames that the server gives; fingers solid, the palm like glass. */
+export class HandMesh extends Group {
+  #links = new Map();
+
+  /** @param links the scene's, each with its name, mesh and whether it is a finger */
+  constructor(links, colour) {
+    super();
+    this.visible = false;
+    for (const { name, finger, mesh } of links) {
+      const link = new Mesh(meshGeometry(mesh), meshMaterial(colour, finger ? 1 : PALM));
+      link.renderOrder = finger ? 2 : 3;
+      link.matrixAutoUpdate = false;
+      this.#links.set(name, link);
+      this.add(link);
+    }
+  }
+
+  /** Place the links: `links` has the frame of each, 4 x 4 row by row; null: hide the hand. */
+  pose(links) {
+    this.visible = Boolean(links);
+    if (links) for (const [name, link] of this.#links) link.matrix.copy(new Matrix4().set(...links[name]));
+  }
+
+  recolour(colour) {
+    for (const link of this.#links.values()) link.material.uniforms.colour.value = drawnColour(colour);
+  }
+
+  dispose() {
+    for (const link of this.#links.values()) {
+      link.geometry.dispose();
+      link.material.dispose();
+    }
+  }
+}
+
+const EDGE_VERTEX = `
+in vec3 position;
+uniform mat4 modelViewMatrix, projectionMatrix;
+void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`;
+const EDGE_FRAGMENT = `
+precision highp float;
+uniform vec3 colour;
+out vec4 painted;
+void main() { painted = vec4(colour, 1.0); }`;
+
+/** The edges of a box, drawn over everything. */
+export class BoxEdges extends LineSegments {
+  constructor(colour) {
+    const uniforms = { colour: { value: drawnColour(colour) } };
+    const looks = { glslVersion: GLSL3, uniforms, vertexShader: EDGE_VERTEX, fragmentShader: EDGE_FRAGMENT, depthTest: false };
+    super(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new RawShaderMaterial(looks));
+    this.visible = false;
+    this.renderOrder = 4;
+  }
+
+  /** Show the box between two corners [m]; without any: hide it. */
+  span(low = null, high = null) {
+    this.visible = Boolean(low);
+    if (!low) return;
+    this.position.set(...low.map((from, axis) => (from + high[axis]) / 2));
+    this.scale.set(...low.map((from, axis) => high[axis] - from));
+  }
+
+  recolour(colour) {
+    this.material.uniforms.colour.value = drawnColour(colour);
+  }
+
+  dispose() {
+    this.geometry.dispose();
+    this.material.dispose();
+  }
+}

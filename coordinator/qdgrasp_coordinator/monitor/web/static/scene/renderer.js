@@ -1,0 +1,319 @@
+// The renderer: draws when something changed and only then, coarsely while it moves and finely when it rests.
+
+import { OrbitControls } from "../vendor/three/OrbitControls.js";
+import { OrthographicCamera, Scene, Vector3, WebGLRenderer, WebGLRenderTarget } from "../vendor/three/three.module.min.js";
+import { AxesOverlay, FrameOverlay } from "./overlays.js";
+
+const REST = 180; // ms after the last movement: then it is drawn finely
+const COSTLY = 160; // ms: a still picture that takes longer is not smoothed
+const BRISK = 60; // ms between pictures of what glows, at least; a fourth of the time at most is spent on them
+const PIXELS = 6e6; // drawn at most for one picture
+
+/** Draws the scene on a canvas; without a change nothing is drawn. */
+export class Renderer {
+  /** @throws where the browser draws no 3D */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.scene = new Scene();
+    this.projection = new Projection();
+    this.quality = new RenderQuality();
+    /** Whether nothing may move by itself. */
+    this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    /** Whether the view was turned by hand since it was last shown whole. */
+    this.touched = false;
+    /** How many pictures were drawn. */
+    this.drawn = 0;
+    /** How long to wait before the next picture of something that glows [ms]. */
+    this.rest = BRISK;
+    const context = canvas.getContext("webgl2", { antialias: false, alpha: true, powerPreference: "low-power" });
+    if (!context) throw new Error("no WebGL 2");
+    this.webgl = new WebGLRenderer({ canvas, context });
+    this.webgl.setClearAlpha(0);
+    this.controls = this.#madeControls();
+    this.axes = new AxesOverlay(canvas.parentElement);
+    this.frames = new FrameOverlay(canvas.parentElement);
+    this.#sizes = new ResizeObserver(() => this.#fit());
+    this.#sizes.observe(canvas);
+    canvas.addEventListener("webglcontextlost", this.#lost);
+    canvas.addEventListener("webglcontextrestored", this.#restored);
+    canvas.addEventListener("pointerdown", this.#focus);
+    canvas.addEventListener("focus", this.#captureInput);
+    canvas.addEventListener("blur", this.#captureInput);
+    this.#fit();
+    this.#captureInput();
+  }
+
+  /** The voxels, which are drawn in a way of their own; null before there are any. */
+  voxels = null;
+  /** Called when the graphics are lost (true) and back (false). */
+  onlost = () => {};
+  #sizes;
+  #frame = 0;
+  #timer = 0;
+  #movedAt = -Infinity;
+  #hasMoved = false;
+  #drawnAt = 0;
+  #smooth = false;
+  #disposed = false;
+
+  /** Draw the view once more, at the next frame. */
+  invalidate() {
+    if (!this.#frame && !this.#disposed) this.#frame = requestAnimationFrame((at) => this.#draw(at));
+  }
+
+  /** Draw it as something that moves. */
+  moved() {
+    this.#hasMoved = true;
+    this.#movedAt = performance.now();
+    this.invalidate();
+  }
+
+  /** Draw what is at a place [px of the page] with another camera, into a target; gives its pixels. */
+  async sample(x, y, side, draw) {
+    const target = new WebGLRenderTarget(side, side);
+    const pixels = new Uint8Array(4 * side * side);
+    this.projection.aim();
+    this.webgl.setRenderTarget(target);
+    this.webgl.clear();
+    draw(this.projection.around(x - this.projection.width / 2, this.projection.height / 2 - y, side, side));
+    this.webgl.setRenderTarget(null);
+    await this.webgl.readRenderTargetPixelsAsync(target, 0, 0, side, side, pixels);
+    target.dispose();
+    return pixels;
+  }
+
+  /** Look at a place with a sphere of this radius [m] in the picture, along a direction. */
+  lookAt(target, radius, direction = new Vector3(-0.62, -1, 0.58)) {
+    this.controls.enableDamping = false; // what is left of a movement is over
+    this.controls.update();
+    this.projection.lookAt(target, direction, radius);
+    this.controls.target.copy(target);
+    this.controls.minZoom = this.projection.scale / 6;
+    this.controls.maxZoom = this.projection.scale * 30;
+    this.controls.update();
+    this.touched = false;
+    this.invalidate();
+  }
+
+  dispose() {
+    this.#disposed = true;
+    cancelAnimationFrame(this.#frame);
+    clearTimeout(this.#timer);
+    this.#sizes.disconnect();
+    this.controls.dispose();
+    this.axes.dispose();
+    this.frames.dispose();
+    this.canvas.removeEventListener("webglcontextlost", this.#lost);
+    this.canvas.removeEventListener("webglcontextrestored", this.#restored);
+    this.canvas.removeEventListener("pointerdown", this.#focus);
+    this.canvas.removeEventListener("focus", this.#captureInput);
+    this.canvas.removeEventListener("blur", this.#captureInput);
+    this.webgl.resetState(); // another renderer may use the canvas
+    this.webgl.dispose();
+  }
+
+  #draw(at) {
+    this.#frame = 0;
+    if (this.webgl.getContext().isContextLost()) return;
+    this.controls.enableDamping = !this.calm && this.quality.finest; // where pictures are few it would go on for long
+    const moving = this.controls.update() || this.#hasMoved || performance.now() - this.#movedAt < REST;
+    this.#hasMoved = false; // however late this picture is, what moved before it is drawn as moving
+    if (moving) this.#adaptQuality(at);
+    this.projection.aim();
+    this.#paint(moving ? this.quality.level : { scale: this.#finest() });
+    if (moving) this.invalidate();
+    else this.#measureStill();
+    this.#drawnAt = moving ? at : 0;
+    this.axes.draw(this.projection);
+    this.frames.draw(this.projection);
+    this.drawn += 1;
+  }
+
+  /** Adapt the quality to the time that frames take while it moves. */
+  #adaptQuality(at) {
+    if (this.#drawnAt) this.quality.addFrame(at - this.#drawnAt);
+    this.canvas.dataset.quality = this.quality.words;
+  }
+
+  /** Measure how long a still picture takes; where that is short, it is drawn again at twice the resolution. */
+  #measureStill() {
+    const began = performance.now(), context = this.webgl.getContext(), smooth = this.#smooth;
+    const fence = context.fenceSync(context.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    context.flush();
+    const look = () => {
+      if (this.#disposed || context.isContextLost()) return;
+      if (context.getSyncParameter(fence, context.SYNC_STATUS) !== context.SIGNALED) return (this.#timer = setTimeout(look, 4));
+      context.deleteSync(fence);
+      const took = performance.now() - began;
+      this.rest = Math.max(BRISK, 4 * took);
+      this.#smooth = took < (smooth ? COSTLY : COSTLY / 5);
+      if (this.#smooth && !smooth) this.invalidate();
+    };
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(look, 4);
+  }
+
+  #finest() {
+    const dense = devicePixelRatio * (this.#smooth && devicePixelRatio < 2 ? 2 : 1);
+    return Math.min(dense, Math.sqrt(PIXELS / (this.projection.width * this.projection.height)));
+  }
+
+  #paint({ scale, ...looks }) {
+    const { projection, webgl, voxels } = this;
+    const width = Math.max(1, Math.round(projection.width * scale)), height = Math.max(1, Math.round(projection.height * scale));
+    if (this.canvas.width !== width || this.canvas.height !== height) webgl.setSize(width, height, false);
+    const now = performance.now() / 1000, { right, up, toward } = projection;
+    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, now, ...looks }) ?? 0;
+    const band = Math.ceil(size / 2); // a voxel whose middle is beyond the edge may still be seen
+    webgl.setViewport(-band, -band, width + 2 * band, height + 2 * band);
+    webgl.render(this.scene, projection.around(0, 0, projection.width + (2 * band) / scale, projection.height + (2 * band) / scale));
+  }
+
+  #fit() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    const grown = Math.min(width, height) / Math.min(this.projection.width, this.projection.height);
+    this.projection.camera.zoom *= grown;
+    this.controls.minZoom *= grown; // else a canvas that is tiny for a moment would be seen too closely ever after
+    this.controls.maxZoom *= grown;
+    this.projection.resize(width, height);
+    this.invalidate();
+  }
+
+  #madeControls() {
+    const controls = new OrbitControls(this.projection.camera, this.canvas);
+    controls.dampingFactor = 0.18;
+    controls.addEventListener("change", () => this.moved());
+    controls.addEventListener("start", () => (this.touched = true));
+    return controls;
+  }
+
+  #focus = () => this.canvas.focus({ preventScroll: true });
+
+  /** The wheel and a finger scroll the page until the canvas has the focus. */
+  #captureInput = () => {
+    const held = document.activeElement === this.canvas;
+    this.controls.enableZoom = held;
+    this.canvas.style.touchAction = held ? "none" : "pan-y";
+  };
+
+  #lost = (event) => {
+    event.preventDefault(); // so that it comes back
+    this.onlost(true);
+  };
+
+  #restored = () => {
+    this.onlost(false);
+    this.invalidate();
+  };
+}
+
+const FAR = 40; // m
+
+/** Parallel projection, so that a length is the same number of pixels everywhere. */
+class Projection {
+  constructor() {
+    /** What the controls turn; its zoom is pixels per metre. */
+    this.camera = new OrthographicCamera(-1, 1, 1, -1, 0.01, FAR);
+    this.camera.up.set(0, 0, 1);
+    this.right = new Vector3();
+    this.up = new Vector3();
+    this.toward = new Vector3();
+    this.#drawn = this.camera.clone();
+    this.resize(300, 300); // until the canvas is seen
+  }
+
+  #drawn;
+
+  /** Pixels of the page in a metre. */
+  get scale() {
+    return this.camera.zoom;
+  }
+
+  resize(width, height) {
+    Object.assign(this.camera, { left: -width / 2, right: width / 2, top: height / 2, bottom: -height / 2 });
+    Object.assign(this, { width, height });
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Read the directions that the picture has in the world. */
+  aim() {
+    this.camera.updateMatrixWorld();
+    this.camera.matrixWorld.extractBasis(this.right, this.up, this.toward);
+  }
+
+  /** A camera for what is seen in a rectangle around a place [px, from the middle], seen as now. */
+  around(x, y, width, height) {
+    const drawn = this.#drawn;
+    const half = [width / 2 / this.scale, height / 2 / this.scale];
+    drawn.position.copy(this.camera.position);
+    drawn.quaternion.copy(this.camera.quaternion);
+    Object.assign(drawn, { left: x / this.scale - half[0], right: x / this.scale + half[0] });
+    Object.assign(drawn, { top: y / this.scale + half[1], bottom: y / this.scale - half[1] });
+    drawn.updateProjectionMatrix();
+    drawn.updateMatrixWorld();
+    return drawn;
+  }
+
+  /** Look at a place from a direction, with a sphere of this radius [m] in the picture. */
+  lookAt(target, direction, radius) {
+    this.camera.position.copy(direction).setLength(FAR / 2).add(target);
+    this.camera.lookAt(target);
+    this.camera.zoom = (0.47 * Math.min(this.width, this.height)) / radius;
+    this.camera.updateProjectionMatrix();
+  }
+}
+
+/** From fine to coarse: pixels drawn per pixel of the page along each side, whether voxels are plain squares, and
+ *  the share of them that is drawn, those found first. */
+const LEVELS = [
+  { scale: 1, plain: false, share: 1 },
+  { scale: 0.7, plain: false, share: 1 },
+  { scale: 0.5, plain: false, share: 1 },
+  { scale: 0.5, plain: true, share: 1 },
+  { scale: 0.5, plain: true, share: 0.5 },
+  { scale: 0.4, plain: true, share: 0.25 },
+];
+const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next time
+const AWFUL = 120; // ms: that, and it is drawn much more coarsely
+const QUICK = 12; // ms: below it, more finely
+const SETTLED = 3; // frames at one level before it is judged
+const STALLED = 250; // ms: a frame that is later was held up by something else, and counts as this
+
+/** The level of detail while the view moves, so that it stays fluid, also without a graphics card. */
+export class RenderQuality {
+  #level = 0;
+  #frames = 0;
+  #mean = 0;
+
+  get level() {
+    return LEVELS[this.#level];
+  }
+
+  /** The level in words, for measurements. */
+  get words() {
+    const { scale, plain, share } = this.level;
+    return `${100 * scale} % of the pixels along each side, ${plain ? "squares" : "cubes"}, ${100 * share} % of the cells`;
+  }
+
+  get finest() {
+    return !this.#level;
+  }
+
+  /** Take in how long a frame took [ms]; true where the level changed. */
+  addFrame(ms) {
+    const counted = Math.min(ms, STALLED);
+    this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * counted : counted;
+    this.#frames += 1;
+    if (this.#frames < SETTLED) return false;
+    if (this.#mean > SLOW) return this.#go(Math.min(this.#level + (this.#mean > AWFUL ? 2 : 1), LEVELS.length - 1));
+    return this.#mean < QUICK && this.#go(this.#level - 1);
+  }
+
+  #go(level) {
+    const changed = level in LEVELS && level !== this.#level;
+    if (changed) this.#level = level;
+    this.#frames = 0;
+    return changed;
+  }
+}

@@ -1,0 +1,272 @@
+// The view in 3D: the object, a voxel for each cell in which a run has grasped it, and the hand in the
+// selected grasp.
+
+import { Mesh, Vector3 } from "../vendor/three/three.module.min.js";
+import { count, several } from "../format.js";
+import { Cells } from "./cells.js";
+import { handleKey, VoxelPicker } from "./input.js";
+import { BoxEdges, drawnColour, HandMesh, meshGeometry, meshMaterial } from "./meshes.js";
+import { Renderer } from "./renderer.js";
+import { CellUpdates, RunClient } from "./run_data.js";
+import { CELL, Voxels } from "./voxels.js";
+
+const RETRY = 5000; // ms until a scene that could not be loaded is asked for again
+const CUT_OPEN = 600; // cells: from this number on the view is cut open at first
+const GROWN = 1.1; // cells so much farther out make the view zoom out, until it was turned by hand
+const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", flash: "#ffffff", paper: "#ffffff" };
+
+export class SceneView {
+  /** Called with the server's description of the selected grasp; null: none is selected. */
+  onselect = () => {};
+  /** Called with a sentence on what is shown, or why nothing is. */
+  onstatus = () => {};
+  /** Called when what is shown changes. */
+  onchange = () => {};
+  #selected = null;
+  #timer = 0;
+  #glowing = 0;
+  #stopped = false;
+  #whole = 0; // m: how far voxels were from the middle when all was shown
+
+  /**
+   * @param canvas the canvas to draw on; its parent is positioned, and gets the axes laid over it
+   * @param api where the server's answers are, such as "api"
+   * @throws where the browser draws no 3D
+   */
+  constructor(canvas, api, job, run) {
+    this.canvas = canvas;
+    this.objects = null;
+    this.client = new RunClient(api, job, run);
+    this.renderer = new Renderer(canvas);
+    this.renderer.onlost = (lost) => this.onstatus(lost ? "The graphics were lost, and come back by themselves." : "");
+    const onfail = (error) => this.#fail(error);
+    const onpage = (page, isFirst) => this.#addPage(page, isFirst);
+    this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail });
+    this.pointer = new VoxelPicker(this.renderer, { onpick: (slot) => this.#selectSlot(slot), onfail });
+  }
+
+  /** Begin to show the run, and what is found in it from now on. */
+  async start() {
+    this.canvas.addEventListener("keydown", this.#key);
+    document.addEventListener("themechange", this.#recolour);
+    try {
+      await this.#open();
+    } catch (error) {
+      this.#fail(error);
+      if (!this.#stopped) this.#timer = setTimeout(() => this.start(), RETRY);
+    }
+  }
+
+  /** Release everything; it cannot be started again. */
+  stop() {
+    this.#stopped = true;
+    clearTimeout(this.#timer);
+    clearTimeout(this.#glowing);
+    this.updates.stop();
+    this.client.end();
+    this.canvas.removeEventListener("keydown", this.#key);
+    document.removeEventListener("themechange", this.#recolour);
+    this.pointer.dispose();
+    this.#clear();
+    this.renderer.dispose();
+  }
+
+  /** The server's description of the scene. */
+  get description() {
+    return this.objects.description;
+  }
+
+  get cells() {
+    return this.objects.cells;
+  }
+
+  /** Select the grasp with this journal number; null: none. */
+  async select(number) {
+    this.#selected = number;
+    if (number === null) return this.#show(null);
+    try {
+      const grasp = await this.client.grasp(number);
+      if (this.#selected === number) this.#show(grasp);
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  /** Select the next grasp that is shown, or the one before: the best first, of equals the earliest. */
+  step(by) {
+    const order = this.cells.order();
+    const place = order.indexOf(this.#selected);
+    const next = place < 0 ? (by > 0 ? 0 : -1) : place + by;
+    if (order.length) this.select(order.at(next % order.length));
+  }
+
+  /** Show everything, from the first direction. */
+  home() {
+    const low = new Vector3(...this.description.low), high = new Vector3(...this.description.high);
+    const middle = low.clone().add(high).divideScalar(2);
+    this.#whole = this.objects.voxels.farthest;
+    this.renderer.lookAt(middle, Math.max(high.distanceTo(low) / 2, this.#whole) + CELL);
+  }
+
+  /** Change the filter: `part` has some of the fields of a `CellFilter`. */
+  applyFilter(part) {
+    Object.assign(this.cells.filter, part);
+    this.objects.applyFilter();
+    this.#changed();
+  }
+
+  /** Whether cells toward the viewer's right are left out, so that one sees inside. */
+  set cut(value) {
+    this.objects.voxels.cut = value;
+    this.#changed();
+  }
+
+  get cut() {
+    return this.objects.voxels.cut;
+  }
+
+  /** Whether the frames of the selected grasp are drawn. */
+  set showsFrames(value) {
+    this.renderer.frames.shown = value;
+    this.#changed();
+  }
+
+  get showsFrames() {
+    return this.renderer.frames.shown;
+  }
+
+  async #open() {
+    const description = await this.client.scene();
+    if (this.#stopped) return;
+    this.#clear();
+    this.objects = new SceneObjects(description, this.#colour);
+    this.objects.addTo(this.renderer.scene);
+    this.renderer.voxels = this.objects.voxels;
+    this.#recolour();
+    await this.updates.begin(description.origin);
+    if (!this.#stopped) this.home();
+  }
+
+  #clear() {
+    this.objects?.removeFrom(this.renderer.scene);
+    this.renderer.frames.show(null, null);
+    this.renderer.voxels = this.objects = null;
+  }
+
+  /** Start anew: this is another journal, maybe of another object. */
+  #reopen() {
+    this.#selected = null;
+    this.onselect(null);
+    return this.#open();
+  }
+
+  /** Add a page of successes; new ones glow. */
+  #addPage(page, isFirst) {
+    if (this.#stopped) return;
+    const { cells, voxels } = this.objects, known = cells.size;
+    const now = isFirst || this.renderer.calm ? null : performance.now() / 1000;
+    if (page.n) voxels.change(cells.update(page), now);
+    if (known < CUT_OPEN && cells.size >= CUT_OPEN) voxels.cut = true;
+    if (page.n || isFirst) this.#changed();
+    if (!this.renderer.touched && voxels.farthest > GROWN * this.#whole) this.home();
+  }
+
+  #selectSlot(slot) {
+    if (!this.#stopped && this.objects) this.select(slot < 0 ? null : this.cells.number(slot));
+  }
+
+  #show(grasp) {
+    if (!this.objects) return;
+    this.objects.pose(grasp);
+    this.renderer.frames.show(this.description, grasp);
+    this.renderer.invalidate();
+    this.onselect(grasp);
+  }
+
+  #changed() {
+    const { size, shown } = this.cells;
+    const open = this.cut ? ", cut open" : "";
+    this.onstatus(size ? `${shown === size ? "" : `${count(shown)} of `}${several(size, "cell")} of 1 cm${open}` : "Nothing found yet.");
+    this.onchange();
+    this.#animate();
+  }
+
+  /** Draw, and go on while something glows; rarely where drawing takes long. */
+  #animate() {
+    this.renderer.invalidate();
+    if (this.#stopped || !this.objects?.voxels.glows(performance.now() / 1000)) return;
+    clearTimeout(this.#glowing);
+    this.#glowing = setTimeout(() => this.#animate(), this.renderer.rest);
+  }
+
+  #fail(error) {
+    if (error.name !== "AbortError") this.onstatus(error.message);
+  }
+
+  #key = (event) => {
+    if (this.objects && handleKey(this, event)) event.preventDefault();
+  };
+
+  #recolour = () => {
+    this.objects?.recolour(this.#colour);
+    this.renderer.invalidate();
+  };
+
+  #colour = (name) => getComputedStyle(this.canvas).getPropertyValue(`--scene-${name}`).trim() || COLOURS[name];
+}
+
+/** All objects in the three.js scene of one run. */
+class SceneObjects {
+  /** @param description the server's description of the scene; @param colour gives a colour by its name */
+  constructor(description, colour) {
+    this.description = description;
+    this.cells = new Cells(description.kinds);
+    this.body = new Mesh(meshGeometry(description.mesh), meshMaterial(colour("object")));
+    this.hand = new HandMesh(description.links, colour("hand"));
+    this.mark = new BoxEdges(colour("mark"));
+    this.box = new BoxEdges(colour("mark"));
+    this.voxels = new Voxels(this.cells, description.kinds, description.low.map((low, k) => (low + description.high[k]) / 2));
+  }
+
+  addTo(scene) {
+    scene.add(this.body, this.voxels, this.hand, this.mark, this.box);
+  }
+
+  removeFrom(scene) {
+    scene.clear();
+    this.body.material.dispose();
+    for (const part of [this.body.geometry, this.voxels, this.hand, this.mark, this.box]) part.dispose();
+  }
+
+  recolour(colour) {
+    this.body.material.uniforms.colour.value = drawnColour(colour("object"));
+    this.hand.recolour(colour("hand"));
+    this.mark.recolour(colour("mark"));
+    this.box.recolour(colour("mark"));
+    this.voxels.recolour(colour("flash"), colour("paper"));
+  }
+
+  /** Pose the hand as in a grasp of the server's; null: hide it. */
+  pose(grasp) {
+    this.hand.pose(grasp?.links ?? null);
+    this.mark.span(...(grasp ? [grasp.cell.map(lowerEdge), grasp.cell.map(upperEdge)] : []));
+    this.voxels.small = Boolean(grasp);
+  }
+
+  /** Show the cells that pass the filter now. */
+  applyFilter() {
+    const { filter, low, high } = this.cells;
+    this.cells.applyFilter();
+    this.voxels.renew();
+    const corners = [low.map((least, k) => lowerEdge(Math.max(least, filter.low[k]))), high.map((most, k) => upperEdge(Math.min(most, filter.high[k])))];
+    this.box.span(...(filter.isBoxed && this.cells.size ? corners : []));
+  }
+}
+
+function lowerEdge(cell) {
+  return CELL * (cell - 0.5);
+}
+
+function upperEdge(cell) {
+  return CELL * (cell + 0.5);
+}

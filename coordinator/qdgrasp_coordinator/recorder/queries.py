@@ -1,0 +1,252 @@
+"""Answers queries about recorded runs: listings, successes and scenes, from the journals.
+
+Answered in threads of the bus; nothing is written, so that no commit waits for an answer. Listings are
+counted bit by bit from the journals.
+"""
+
+import re
+import socket
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import msgspec
+from msgspec.structs import asdict, replace
+
+from qdgrasp_coordinator.campaign.summary import RunSummary
+from qdgrasp_coordinator.metrics.job_status import RUNS_PER_PAGE, RunListing, RunListings, from_json, to_json
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
+from qdgrasp_coordinator.report.row_report import RowContextCache
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
+from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol.bus import Bus, Query
+from qdgrasp_protocol.errors import FolderError, Refused
+from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import printable
+
+ROWS_PER_ANSWER = 1 << 19  # Most journal rows counted for one answer
+CLOCK_SECONDS = 2.0  # Longest time-stamp step of a file system, old ones included [s]
+FileStamp = tuple[tuple[int, int, int], ...]
+"""The inode, the size and the time of the last change [ns] of each file of a journal."""
+
+
+@dataclass
+class CountedRun:
+    """Progress of counting a run."""
+
+    spec: RunSpec
+    counter: RunCounter | None
+    """None once the run is over: only the listing is kept, as a counter may hold many cells."""
+    rows: int = 0
+    """Number of journal rows that are counted."""
+    listing: RunListing | None = None
+    """Listing at the last complete count; None before the first."""
+    curve: bytes = b""
+    """The curve as JSON, once the run is over."""
+
+    def curve_of(self, run: str) -> GrowthCurve:
+        """Return the curve of the run of that name, as far as it is counted."""
+        return self.counter.curve(run) if self.counter else from_json(self.curve, GrowthCurve)
+
+    def count(self, journal: Journal, most: int) -> int:
+        """Count at most so many new rows; returns their number."""
+        if self.counter is None or (self.rows == journal.count and self.listing is not None):
+            return 0
+        first, self.rows = self.rows, min(journal.count, self.rows + most)
+        if first < self.rows:
+            for block in journal.kept(first, self.rows):
+                self.counter.count_block(block, self.spec.population)
+        if self.rows == journal.count:
+            self.listing = RunListing.of(journal.run, self.spec, journal.scene, self.counter)
+            if self.counter.finished is not None:
+                self.curve, self.counter = to_json(self.counter.curve(journal.run)), None
+        return self.rows - first
+
+
+class RunIndex:
+    """Counts the runs of a job's folder, there or not; reads only new rows, writes nothing."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._counts: dict[Path, CountedRun] = {}
+        self._known: dict[Path, tuple[FileStamp, RunListing]] = {}
+        self._rows_left = 0
+
+    def one(self, run: str) -> RunListings:
+        """Return a run's listing and curve as far as counted; empty if there is no such run."""
+        path, listings, curve = JobFolder(self._path).run_path(run), list[RunListing | None](), None
+        with self._lock, suppress(FolderError):
+            self._rows_left = ROWS_PER_ANSWER
+            listings.append(self._listing(path))
+            curve = self._counts[path].curve_of(run) if path in self._counts else None
+        return replace(_listings(listings), curve=curve)
+
+    def page(self, first: int) -> RunListings:
+        """Return the listings from the run with this number on, by name, as far as counted."""
+        paths, behind = _run_paths(self._path), first + RUNS_PER_PAGE
+        listings: list[RunListing | None] = []
+        with self._lock:
+            self._rows_left = ROWS_PER_ANSWER
+            for path in paths[first:behind]:
+                with suppress(FolderError):  # there may be no journal yet, or no good one
+                    listings.append(self._listing(path))
+        return replace(_listings(listings), next=behind if behind < len(paths) else 0)
+
+    def _listing(self, path: Path) -> RunListing | None:
+        """Return a run's listing; a journal unchanged since its count is not opened again."""
+        stamp, now = journal_stamp(path), time.time()
+        known_stamp, known = self._known.get(path, (None, None))
+        if known is not None and known_stamp == stamp:
+            return known
+        with Journal.open(path) as journal:
+            listing = summary_listing(journal) if journal.sources else self._counted(path, journal)
+            is_whole = path not in self._counts or self._counts[path].rows == journal.count
+        listing = listing and replace(listing, folder=printable(str(path.absolute())))
+        if listing and is_whole and has_rested(stamp, now):
+            self._known[path] = stamp, listing
+        return listing
+
+    def _counted(self, path: Path, journal: Journal) -> RunListing | None:
+        """Count a run's new rows, up to the limit of one answer."""
+        spec, count = journal.spec, self._counts.get(path)
+        if count is None or count.spec != spec or count.rows > journal.count:
+            count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
+        self._rows_left -= count.count(journal, self._rows_left)
+        return count.listing
+
+
+def _run_paths(job: Path) -> list[Path]:
+    return JobFolder(job).run_paths if JobFolder.is_job(job) else []
+
+
+def _listings(listings: Sequence[RunListing | None]) -> RunListings:
+    """Make an answer of these listings; None stands for one not counted yet."""
+    return RunListings(
+        runs=[listing for listing in listings if listing is not None],
+        uncounted=listings.count(None),
+        host=socket.gethostname(),
+    )
+
+
+def journal_stamp(path: Path) -> FileStamp:
+    """Return a stamp that changes when the journal in a folder is written."""
+    stamp: list[tuple[int, int, int]] = []
+    for name in (FILE, f"{FILE}-wal"):
+        with suppress(OSError):  # it is not there, or no longer
+            stat = (path / name).stat()
+            stamp += [(stat.st_ino, stat.st_size, stat.st_mtime_ns)] if stat.st_size else []
+    return tuple(stamp)
+
+
+def has_rested(stamp: FileStamp, now: float) -> bool:
+    """True if the last change was so long before `now` [s since 1970] that a next one shows."""
+    return all(changed / 1e9 < now - CLOCK_SECONDS for _, _, changed in stamp)
+
+
+def summary_listing(journal: Journal) -> RunListing:
+    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
+    summary = asdict(msgspec.json.decode(journal.summary, type=RunSummary))
+    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
+    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
+    return msgspec.convert(known, RunListing)
+
+
+SCENES_KEPT = 8  # Number of scenes kept in memory
+
+
+class QueryServer(ExitStack):
+    """Answers `rec/runs`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
+
+    def __init__(self, bus: Bus, job: str, path: Path) -> None:
+        super().__init__()
+        self._bus = bus
+        self._keys = Keys(job)
+        self._path = path
+        self._index = RunIndex(path)
+        self._contexts = RowContextCache()
+        self._lock = threading.Lock()
+        self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, in the order of their queries
+        self._homes: dict[str, Path] = {}  # run folders in which scenes were seen
+
+    def __enter__(self) -> Self:
+        for pattern, answer in (
+            (self._keys.entries, self.entries),
+            (self._keys.finds, self.finds),
+            (self._keys.recorded_asset(), self.scene),
+        ):
+            self.enter_context(self._bus.answer(pattern, answer))
+        return self
+
+    def entries(self, query: Query) -> bytes:
+        """Return the runs from number `from` on, or the run `run` alone with its curve."""
+        if run := _parameters(query).get("run"):
+            if not NAME.fullmatch(run):
+                raise Refused(f"this recorder has no run '{run[:64]}'")
+            return to_json(self._index.one(run))
+        return to_json(self._index.page(_number(query, "from")))
+
+    def finds(self, query: Query) -> bytes:
+        """Return successes of the run `run` from journal number `from` on."""
+        run = _parameters(query).get("run", "")
+        path = JobFolder(self._path).run_path(run)
+        if not NAME.fullmatch(run) or not RunFolder.is_run(path):
+            raise Refused(f"this recorder has no run '{run[:64]}'")
+        try:
+            with Journal.open(path) as journal:
+                self._homes[journal.scene] = path
+                context = self._contexts.get(RunFolder(path), journal)
+                page, upto = success_page(journal, _number(query, "from"), context)
+                return messages.encode(page_to_message(page, upto, journal, run))
+        except FolderError as error:
+            raise Refused(str(error)) from None
+
+    def scene(self, query: Query) -> bytes:
+        """Return one chunk of a scene."""
+        digest = last_chunk(query.key)
+        return bundle_transfer.answer_chunk(query, self._bundle(digest), digest)
+
+    def _bundle(self, digest: str) -> bytes:
+        """Return the bytes of a scene; the latest ones are kept in memory."""
+        with self._lock:
+            payload = self._scenes.pop(digest, None) or self._read(digest)
+            self._scenes[digest] = payload
+            if len(self._scenes) > SCENES_KEPT:
+                self._scenes.popitem(last=False)
+            return payload
+
+    def _read(self, digest: str) -> bytes:
+        """Return the bytes of a scene, from the folder of any run that has it."""
+        seen = [self._homes[digest]] if digest in self._homes else []
+        for path in seen + _run_paths(self._path):
+            with suppress(FolderError):
+                with Journal.open(path) as journal:
+                    has_scene = journal.scene == digest
+                if has_scene and (bundle := RunFolder(path).bundle()).digest == digest:
+                    return bundle.payload
+        raise Refused(f"no run here has the scene {digest[:12]}")
+
+
+def _parameters(query: Query) -> dict[str, str]:
+    """Return the parameters behind the `?`, by name."""
+    pairs = (part.partition("=") for part in re.split("[&;]", query.parameters))
+    return {name: value for name, _, value in pairs}
+
+
+def _number(query: Query, name: str) -> int:
+    """Return a numeric parameter; 0 if it is missing."""
+    text = _parameters(query).get(name, "0")
+    found = parse_number(text)
+    if found is None:
+        raise Refused(f"'{text[:20]}' is no number: {name}")
+    return found

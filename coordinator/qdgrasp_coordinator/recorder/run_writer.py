@@ -1,0 +1,129 @@
+"""Writes one run: rows wait here from their arrival to their commit in the journal.
+
+Messages may be lost, repeated, overlap, or come from a coordinator that was replaced (docs/bus.md, rule 8).
+Time is passed in, in seconds of any steady clock.
+"""
+
+import time
+from dataclasses import replace
+from enum import Enum
+from itertools import chain
+from math import inf
+
+from qdgrasp_coordinator.metrics.run_stats import count_rows
+from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+GROUP_ROWS = 2048  # With this many rows waiting, they are committed at once
+GROUP_SECONDS = 0.25  # The longest that a row waits for its commit
+MOST_WAITING = 65_536  # Most rows that wait while commits fail; more than a coordinator sends unconfirmed
+
+
+class Arrival(Enum):
+    """Result of offering rows."""
+
+    TAKEN = "taken"
+    """They, or the part that was not known, wait for their commit."""
+    DUPLICATE = "known already"
+    GAP = "rows before them are missing"
+    STALE = "of a coordinator that was replaced"
+    FULL = "more than can wait"
+
+
+class RunWriter:
+    """The only writer of a run's folder, which has a journal; its owner holds the job's lock.
+
+    Rows of a lower coordinator's epoch are refused, a higher one is adopted.
+    """
+
+    def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:
+        self._folder = folder
+        self._journals = journals
+        journal = self.journal
+        self.identity = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
+        self.platform = journal.platform
+        """Platform of the recorded rows; empty while there are no rows."""
+        self.durable = journal.count
+        """Number of rows on disk."""
+        self._epoch = epoch
+        self._waiting: list[JournalSlice] = []
+        self._since = 0.0
+
+    @property
+    def journal(self) -> JournalWriter:
+        """The journal, open until the next one is asked for."""
+        return self._journals.at(self._folder.path)
+
+    @property
+    def expected(self) -> int:
+        """The number of the next row."""
+        return self._waiting[-1].stop if self._waiting else self.durable
+
+    @property
+    def deadline(self) -> float:
+        """When the waiting rows are to be committed; infinite if none wait."""
+        if self.expected - self.durable >= GROUP_ROWS:
+            return -inf
+        return self._since + GROUP_SECONDS if self._waiting else inf
+
+    def begin_epoch(self, spec: RunSpec, epoch: int) -> None:
+        """Begin a coordinator's epoch, with the budget of its spec."""
+        if self.identity.spec != spec:
+            self.journal.set_spec(to_toml(spec))
+            self.identity = replace(self.identity, spec=spec)
+        if self._folder.spec != spec:
+            self._folder.rewrite_spec(spec)
+        self.journal.begin_epoch(epoch, time.time())
+
+    def check_end(self, spec: RunSpec) -> None:
+        """Raise `EndsTooSoon` if the run, by this spec, ends before a row that is here or waits."""
+        if spec == self.identity.spec:
+            return
+        try:
+            rows = chain(self.journal.blocks(), (part.rows for part in self._waiting))
+            count_rows(spec, rows).check_budget(spec)
+        except ImpossibleValue as reason:
+            raise EndsTooSoon(self._folder.path, reason) from None
+
+    def add(self, rows: JournalSlice, epoch: int, now: float) -> Arrival:
+        """Queue those of consecutive rows that are new for their commit."""
+        if epoch < self._epoch:
+            return Arrival.STALE
+        self._epoch = epoch
+        if rows.first > self.expected:
+            return Arrival.GAP
+        if rows.stop <= self.expected:
+            return Arrival.DUPLICATE
+        if rows.stop - self.durable > MOST_WAITING:
+            return Arrival.FULL
+        if not self._waiting:
+            self._since = now
+        self._waiting.append(rows.part(self.expected, rows.stop))
+        return Arrival.TAKEN
+
+    def commit(self, platform: dict[str, str]) -> None:
+        """Make the waiting rows durable, after the platform that they were made on if it is new.
+
+        On a full disk (`DiskFull`) they go on waiting.
+        """
+        if not self._waiting:
+            return
+        if platform and platform != self.platform:
+            self.journal.set_platform(platform)
+            self.platform = platform
+        self.journal.append(join_slices(self._waiting), self._epoch, time.time())
+        self.durable = self.expected
+        self._waiting.clear()
+
+    def forget_waiting(self, epoch: int) -> None:
+        """Drop the rows that wait: another coordinator's epoch begins."""
+        self._epoch = epoch
+        self._waiting.clear()
+
+    def add_scene(self, payload: bytes) -> None:
+        """Store the scene's bundle."""
+        self._folder.add_bundle(payload)

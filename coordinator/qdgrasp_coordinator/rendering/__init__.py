@@ -1,0 +1,1 @@
+"""Pictures of hands, objects and grasps, cast ray by ray and annotated."""

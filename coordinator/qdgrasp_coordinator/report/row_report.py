@@ -1,0 +1,342 @@
+"""All that is known of one row of a journal, and the context that its columns are read in.
+
+The context says which synergy a genome chose and how many trials a success has.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from itertools import accumulate
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
+from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.metrics.scores import eta
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
+from qdgrasp_coordinator.storage.success_pages import RowContext
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import GIVEN, Outcome, trial_count
+
+MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
+ContextKey = tuple[Path, float, str, int]
+"""Folder of a run; of its journal: time of creation, scene, and number of source runs."""
+
+
+class RowContextCache:
+    """Contexts of the rows of journals, a few hundred at most; any thread may ask."""
+
+    def __init__(self) -> None:
+        self._known: dict[ContextKey, RowContext] = {}
+
+    def get(self, folder: RunFolder, journal: Journal) -> RowContext:
+        """Return that of a run's journal; FolderError if its scene cannot be read."""
+        name = (folder.path, journal.created, journal.scene, len(journal.sources))
+        if name in self._known:
+            return self._known[name]
+        if len(self._known) >= MOST_CONTEXTS:
+            self._known.clear()
+        made = row_context(folder, journal)
+        if folder.has_bundle():
+            self._known[name] = made
+        return made
+
+
+def row_context(folder: RunFolder, journal: Journal) -> RowContext:
+    """Make the context of a run's journal; without its scene it names no synergies."""
+    sources = journal.sources
+    if not sources:
+        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder)),))
+    scene, asked = folder.scene(), [source.asked for source in sources]
+    ends = accumulate(source.kept for source in sources)
+    named = (synergies(scene, method(spec.method).prior) for spec in asked)
+    return RowContext(trial_count(asked[0].protocol), tuple(zip(ends, named, strict=True)))
+
+
+ROWS_READ_AT_ONCE = 1 << 16
+"""Rows read at once, from the end of the journal on, for the nearest success."""
+POSE_FRAME = "object's centre-of-mass frame"
+OUTCOME_MEANINGS = {
+    Outcome.ERROR: "the simulator failed three times",
+    Outcome.DEAD_END: "there was no pose to simulate",
+    Outcome.OVERLAP: "the open hand overlaps the object",
+    Outcome.MISSED: "no finger touched the object",
+    Outcome.BRUSHED: "a finger touched while closing, none after it",
+    Outcome.DROPPED: "a finger touches after closing; no shake was survived",
+    Outcome.SHAKEN: "one of the two shakes was survived",
+    Outcome.HELD: "both shakes were survived",
+}
+
+
+class NoSuchRow(InputError):
+    """A number that no row of a journal has; `nearest` is the nearest success, or None."""
+
+    def __init__(self, folder: Path, number: int, rows: int, nearest: int | None) -> None:
+        there = f"it has {rows}, numbered from 0" if rows else "it has none yet"
+        found = "none of them a success" if nearest is None else f"and the nearest success is {nearest}"
+        super().__init__(
+            f"The journal of {folder} has no row {number}: {there}{f', {found}' if rows else ''}."
+        )
+
+
+class ReportedPose(Struct, frozen=True, kw_only=True):
+    """Pose of the hand."""
+
+    link: str
+    """The hand's root link, which has the pose."""
+    frame: str
+    position: tuple[float, ...]
+    """x, y, z [m]."""
+    quaternion_xyzw: tuple[float, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """The pose in words, line by line."""
+        return [
+            f"x y z  {_numbers(self.position)} m",
+            f"qx qy qz qw  {_numbers(self.quaternion_xyzw)}",
+            f"of link '{self.link}' in the {self.frame}",
+        ]
+
+
+class JointPosition(Struct, frozen=True, kw_only=True):
+    """Position of a finger joint after closing."""
+
+    name: str
+    position: float
+    unit: str
+    """"rad", or "m" of a joint that slides."""
+
+
+class GeneValue(Struct, frozen=True, kw_only=True):
+    """One component of a genome."""
+
+    name: str
+    gene: float
+    """In [-1, 1]; under the prior `given` the value itself."""
+    value: float
+    """The length or angle that it stands for [m or rad]."""
+
+
+class RowReport(Struct, frozen=True, kw_only=True):
+    """All that is known about one row; positions are metres in the object's CoM frame."""
+
+    folder: str
+    """Of the run."""
+    number: int
+    """The row's in the journal, as the view in 3D counts."""
+    rows: int
+    generation: int
+    index: int
+    trial: int
+    """0: the nominal evaluation; 1 and up: domain-randomised."""
+    outcome: str
+    """`Outcome` by its name in lower case."""
+    meaning: str
+    reason: str
+    """Of an error; else empty."""
+    fitness: float
+    """Shakes survived: 0, 1 or 2."""
+    eta: float | None
+    """The estimated probability of transfer; None where not all trials of a success are there."""
+    trials: int
+    """Trials of it that are recorded."""
+    descriptor: tuple[float, ...]
+    """The hand's commanded position [m], then what the prior tells beside it."""
+    cell: tuple[int, ...] | None
+    """Of 1 cm; None where there is no pose."""
+    base_to_object: ReportedPose | None
+    """Of the hand; None where there was no pose."""
+    joints: tuple[JointPosition, ...]
+    """Finger joints after closing; none where the hand did not close."""
+    synergy: str
+    """The synergy that closed the hand; empty: all driven joints."""
+    surface_point: tuple[float, ...] | None
+    """The surface point aimed at [m]; None without an aim."""
+    nu: float | None
+    """Angle between its normal and the direction to the hand [rad]; None without an aim."""
+    contacts: int
+    """Finger links that touch the object after closing."""
+    penetration: float
+    """The deepest after closing [m], 0 or positive."""
+    gripper: str
+    object: str
+    protocol: str
+    method: str
+    prior: str
+    """The rule that decodes the genome."""
+    seed: int
+    genome: tuple[GeneValue, ...]
+    scene: str
+    """sha256 of the scene bundle."""
+    com_in_mesh: tuple[float, ...]
+    """The centre of mass in the mesh file's frame [m]: position in the mesh = position + this."""
+    scale: float
+    """Metres to a unit of the mesh file."""
+    run: str
+    """The run that found it, by the name of its folder."""
+
+    @property
+    def table(self) -> str:
+        """All of it in words, one to a line."""
+        values = msgspec.structs.asdict(self)
+        values["outcome"] = ": ".join(
+            filter(None, [self.outcome, values.pop("meaning"), values.pop("reason")])
+        )
+        values["number"] = f"{self.number} of {values.pop('rows')} rows, counted from 0"
+        values["eta"] = None if self.eta is None else f"{self.eta:.4g}"
+        values["nu"] = None if self.nu is None else f"{self.nu:.4g} rad"
+        values["penetration"] = f"{self.penetration:.6g} m"
+        values["surface_point"] = None if self.surface_point is None else f"{_numbers(self.surface_point)} m"
+        values["com_in_mesh"] = f"{_numbers(self.com_in_mesh)} m"
+        values["joints"] = [f"{one.name}  {one.position:.6g} {one.unit}" for one in self.joints]
+        values["genome"] = [f"{one.name}  {one.gene:.6g} for {one.value:.6g}" for one in self.genome]
+        values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
+        return "\n".join(line for name, value in values.items() for line in _lines(name, value))
+
+
+def row_report(folder: RunFolder, number: int) -> RowReport:
+    """Report a row by its number in the journal, also while the run goes on.
+
+    Raises NoSuchRow, or FolderError if the folder cannot be read.
+    """
+    with folder.journal() as journal:
+        row = row_at(folder, journal, number)
+        found_by = provenance(folder, journal, number)
+        spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
+        repeats_known = trial_count(spec.protocol)
+        repeats = _trial_fitness(journal, row, behind, repeats_known)
+        values: dict[str, object] = {
+            "folder": str(folder.path),
+            "run": found_by.run,
+            "number": number,
+            "rows": journal.count,
+            "scene": journal.scene,
+            "reason": journal.errors().get(number, ""),
+        }
+    values |= {name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")}
+    values |= _row_fields(row, folder.scene(), method(spec.method).prior)
+    is_scored = repeats_known > 0 and len(repeats) == repeats_known
+    values |= {
+        "scale": spec.scale or 1.0,
+        "trials": len(repeats),
+        "eta": float(eta(np.array([sum(repeats)]), repeats_known)[0]) if is_scored else None,
+    }
+    return msgspec.convert(values, RowReport)
+
+
+def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
+    """Return the row of a number in a folder's journal; raises NoSuchRow."""
+    if not 0 <= number < journal.count:
+        raise NoSuchRow(folder.path, number, journal.count, _last_success(journal))
+    row: np.void = np.concatenate(list(journal.kept(number, number + 1)))[0]
+    return row
+
+
+def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
+    """Read the columns of a row with its scene."""
+    outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
+    pose, label = _pose(row, scene.gripper), int(synergies(scene, prior).labels(row["genome"][None])[0])
+    plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
+    return {name: row[name].tolist() for name in plain} | {
+        "outcome": outcome.name.lower(),
+        "meaning": OUTCOME_MEANINGS[outcome],
+        "cell": cells(row["descriptor"][:3]).tolist() if pose else None,
+        "base_to_object": pose,
+        "joints": list(_joints(row, scene.gripper)) if outcome.is_simulated else [],
+        "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
+        "surface_point": row["surface_point"].tolist() if is_aimed else None,
+        "nu": float(row["nu"]) if is_aimed else None,
+        "prior": prior,
+        "genome": list(_gene_values(row, scene, prior)),
+        "com_in_mesh": scene.object.com_in_mesh,
+    }
+
+
+def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> list[float]:
+    """Return the fitness in each trial of a nominal success; trials stand behind it."""
+    found: list[float] = []
+    if not most or row["trial"] or not Outcome(row["outcome"]).is_success:
+        return found
+    for rows in journal.kept(behind.start, behind.stop) if behind else ():
+        is_same = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
+        found += rows["fitness"][is_same & (rows["trial"] > 0)].tolist()
+        if len(found) >= most:
+            break
+    return found
+
+
+def _last_success(journal: Journal) -> int | None:
+    """Return the last success, the nearest to any number behind the last row."""
+    stop = journal.count
+    while stop > 0:
+        first = max(0, stop - ROWS_READ_AT_ONCE)
+        here = np.flatnonzero(success_mask(np.concatenate(list(journal.kept(first, stop)))))
+        if len(here):
+            return first + int(here[-1])
+        stop = first
+    return None
+
+
+def _pose(row: np.void, gripper: SceneGripper) -> ReportedPose | None:
+    pose = row["base_to_object"].tolist()
+    if not any(pose[3:]):
+        return None
+    return ReportedPose(
+        link=gripper.base_link, frame=POSE_FRAME, position=tuple(pose[:3]), quaternion_xyzw=tuple(pose[3:])
+    )
+
+
+def _joints(row: np.void, gripper: SceneGripper) -> Iterator[JointPosition]:
+    robot = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # a scene that was checked
+    for joint, position in zip(gripper.joints, row["joints"].tolist(), strict=False):
+        found = robot.joint(joint.name)
+        slides = found is not None and found.kind == "prismatic"
+        yield JointPosition(name=joint.name, position=position, unit="m" if slides else "rad")
+
+
+def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[GeneValue]:
+    """Yield the genes; a merged journal may have zeros behind them."""
+    known = layout(scene, prior)
+    genes = row["genome"][None, : len(known)]
+    values = genes if prior == GIVEN else known.values(genes)
+    for name, gene, value in zip(known.names, genes[0].tolist(), values[0].tolist(), strict=True):
+        yield GeneValue(name=name, gene=gene, value=value)
+
+
+def _lines(name: str, value: object) -> Iterator[str]:
+    """Yield a field in words; a list has a line for each item."""
+    match value:
+        case list():
+            lines = value or ["none"]
+        case tuple():
+            lines = [_numbers(value)]
+        case None | "":
+            lines = ["none"]
+        case _:
+            lines = [f"{value:g}" if isinstance(value, float) else str(value)]
+    for place, line in enumerate(lines):
+        yield f"{name.replace('_', ' ') if not place else '':<16} {line}"
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def synergy_reader(folder: RunFolder) -> SynergyReader:
+    """Return the reader of synergies in a run's genomes; without its scene all are one."""
+    known = folder.has_bundle()
+    return synergies(folder.scene(), method(folder.spec.method).prior) if known else UNKNOWN_SYNERGIES
+
+
+def empty_niche_archive(folder: RunFolder) -> NicheArchive:
+    """Return an empty archive for the rows of a run."""
+    return NicheArchive(synergy_reader(folder))

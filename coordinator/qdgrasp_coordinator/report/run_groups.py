@@ -1,0 +1,382 @@
+"""Groups the runs of a campaign by scene and method; quartile curves over evaluations.
+
+Runs of one hand can be pooled over its objects: what a method reached on all of them, on average.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
+from qdgrasp_coordinator.report.run_history import RunHistory, read_history
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.rows import GIVEN
+from qdgrasp_protocol.spec import Overlaps, RunSpec
+
+HAND_ORDER = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
+"""The paper's order of the hands; others follow."""
+GROUP_KEYS = {"gripper", "object", "protocol", "method", "seed", "evaluations"}
+"""Keys of a spec that name the group of a run, or may differ between its runs."""
+SPEC_UNITS = {"mass": " kg"}
+SPEC_DEFAULTS = {
+    field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in GROUP_KEYS
+}
+"""Values of a spec where neither its method nor the user asks for others."""
+
+
+@dataclass(frozen=True)
+class SceneName:
+    """Gripper, object and evaluation protocol of runs."""
+
+    gripper: str
+    object: str
+    """The object's name, or its mesh file's."""
+    protocol: str
+
+    @property
+    def words(self) -> str:
+        """For a person; the protocol is named where it is not the default."""
+        mark = "" if self.protocol == "paper" else f" ({self.protocol})"
+        return f"{self.gripper} on {self.object}{mark}"
+
+
+@dataclass(frozen=True)
+class RunGroup:
+    """The runs of a method, and one variant of it, on a scene."""
+
+    scene: SceneName
+    method: str
+    variant: str
+    """The settings that tell it from other groups of the method, in words; mostly empty."""
+    runs: tuple[RunHistory, ...]
+    """At least one, by seed."""
+
+    @property
+    def name(self) -> str:
+        """Method and variant in words."""
+        return f"{self.method} {self.variant}".rstrip()
+
+    @property
+    def variant_key(self) -> tuple[str, str]:
+        """Method and variant: the same on every scene."""
+        return self.method, self.variant
+
+    @property
+    def overlaps(self) -> Overlaps:
+        """Mode of counting overlaps, the same in all of its runs."""
+        return self.runs[0].spec.overlaps
+
+    @property
+    def target(self) -> CoverageTarget:
+        """The reference set that its positions are compared with."""
+        return self.runs[0].target
+
+    @property
+    def unfinished(self) -> int:
+        """Number of runs that have not spent their budget."""
+        return sum(not run.complete for run in self.runs)
+
+    @property
+    def finished_runs(self) -> tuple[RunHistory, ...]:
+        """The finished runs, or as long as no run is finished those with rows; claims use them."""
+        finished = tuple(run for run in self.runs if run.complete)
+        return finished or tuple(run for run in self.runs if run.evaluations)
+
+
+def search_run_folders(path: Path) -> list[RunFolder]:
+    """List the runs of searches in a campaign, in a folder of runs, or of one run; by name.
+
+    Runs that score given poses are passed over. Their specs, scenes and journals are needed, the files of
+    their jobs are not. Raises NoFolder or FolderError if there is no such folder, or no run of a search in
+    it.
+    """
+    atomic_files.check_folder(path)
+    home = path / RUNS if (path / RUNS).is_dir() else path
+    places = [path] if (path / SPEC).is_file() else sorted(home.iterdir())
+    runs = [RunFolder(place) for place in places if (place / SPEC).is_file()]
+    found = [run for run in runs if run.spec.method != GIVEN]
+    if runs and not found:
+        raise FolderError(f"The runs in {path} score given poses: there is no search to look at.")
+    if not found:
+        raise FolderError(
+            f"{path} holds no runs: expected run folders in {path / RUNS} or in {path} itself; "
+            "`qdgrasp run --out` and `qdgrasp campaign` make them."
+        )
+    return found
+
+
+def read_histories(folders: Iterable[RunFolder], targets: ReferenceLookup) -> Iterator[RunHistory]:
+    """Read what each run found; each scene is looked up once."""
+    known: dict[tuple[str, str], CoverageTarget] = {}
+    for folder in folders:
+        run_object = folder.spec.object
+        if not folder.has_bundle():
+            yield read_history(folder, CoverageTarget(why="the run's scene is not here"))
+            continue
+        key = folder.bundle().digest, run_object
+        if key not in known:
+            known[key] = targets.of(folder.scene(), run_object)
+        yield read_history(folder, known[key])
+
+
+def group_runs(runs: Iterable[RunHistory]) -> list[RunGroup]:
+    """Group runs that differ in their seed alone; hands and methods in the paper's order."""
+    arms: dict[tuple[SceneName, str], list[RunHistory]] = {}
+    for run in runs:
+        arms.setdefault((scene_name(run.spec), run.spec.method), []).append(run)
+    ordered = sorted(arms, key=lambda arm: (*_scene_order(arm[0]), list(METHODS).index(arm[1])))
+    return [group for arm in ordered for group in _variants(*arm, arms[arm])]
+
+
+def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunGroup]]:
+    """On each scene, choose for each method the variant with the fewest changed settings."""
+
+    def changed_settings(group: RunGroup) -> int:
+        own, setting = METHODS[group.method], _settings(group.runs[0].spec)
+        usual = SPEC_DEFAULTS | {"overlaps": own.overlaps, "population": own.population}
+        return sum(setting[name] != default for name, default in usual.items())
+
+    scenes: dict[SceneName, dict[str, RunGroup]] = {}
+    for group in sorted(groups, key=changed_settings):
+        scenes.setdefault(group.scene, {}).setdefault(group.method, group)
+    return scenes
+
+
+def scene_name(spec: RunSpec) -> SceneName:
+    """Return the scene that a spec asks for."""
+    return SceneName(Path(spec.gripper).stem, Path(spec.object).stem, spec.protocol)
+
+
+def _scene_order(scene: SceneName) -> tuple[Any, ...]:
+    hand = scene.gripper.removeprefix("ref_")
+    order = HAND_ORDER.index(hand) if hand in HAND_ORDER else len(HAND_ORDER)
+    return order, scene.gripper, scene.object, scene.protocol
+
+
+def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator[RunGroup]:
+    """Yield one group for each setting that occurs, told apart by their differences."""
+    settings = [_settings(run.spec) for run in runs]
+    differing = [key for key in settings[0] if len({setting[key] for setting in settings}) > 1]
+    parts: dict[tuple[Any, ...], list[RunHistory]] = {}
+    for run, setting in zip(runs, settings, strict=True):
+        parts.setdefault(tuple(setting[key] for key in differing), []).append(run)
+    for values in sorted(parts, key=lambda values: [(value is not None, value) for value in values]):
+        words = ", ".join(
+            f"{key.replace('_', ' ')} {'default' if value is None else value}{SPEC_UNITS.get(key, '')}"
+            for key, value in zip(differing, values, strict=True)
+        )
+        members = sorted(parts[values], key=lambda run: (run.spec.seed, run.path.name))
+        yield RunGroup(scene, method, words, tuple(members))
+
+
+def _settings(spec: RunSpec) -> dict[str, Any]:
+    return {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+
+
+LEAST_OBJECTS = 2  # Objects, for a mean over objects
+
+
+@dataclass(frozen=True)
+class PooledRun(RunHistory):
+    """Runs with one seed on several objects; only coverage and evaluations are theirs together."""
+
+    parts: tuple[RunHistory, ...] = ()
+
+    def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Mean over the objects after as many evaluations on each."""
+        return np.asarray(np.mean([part.coverage(evaluations) for part in self.parts], axis=0))
+
+    def published_coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Mean of the coverage as published."""
+        return np.asarray(np.mean([part.published_coverage(evaluations) for part in self.parts], axis=0))
+
+
+def pool_objects(groups: Sequence[RunGroup]) -> list[RunGroup]:
+    """Pool each hand's methods over the objects that have a set and were run with all of them.
+
+    Hands with less than two such objects are left out, and so are seeds that not every object has.
+    """
+    hands: dict[tuple[str, str], dict[tuple[str, str], dict[str, RunGroup]]] = {}
+    for group in groups:
+        arms = hands.setdefault((group.scene.gripper, group.scene.protocol), {})
+        arms.setdefault(group.variant_key, {})
+        if group.target.size:
+            arms[group.variant_key][group.scene.object] = group
+    return [group for hand, arms in hands.items() for group in _over_objects(*hand, arms)]
+
+
+def _over_objects(
+    hand: str, protocol: str, arms: dict[tuple[str, str], dict[str, RunGroup]]
+) -> list[RunGroup]:
+    common = sorted(set.intersection(*(set(objects) for objects in arms.values())))
+    if len(common) < LEAST_OBJECTS:
+        return []
+    scene = SceneName(hand, f"{len(common)} objects", protocol)
+    found = [(arm, _pool_seeds([objects[name] for name in common])) for arm, objects in arms.items()]
+    return [RunGroup(scene, *arm, runs) for arm, runs in found if runs]
+
+
+def _pool_seeds(groups: Sequence[RunGroup]) -> tuple[PooledRun, ...]:
+    """Pool the runs of each seed that has begun on every object."""
+    seeds = [{run.spec.seed: run for run in group.runs if run.evaluations} for group in groups]
+    common = sorted(set.intersection(*map(set, seeds)))
+    return tuple(_pool_runs(tuple(runs[seed] for runs in seeds)) for seed in common)
+
+
+def _pool_runs(parts: tuple[RunHistory, ...]) -> PooledRun:
+    first = {field.name: getattr(parts[0], field.name) for field in fields(RunHistory)}
+    target = replace(parts[0].target, stand_in=any(part.target.stand_in for part in parts))
+    ends, complete = min(part.evaluations for part in parts), all(part.complete for part in parts)
+    return PooledRun(**first | {"evaluations": ends, "complete": complete, "target": target}, parts=parts)
+
+
+CURVE_STEPS = 200
+QUARTILES = (0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True)
+class CurveMeasure:
+    """A number of a run after some of its evaluations."""
+
+    name: str
+    words: str
+    """The label of an axis, with its unit."""
+    values: Callable[[RunHistory, ArrayLike], NDArray[np.float64]]
+
+
+COVERAGE = CurveMeasure("coverage", "coverage of S_G", lambda run, at: run.coverage(at))
+PUBLISHED_COVERAGE = CurveMeasure(
+    "published", "coverage of S_G as published", lambda run, at: run.published_coverage(at)
+)
+CELLS = CurveMeasure("cells", "success cells of 1 cm", lambda run, at: run.cells.after(at).astype(np.float64))
+
+
+def measure_of(groups: Iterable[RunGroup]) -> CurveMeasure:
+    """Choose coverage to compare groups on a scene, or cells where one lacks a set."""
+    return COVERAGE if all(group.target.size for group in groups) else CELLS
+
+
+@dataclass(frozen=True)
+class QuartileCurve:
+    """Quartiles over runs after so many counted evaluations: (k,) each."""
+
+    group: RunGroup
+    measure: CurveMeasure
+    evaluations: NDArray[np.int64]
+    runs: NDArray[np.int64]
+    """Runs that have got that far, which the quartiles are of."""
+    low: NDArray[np.float64]
+    median: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def common_points(self) -> int:
+        """Number of points that all runs that have begun have reached."""
+        return int(np.count_nonzero(self.runs == self.runs.max(initial=0)))
+
+
+def quartile_curve(group: RunGroup, measure: CurveMeasure, points: int = CURVE_STEPS) -> QuartileCurve:
+    """Make a group's curve at `points` equal steps and at as many equal factors.
+
+    A run counts as far as it goes, so that the median is of fewer runs beyond the end of the shortest.
+    """
+    begun = [run for run in group.runs if run.evaluations]
+    ends = np.array([run.evaluations for run in begun], dtype=np.int64)
+    end = ends.max(initial=0)
+    even, early = np.linspace(0, end, points + 1), np.geomspace(1, max(end, 1), points)
+    at = np.unique(np.concatenate([np.concatenate([even, early]).round().astype(np.int64), ends]))
+    values = np.array([np.where(at <= run.evaluations, measure.values(run, at), np.nan) for run in begun])
+    if not begun:
+        values = np.full((1, len(at)), np.nan)
+    low, median, high = quartiles(values)
+    return QuartileCurve(group, measure, at, (at <= ends[:, None]).sum(axis=0), low, median, high)
+
+
+def quartiles(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """First quartile, median and third quartile of each column of (n, k), without NaN: (3, k)."""
+    result = np.full((3, values.shape[1]), np.nan)
+    some = ~np.isnan(values).all(axis=0)
+    result[:, some] = np.nanquantile(values[:, some], QUARTILES, axis=0)
+    return result
+
+
+LETTERS_PER_INCH = 17  # Of a panel's heading, in an inch
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """The curves on one scene."""
+
+    scene: SceneName
+    measure: CurveMeasure
+    curves: tuple[QuartileCurve, ...]
+
+    @property
+    def end(self) -> int:
+        """Evaluations of the longest curve."""
+        return max(int(one.evaluations[-1]) for one in self.curves)
+
+    @property
+    def greatest_value(self) -> float:
+        """The greatest third quartile."""
+        return max(float(np.nanmax(one.high, initial=0.0)) for one in self.curves)
+
+
+def curve_panels(groups: Sequence[RunGroup]) -> list[CurvePanel]:
+    """Make the curves of all groups, scene by scene."""
+    return [
+        CurvePanel(scene, measure, tuple(quartile_curve(group, measure) for group in here))
+        for scene, here in scene_groups(groups).items()
+        for measure in [measure_of(here)]
+    ]
+
+
+def scene_groups(groups: Iterable[RunGroup]) -> dict[SceneName, list[RunGroup]]:
+    """Sort groups by scene, in the order of their first occurrence."""
+    scenes: dict[SceneName, list[RunGroup]] = {}
+    for group in groups:
+        scenes.setdefault(group.scene, []).append(group)
+    return scenes
+
+
+def measure_words(panel: CurvePanel) -> str:
+    """Describe the measure on a scene, and the limits of comparing by it."""
+    target = panel.curves[0].group.target
+    if panel.measure is COVERAGE:
+        pool = ", mean over objects" if isinstance(panel.curves[0].group.runs[0], PooledRun) else ""
+        return f"{panel.measure.words}{pool}{', on a stand-in for the scan' if target.stand_in else ''}"
+    return f"{panel.measure.words}: {target.why or 'not all runs have an S_G'}"
+
+
+def run_words(groups: Sequence[RunGroup], room: float) -> str:
+    """Describe seeds and evaluations in `room` inches; methods that have others are named."""
+    kinds: dict[str, list[str]] = {}
+    for group in groups:
+        kinds.setdefault(_seeds_in_words([group]), []).append(group.name)
+    usual, *others = sorted(kinds, key=lambda kind: -len(kinds[kind]))
+    short = {kind: re.sub(" seeds?| evaluations", "", kind) for kind in others}
+    words = "; ".join([usual, *(f"{', '.join(kinds[kind])}: {short[kind]}" for kind in others)])
+    return words if len(words) <= LETTERS_PER_INCH * room else _seeds_in_words(groups)
+
+
+def _seeds_in_words(groups: Sequence[RunGroup]) -> str:
+    seeds = _span([len(group.runs) for group in groups])
+    ends = _span([run.evaluations for group in groups for run in group.runs])
+    unfinished = sum(group.unfinished for group in groups)
+    mark = f", {unfinished} unfinished" if unfinished else ""
+    return f"{seeds} seed{'' if seeds == '1' else 's'} \u00d7 {ends} evaluations{mark}"
+
+
+def _span(numbers: Sequence[int]) -> str:
+    low, high = min(numbers), max(numbers)
+    return f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"

@@ -1,0 +1,285 @@
+"""Batches: rows that wait for a worker, how many make a batch, and which run is next."""
+
+import secrets
+from collections import deque
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from enum import Enum
+from math import ceil, sqrt
+
+import msgspec
+import numpy as np
+
+from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Result, Work, shorten
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
+
+
+@dataclass(frozen=True)
+class RunRef:
+    """A run, as far as its batches name it."""
+
+    run: str
+    scene: str
+    """The scene bundle's sha256."""
+    prior: str
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Rows of one generation of one run that are leased together."""
+
+    id: bytes
+    """16 bytes: random ones of the epoch and a counter, not used again in the job."""
+    run: RunRef
+    rows: Generation
+    failed: int = 0
+    """Failures of the simulator on it; such a row is alone in its batch."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A batch leased to a worker."""
+
+    wid: str
+    join: int
+    """The worker's join number; the worker drops what it was sent for an older one."""
+    attempt: int
+    """Counts the leases of this batch, from 1."""
+    batch: Batch
+
+    def work(self, epoch: int) -> Work:
+        """Return the message to the worker."""
+        run, rows = self.batch.run, self.batch.rows
+        return Work(
+            epoch=epoch,
+            run=run.run,
+            scene=run.scene,
+            prior=run.prior,
+            generation=rows.number,
+            batch=self.batch.id,
+            attempt=self.attempt,
+            join=self.join,
+            n=len(rows),
+            genes=rows.genomes.shape[1],
+            columns={
+                "index": rows.indices.astype("<u4").tobytes(),
+                "trial": rows.trials.astype("<u2").tobytes(),
+                "genome": rows.genomes.astype("<f4").tobytes(),
+            },
+        )
+
+
+class Settlement(Enum):
+    """Kinds of results."""
+
+    FRESH = "fresh"
+    """The first of its batch: it is taken, all others are dropped."""
+    DUPLICATE = "duplicate"
+    """Its sender has already settled this batch."""
+    LATE = "late"
+    """Another worker has already settled this batch."""
+    UNKNOWN = "unknown"
+    """No such batch is known, or no longer."""
+    FOREIGN = "foreign"
+    """Of another epoch, or from a worker that was never leased this batch."""
+
+
+@dataclass(frozen=True)
+class SettleReply:
+    """The answer to a result; the defaults are those of one that is dropped."""
+
+    kind: Settlement
+    rows: Rows | None = None
+    """Settled rows with keys, genomes and results, in the order of the batch; None unless fresh."""
+    cpu_seconds: float = 0.0
+    """Cost of the batch [CPU s]."""
+    failures: tuple[Failure, ...] = ()
+    """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
+    superseded: str | None = None
+    """Another holder of the batch, which is to drop it; its credit is free already."""
+
+
+def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
+    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
+    if failed:
+        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
+    rows["generation"] = batch.rows.number
+    rows["index"] = batch.rows.indices
+    rows["trial"] = batch.rows.trials
+    rows["genome"] = batch.rows.genomes
+
+
+def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
+    """Return a result and its rows; if these cannot be read, all count as failed."""
+    if len(result.failures) == result.n:
+        return result, shape.empty(result.n)
+    try:
+        rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
+        greatest = int(rows["outcome"].max())
+        if greatest > max(Outcome):
+            raise MessageError(
+                f"column 'outcome' holds {greatest}, and outcomes end with {int(max(Outcome))}"
+            )
+    except MessageError as error:
+        failures = [Failure(row=row, reason=shorten(str(error))) for row in range(result.n)]
+        return msgspec.structs.replace(result, failures=failures), shape.empty(result.n)
+    return result, rows
+
+
+BATCH_SECONDS = 0.25  # Target duration of a batch [s]
+LEAST_SECONDS = 0.02  # Shortest batch that is cut to share the end of a generation [s]
+HANDLING_SECONDS = 50e-6  # Time of the coordinator's one thread per batch [s]
+FIRST_ROWS = 4  # Rows in a batch while nothing is known about their cost
+MOST_ROWS = 512
+_MEMORY = 0.9
+
+
+class BatchSizer:
+    """Size of one run's batches: `fixed` rows; None: measured."""
+
+    def __init__(self, fixed: int | None = None) -> None:
+        self._fixed = fixed
+        self._seconds = 0.0
+        self._rows = 0.0
+
+    @property
+    def seconds_per_row(self) -> float | None:
+        """CPU seconds that a row costs, the latest batches counting most; None before the first."""
+        return self._seconds / self._rows if self._rows else None
+
+    def measure(self, rows: int, cpu_seconds: float) -> None:
+        """Record the cost of a batch."""
+        self._seconds = _MEMORY * self._seconds + cpu_seconds
+        self._rows = _MEMORY * self._rows + rows
+
+    def next_size(self, remaining: int, workers: int, runs: int = 1) -> int:
+        """Return the number of rows of the next batch.
+
+        The workers share the `remaining` rows of the generation, and as many of the other `runs` under way.
+        Each gets at most its part of half of them, so that all are done at about the same time.
+        """
+        if self._fixed is not None:
+            return min(self._fixed, remaining)
+        cost = self.seconds_per_row
+        wanted = FIRST_ROWS if cost is None else _rows_within(BATCH_SECONDS, cost)
+        least = 1 if cost is None else self._least(remaining * runs, workers, cost)
+        share = ceil(remaining * runs / (2 * max(workers, 1)))
+        return min(remaining, max(least, min(wanted, share)))
+
+    def _least(self, rows: int, workers: int, cost: float) -> int:
+        """Return the fewest rows worth a batch: handling all must not outlast evaluating them."""
+        handling = HANDLING_SECONDS / max(cost, 1e-9)
+        worth = min(sqrt(rows * handling), workers * handling)
+        return max(_rows_within(LEAST_SECONDS, cost), min(MOST_ROWS, int(worth)))
+
+
+def _rows_within(seconds: float, cost: float) -> int:
+    """Rows that fit into a time, 1 to `MOST_ROWS`."""
+    return max(1, min(MOST_ROWS, int(seconds / max(cost, 1e-9))))
+
+
+FIRST_COST = 0.01  # Expected cost of a row before one of its run was measured [CPU s]
+SCENE_SLACK = 5.0  # CPU seconds that a run may be ahead of others on workers that hold its scene
+
+
+class BatchQueue:
+    """Cuts rows into batches, and takes batches back that are to be leased again."""
+
+    def __init__(self, batch_size: int | None) -> None:
+        self._prefix = secrets.token_bytes(8)
+        self._batch_size = batch_size
+        self._runs: dict[str, _RunBatches] = {}
+        self._cut = 0
+        self._served = 0.0
+
+    def __bool__(self) -> bool:
+        """True if rows wait."""
+        return any(self._runs.values())
+
+    @property
+    def seconds(self) -> float:
+        """Expected cost of the waiting rows [CPU s]."""
+        return sum(len(rows) * (rows.sizer.seconds_per_row or FIRST_COST) for rows in self._runs.values())
+
+    def submit(self, run: RunRef, generation: Generation) -> None:
+        """Take rows of one generation that were never leased."""
+        waiting = self._runs.setdefault(run.run, _RunBatches(run, BatchSizer(self._batch_size)))
+        if not waiting:
+            waiting.served = max(waiting.served, self._served)
+        waiting.uncut.append(generation)
+
+    def withdraw(self, run: str) -> None:
+        """Forget a run."""
+        self._runs.pop(run, None)
+
+    def next_run(self, scenes: Collection[str]) -> str | None:
+        """Return the run served least, or within the slack one whose scene is held; None: no rows."""
+        waiting = [rows for rows in self._runs.values() if rows]
+        if not waiting:
+            return None
+        least = min(waiting, key=lambda rows: rows.served)
+        held = (rows for rows in waiting if rows.run.scene in scenes)
+        least_held = min(held, key=lambda rows: rows.served, default=least)
+        return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
+
+    def pop(self, run: str, workers: int) -> Batch:
+        """Return the next batch of a waiting run: one queued again, or a new one."""
+        waiting = self._runs[run]
+        if waiting.again:
+            batch = waiting.again.pop(next(iter(waiting.again)))
+        else:
+            rows = waiting.uncut.popleft()
+            n = waiting.sizer.next_size(len(rows), workers, len(self._runs))
+            if n < len(rows):
+                waiting.uncut.appendleft(rows[n:])
+            batch = Batch(self._new_id(), waiting.run, rows[:n])
+        self._served = waiting.served
+        waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
+        return batch
+
+    def requeue(self, batch: Batch) -> None:
+        """Have a batch leased again, before anything new of its run."""
+        self._runs[batch.run.run].again[batch.id] = batch
+
+    def requeue_row(self, batch: Batch, place: int) -> None:
+        """Queue a row on which the simulator failed again, as a batch of its own."""
+        self.requeue(Batch(self._new_id(), batch.run, batch.rows[place : place + 1], batch.failed + 1))
+
+    def remove(self, batch: Batch) -> None:
+        """Forget a batch that was queued again, if it still waits."""
+        if batch.run.run in self._runs:
+            self._runs[batch.run.run].again.pop(batch.id, None)
+
+    def measure(self, batch: Batch, cpu_seconds: float) -> None:
+        """Record the cost of a batch."""
+        self._runs[batch.run.run].sizer.measure(len(batch), cpu_seconds)
+
+    def _new_id(self) -> bytes:
+        """Return an id that stays unique if an epoch recurs, as after a disk was restored."""
+        self._cut += 1
+        return self._prefix + self._cut.to_bytes(8)
+
+
+@dataclass
+class _RunBatches:
+    """Waiting rows of a run."""
+
+    run: RunRef
+    sizer: BatchSizer
+    uncut: deque[Generation] = field(default_factory=deque)
+    """Rows that were never leased, of a generation each."""
+    again: dict[bytes, Batch] = field(default_factory=dict)
+    """Batches that are to be leased again, by id."""
+    served: float = 0.0
+    """CPU seconds leased so far; raised to the others' level when the run waits again."""
+
+    def __len__(self) -> int:
+        return sum(map(len, self.uncut)) + sum(map(len, self.again.values()))
+
+    def __bool__(self) -> bool:
+        return bool(self.uncut or self.again)

@@ -1,0 +1,421 @@
+"""The scheduler of a job: decides on each event, without a thread or a clock.
+
+It lives as long as its coordinator, over the epoch that a recorder issues. Pipelines, dispatcher, workers
+and outboxes decide for themselves; here stands which event goes to which of them, and what goes out
+(docs/bus.md, rules 1 to 10). Time is passed in, in seconds of any steady clock.
+"""
+
+import os
+import socket
+from collections.abc import Callable
+from concurrent.futures import Future
+from math import inf
+
+import structlog
+from msgspec import structs
+
+from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
+from qdgrasp_coordinator.scheduler.batch_queue import Settlement, read_result
+from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.lease_dispatcher import STRIKES, Dispatcher
+from qdgrasp_coordinator.scheduler.run_registry import (
+    ActiveRun,
+    NoRunLeft,
+    RunNotOpened,
+    RunOpened,
+    RunRegistry,
+)
+from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
+from qdgrasp_coordinator.storage.run_folder import admit_platform
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Channel, DropCounter, Sample
+from qdgrasp_protocol.errors import (
+    Cancelled,
+    EndedEarly,
+    MessageError,
+    RecorderFellBack,
+    Refused,
+    RunFailed,
+    TookOver,
+)
+from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
+from qdgrasp_protocol.messages import (
+    Control,
+    Heartbeat,
+    Join,
+    Joined,
+    Message,
+    Opened,
+    Order,
+    Recorded,
+    Result,
+    decode_sample,
+)
+from qdgrasp_protocol.text import counted, first_few
+
+LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
+MOST_STOP_SECONDS = 5.0  # Longest wait for a recorder [s]; rows unrecorded by then are evaluated again
+
+
+class EarlyStop:
+    """Decides when a job ends early: when asked to, or by itself after `seconds`; None: never."""
+
+    reason: EndedEarly | None = None
+    """Reason of a requested end; None: not requested."""
+
+    def __init__(self, seconds: float | None, now: float) -> None:
+        self.deadline = inf if seconds is None else now + seconds
+        """When it is to begin by itself; infinite: never, or it has begun."""
+        self._began: float | None = None
+
+    def begin(self, now: float, reason: EndedEarly | None = None) -> None:
+        """Begin the ending: no more work is asked or handed out."""
+        self._began, self.reason, self.deadline = now, reason, inf
+
+    @property
+    def has_begun(self) -> bool:
+        """True if nothing is asked or leased any more; what was found is still recorded."""
+        return self._began is not None
+
+    def is_due(self, now: float) -> bool:
+        """True if it is to begin by itself now."""
+        return now >= self.deadline
+
+    def is_over(self, now: float, *, is_safe: bool) -> bool:
+        """True if the job may end now; `is_safe`: all results are recorded."""
+        if self._began is None:
+            return False
+        return now >= self._began + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
+
+
+log = structlog.get_logger()
+
+AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
+WORKERS_NAMED = 5  # Most workers that a refusal names
+
+PutMessage = Callable[[str, Message, Channel], None]
+"""Sends a message on a key; what is sent while there is no link is lost."""
+
+
+class JobScheduler:
+    """Decides what a coordinator does with each event.
+
+    `on_epoch` is called with the epoch that a recorder issued and the identity of the job, before a worker is
+    served; `on_finished` with each finished and recorded run before it is removed.
+    """
+
+    def __init__(
+        self,
+        job: str,
+        runs: RunRegistry,
+        put: PutMessage,
+        *,
+        batch_size: int | None = None,
+        events: EventLog | None = None,
+        stopping: EarlyStop | None = None,
+        on_epoch: Callable[[int, str], None] = lambda _epoch, _identity: None,
+        on_finished: Callable[[ActiveRun, float], None] = lambda _run, _now: None,
+    ) -> None:
+        self.job = job
+        self.runs = runs
+        self.events = events or EventLog()
+        self.stopping = stopping or EarlyStop(None, 0.0)
+        self.drops = DropCounter()
+        self.is_paused = False
+        """True: nothing is leased; leased batches still count."""
+        self.is_cancelled = False
+        """True if the job ends before it is done: it was cancelled, or its time is over."""
+        self._keys = Keys(job)
+        self._results = self._keys.result("")
+        self._put = put
+        self._batch_size = batch_size
+        self._on_epoch = on_epoch
+        self._on_finished = on_finished
+        self._recorders: set[str] = set()
+        self.start_epoch(0)
+
+    def start_epoch(self, epoch: int) -> None:
+        """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
+        self.epoch = epoch
+        self.workers = WorkerRegistry()
+        self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
+
+    def handle(self, event: InboxEvent, now: float) -> None:
+        """Process an event, but for administrators' commands; TookOver if another coordinator did."""
+        match event:
+            case Sample():
+                self._on_message(event, now)
+            case JoinRequest(join, answer):
+                self._on_join(join, answer, now)
+            case TokenChange(key, alive):
+                self._on_token(key, alive, now)
+            case LinkChange(up):
+                self.workers.on_link(up, now)
+            case RunOpened(run, opened):
+                self._on_opened(run, opened)
+            case RunNotOpened(reason):
+                self._on_not_opened(reason)
+            case NoRunLeft():
+                self.runs.no_run_left()
+
+    def _on_message(self, sample: Sample, now: float) -> None:
+        """Process a message; its kind follows from its key, as in access lists."""
+        try:
+            if sample.key == self._keys.recorded:
+                self._on_recorded(decode_sample(sample, Recorded), now)
+            elif sample.key.startswith(self._results):
+                self._on_result(decode_sample(sample, Result), last_chunk(sample.key), now)
+            else:
+                heartbeat = from_json(sample.payload, Heartbeat)
+                self.workers.on_heartbeat(last_chunk(sample.key), heartbeat, now)
+        except MessageError as error:
+            self.drops.note(sample.key, error)
+
+    def _on_result(self, result: Result, wid: str, now: float) -> None:
+        """Settle a result once, and pass on to the recorder what became final."""
+        run = self.runs.get(result.run)
+        if run is None:
+            self.workers.progressed(wid, now)
+            return
+        result, rows = read_result(result, run.plan.shape)
+        settled = self.dispatcher.settle(wid, result, rows, now)
+        if settled.superseded is not None:
+            self._drop(settled.superseded, [result.batch])
+        if settled.kind is not Settlement.FRESH or settled.rows is None:
+            return
+        self.workers.on_settled(wid, result.n, now)
+        if failures := settled.failures:
+            rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
+            words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
+            self.events.note("error", words, run=run.name, worker=wid)
+        run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
+        if run.pipeline.finished is not None:
+            self._withdraw(run.name)
+
+    def _on_recorded(self, report: Recorded, now: float) -> None:
+        """Note the durable rows; reopen a run whose recorder lost some."""
+        run = self.runs.get(report.run)
+        if run is None:
+            return
+        try:
+            run.sink.on_report(report, now)
+        except RecorderFellBack as fallen:
+            log.warning("a run goes on from fewer records", run=run.name, reason=str(fallen))
+            self.events.note("recorder", str(fallen), run=run.name)
+            self._withdraw(run.name)
+            self.runs.reopen(run)
+
+    def _on_token(self, key: str, alive: bool, now: float) -> None:
+        name = last_chunk(key)
+        if key == self._keys.worker_token(name):
+            self.workers.on_token(name, alive, now)
+        elif key == self._keys.recorder_token(name):
+            self._on_recorder_token(name, alive, now)
+        elif alive and (parse_number(name) or 0) > self.epoch:
+            raise TookOver(self.job, name)
+
+    def _on_recorder_token(self, name: str, alive: bool, now: float) -> None:
+        if alive != (name in self._recorders):
+            (self._recorders.add if alive else self._recorders.discard)(name)
+            words = "A recorder is there." if alive else "The recorder is gone; what is found waits for one."
+            self.events.note("recorder", words)
+        for run in self.runs if alive else ():
+            run.sink.on_recorder_up(now)
+
+    def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
+        """Add a run that is open, unless its rows were made on another platform."""
+        if not self.epoch:
+            self.start_epoch(opened.epoch)
+            self._on_epoch(opened.epoch, opened.identity)
+            how = f"takes over with turn {opened.epoch}" if opened.epoch > 1 else "begins"
+            self.events.note(
+                "job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}."
+            )
+        workers = self.workers
+        try:
+            workers.platform = admit_platform(workers.platform, opened.platform or workers.platform)
+        except Refused as refusal:
+            self._on_not_opened(RunFailed(run.name, f"Its rows were made elsewhere: {refusal}"))
+            return
+        run.sink.set_platform(workers.platform)
+        self.runs.add(run)
+        log.info("opened", run=run.name, recorded=run.replayed)
+        rows = run.tally.rows
+        words = f"Run '{run.name}' goes on from row {rows}." if rows else f"Run '{run.name}' begins."
+        self.events.note("run", words, run=run.name)
+
+    def _on_not_opened(self, reason: Exception) -> None:
+        """Go on without a run that cannot be carried out; raise every other error."""
+        if not isinstance(reason, RunFailed):
+            raise reason
+        self.runs.add_failure(reason)
+        log.error("a run cannot be carried out", run=reason.run, reason=str(reason))
+        self.events.note("error", f"Run '{reason.run}' cannot be carried out: {reason}", run=reason.run)
+
+    def _remove(self, run: ActiveRun, now: float) -> None:
+        """Remove a run that is finished and recorded."""
+        self._on_finished(run, now)
+        self.runs.remove(run)
+        log.info("finished", run=run.name, reason=run.pipeline.finished)
+        self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
+
+    def _withdraw(self, run: str) -> None:
+        """Withdraw a run's queued and leased rows."""
+        for wid, batches in self.dispatcher.withdraw(run).items():
+            self._drop(wid, batches)
+
+    def _on_join(self, join: Join, answer: "Future[bytes]", now: float) -> None:
+        """Answer a worker that asks to join; the first one sets the platform of the rows."""
+        platform, is_new = self.workers.platform, self.workers.get(join.wid) is None
+        try:
+            drop = self.dispatcher.join(join, now)
+        except Refused as refusal:
+            words = f"A worker on {join.host} was refused: {refusal}."
+            self.events.note("worker", words, worker=join.wid)
+            answer.set_exception(refusal)
+            return
+        worker = self.workers.get(join.wid)
+        if worker and is_new:
+            self.events.note("worker", f"{worker.description} joined.", worker=join.wid)
+        if worker and worker.is_drained:
+            self._send_away(join.wid)
+        log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
+        answer.set_result(messages.encode(Joined(epoch=self.epoch, drop=drop)))
+        for run in self.runs if self.workers.platform != platform else ():
+            run.sink.set_platform(self.workers.platform)
+
+    def _on_lost(self, lost: LostWorker) -> None:
+        """Queue again what a worker held that left, vanished or is stuck."""
+        worker, requeued = lost.worker, self.dispatcher.requeue(lost.batches)
+        log.info("gave a worker up", worker=worker.wid[:8], reason=lost.reason, requeued=requeued)
+        end = "is stuck" if lost.is_there else "is gone"
+        how = f"{end}: {lost.reason}" if worker.join.credit else "has left"
+        again = f"; {requeued} of its batches are queued again" if requeued else ""
+        self.events.note("worker", f"{worker.description} {how}{again}.", worker=worker.wid)
+
+    def _drop(self, wid: str, batches: list[bytes]) -> None:
+        """Take batches back from a worker."""
+        self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drop=batches), Channel.CONTROL)
+
+    def _send_away(self, wid: str) -> None:
+        self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
+
+    def step(self, now: float) -> None:
+        """Do all that is possible now: give up workers, ask, record, lease, end and open runs."""
+        for lost in self.workers.overdue(now):
+            self._on_lost(lost)
+        for run in self.runs:
+            while not (self.is_ending or run.sink.is_full) and (asked := run.pipeline.ask()) is not None:
+                self.dispatcher.submit(run.ref, asked)
+            run.sink.tick(now)
+        for lease in [] if self.is_paused or self.is_ending else self.dispatcher.leases(now):
+            self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
+        for run in self.runs:
+            if run.is_done:
+                self._remove(run, now)
+        if not self.is_ending:
+            is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * len(self.workers)
+            self.runs.open_another(self.epoch, is_wanted=is_wanted)
+        if self.stopping.is_due(now):
+            self.stop(now)
+
+    def next_deadline(self) -> float:
+        """Return when `step` has something to do if nothing happens; infinite: never."""
+        return min(self.workers.next_deadline(), self.stopping.deadline)
+
+    @property
+    def is_ending(self) -> bool:
+        """True: nothing is asked or leased; what was found is still recorded."""
+        return self.stopping.has_begun
+
+    def stop(self, now: float, reason: EndedEarly | None = None) -> None:
+        """Stop asking and leasing, withdraw all leases, and start the wait for the recorder."""
+        self.stopping.begin(now, reason)
+        for run in self.runs:
+            self._withdraw(run.name)
+
+    def has_ended(self, now: float) -> bool:
+        """True if a job that ends early may end now."""
+        is_safe = self.is_ending and all(run.sink.is_empty for run in self.runs)
+        return self.stopping.is_over(now, is_safe=is_safe)
+
+    def obey(self, order: Order, now: float) -> str:
+        """Carry an administrator's command out; returns what happened, or raises Refused.
+
+        Commands decide when and where rows are evaluated, and have no say in what a run finds.
+        """
+        if self.is_ending:
+            raise Refused(f"job '{self.job}' is ending already")
+        match order.act:
+            case "pause":
+                return self._pause()
+            case "continue":
+                if not self.is_paused:
+                    return f"Job '{self.job}' is not paused."
+                self.is_paused = False
+                return f"Job '{self.job}' goes on."
+            case "cancel":
+                self.stop(now, Cancelled(self.job))
+                stays = "What is recorded stays: `qdgrasp resume DIR` (or `campaign`) goes on."
+                return f"Job '{self.job}' ends. {stays}"
+            case "drain":
+                return self._drain(order)
+
+    def _pause(self) -> str:
+        if self.is_paused:
+            return f"Job '{self.job}' is paused already; `qdgrasp continue {self.job}` has it go on."
+        self.is_paused = True
+        held = sum(len(worker.batches) for worker in self.workers)
+        out = counted(held, "batch that is out still counts", "batches that are out still count")
+        return f"Job '{self.job}' is paused: nothing is handed out; {out}."
+
+    def _drain(self, order: Order) -> str:
+        """Have workers finish what they hold, and leave."""
+        chosen = _choose_workers(list(self.workers), order, self.job)
+        for worker in chosen:
+            self.workers.drain(worker.wid)
+            self._send_away(worker.wid)
+        number = counted(len(chosen), "worker")
+        return f"Asked {number} of job '{self.job}' to finish the batches at hand and leave."
+
+    @property
+    def state(self) -> str:
+        """The job's state: starting, running, paused, ending or cancelled."""
+        states = {
+            "cancelled": self.is_cancelled,
+            "ending": self.is_ending,
+            "paused": self.is_paused,
+            "starting": not self.epoch,
+        }
+        return next((state for state, holds in states.items() if holds), "running")
+
+    def status(self, now: float) -> JobStatus:
+        """Return the job's figures."""
+        return structs.replace(
+            self.runs.status(self.job, len(self.workers), now),
+            state=self.state,
+            recorders=len(self._recorders),
+            requeued=self.dispatcher.counters["requeued"],
+            strays=self.dispatcher.strays,
+        )
+
+
+def _choose_workers(workers: list[Worker], order: Order, job: str) -> list[Worker]:
+    """Return the workers meant: one by the beginning of its id, or all of a host."""
+    if not (order.worker or order.host):
+        raise Refused("it is not said whom to drain: name a worker or a host")
+    if order.host:
+        named, found = f"on host '{order.host}'", [one for one in workers if one.join.host == order.host]
+    else:
+        named, found = f"'{order.worker}'", [one for one in workers if one.wid.startswith(order.worker)]
+    if not found:
+        raise Refused(f"job '{job}' has no worker {named}; {_list_workers(workers)}")
+    if order.worker and len(found) > 1:
+        raise Refused(f"job '{job}' has {len(found)} workers whose ids begin so; {_list_workers(found)}")
+    return found
+
+
+def _list_workers(workers: list[Worker]) -> str:
+    """Return the known workers in words."""
+    names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
+    return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"

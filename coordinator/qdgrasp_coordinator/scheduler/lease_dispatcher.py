@@ -1,0 +1,231 @@
+"""Dispatch: which worker gets which batch, and which result counts.
+
+Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so whatever is lost in flight is
+evaluated again, and the first result of a batch is as good as any other. Time is passed in, in seconds of
+any steady clock.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from qdgrasp_coordinator.scheduler.batch_queue import (
+    Batch,
+    BatchQueue,
+    Lease,
+    RunRef,
+    Settlement,
+    SettleReply,
+    complete_rows,
+)
+from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Join, Result
+from qdgrasp_protocol.rows import Rows
+
+MOST_SETTLED = 10_000
+"""Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
+
+
+@dataclass(eq=False)
+class BatchState:
+    """A batch that was leased and is not settled."""
+
+    batch: Batch
+    attempts: int = 0
+    holder: str | None = None
+    """Worker that holds it; None: it waits."""
+    since: float = 0.0
+    """When it was leased last."""
+    leased: set[str] = field(default_factory=set)
+    """All workers that were ever leased it."""
+
+
+class BatchTable:
+    """Batches that were leased and not settled, and the latest settled ones."""
+
+    def __init__(self, epoch: int) -> None:
+        self._epoch = epoch
+        self._open: dict[bytes, BatchState] = {}
+        self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
+        """By id: the workers that were leased it, and that which settled it; None: it was withdrawn."""
+
+    def open(self, batch: Batch) -> BatchState:
+        """Return the state of a batch that is leased, made at its first lease."""
+        return self._open.setdefault(batch.id, BatchState(batch))
+
+    def find(self, batch_id: bytes) -> BatchState | None:
+        """Return the state of a leased batch; None: never leased, or settled."""
+        return self._open.get(batch_id)
+
+    def of(self, run: str) -> list[BatchState]:
+        """Return a run's leased, unsettled batches."""
+        return [state for state in self._open.values() if state.batch.run.run == run]
+
+    def close(self, state: BatchState, winner: str | None = None) -> None:
+        """Move a batch to the settled ones, without its rows; without a winner if withdrawn."""
+        del self._open[state.batch.id]
+        self._settled[state.batch.id] = (state.leased, winner)
+        if len(self._settled) > MOST_SETTLED:
+            self._settled.popitem(last=False)
+
+    def classify(self, wid: str, result: Result) -> Settlement:
+        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
+        state = self._open.get(result.batch)
+        leased, winner = (state.leased, None) if state else self._settled.get(result.batch, (None, None))
+        if result.epoch != self._epoch or (leased is not None and wid not in leased):
+            return Settlement.FOREIGN
+        if state is not None:
+            _check_result(state.batch, result)
+            return Settlement.FRESH
+        if leased is None:
+            return Settlement.UNKNOWN
+        return Settlement.DUPLICATE if winner == wid else Settlement.LATE
+
+
+def _check_result(batch: Batch, result: Result) -> None:
+    if result.n != len(batch):
+        raise MessageError(f"a result has {result.n} rows, its batch {len(batch)}")
+    for failure in result.failures:
+        if failure.row >= result.n:
+            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")
+
+
+STRIKES = 3  # Failures of the simulator after which a row is settled as an error
+_COUNTED = ("leased", "requeued", "failures", "errors")
+
+
+class Dispatcher:
+    """Leases the rows of all runs of a job to its workers.
+
+    A batch has `batch_size` rows; None: as many as take about a quarter of a second.
+    """
+
+    def __init__(self, epoch: int, workers: WorkerRegistry, batch_size: int | None = None) -> None:
+        self.counters = dict.fromkeys((*(kind.value for kind in Settlement), *_COUNTED), 0)
+        """Results by kind, batches leased and queued again, rows failed and given up."""
+        self._workers = workers
+        self._queue = BatchQueue(batch_size)
+        self._batches = BatchTable(epoch)
+
+    def submit(self, run: RunRef, generation: Generation) -> None:
+        """Queue rows of one generation of a run."""
+        self._queue.submit(run, generation)
+
+    def withdraw(self, run: str) -> dict[str, list[bytes]]:
+        """Forget all rows of a run; gives the batches that workers may drop, by worker."""
+        self._queue.withdraw(run)
+        drops: dict[str, list[bytes]] = {}
+        for state in self._batches.of(run):
+            if state.holder is not None:
+                drops.setdefault(state.holder, []).append(state.batch.id)
+                self._workers.release(state.holder, state.batch.id)
+            self._batches.close(state)
+        return drops
+
+    @property
+    def queued_seconds(self) -> float:
+        """Expected cost of the rows that wait for a worker [CPU s]."""
+        return self._queue.seconds
+
+    @property
+    def strays(self) -> int:
+        """Number of dropped results: late, duplicate, unknown or foreign."""
+        return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
+
+    def leases(self, now: float) -> list[Lease]:
+        """Lease what is queued to workers with credit left; send them in this order."""
+        leases: list[Lease] = []
+        for worker in self._workers.idle() if self._queue else ():
+            run = self._queue.next_run(worker.scenes)
+            if run is None:
+                break
+            state = self._batches.open(self._queue.pop(run, len(self._workers)))
+            state.attempts += 1
+            state.since = now
+            state.leased.add(worker.wid)
+            self._hand_over(state, worker, now)
+            leases.append(Lease(worker.wid, worker.join.number, state.attempts, state.batch))
+        self.counters["leased"] += len(leases)
+        return leases
+
+    def join(self, join: Join, now: float) -> list[bytes]:
+        """Admit a worker, or admit it again; returns the batches that it is to drop.
+
+        What it was leased and does not hold is queued again. A join older than the latest changes nothing.
+        Raises Refused if it is not admitted.
+        """
+        before = self._workers.join(join, now)
+        worker = self._workers.get(join.wid)
+        if before is None or worker is None:
+            return []
+        listed = list(dict.fromkeys(join.held))
+        kept = {batch_id: state for batch_id in listed if (state := self._own(join.wid, batch_id))}
+        self.requeue(batch_id for batch_id in before if batch_id not in kept)
+        for state in kept.values():
+            self._queue.remove(state.batch)
+            self._hand_over(state, worker, now)
+        return [batch_id for batch_id in listed if batch_id not in kept]
+
+    def requeue(self, batch_ids: Iterable[bytes]) -> int:
+        """Queue the unsettled batches again that a worker holds no more; returns their number."""
+        states = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
+        for state in states:
+            state.holder = None
+            self._queue.requeue(state.batch)
+        self.counters["requeued"] += len(states)
+        return len(states)
+
+    def _hand_over(self, state: BatchState, worker: Worker, now: float) -> None:
+        state.holder = worker.wid
+        self._workers.hold(worker, state.batch.id, state.batch.run.scene, now)
+
+    def _own(self, wid: str, batch_id: bytes) -> BatchState | None:
+        """Return a batch that a worker may go on with, held by it or waiting; else None."""
+        state = self._batches.find(batch_id)
+        is_own = state is not None and wid in state.leased and state.holder in (None, wid)
+        return state if is_own else None
+
+    def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
+        """Settle a result: the first of a batch counts, if its sender was leased the batch.
+
+        Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
+        worker `wid`. Raises MessageError if it has another number of rows than its batch, or names a failed
+        row that the batch has not.
+        """
+        kind = self._batches.classify(wid, result)
+        self.counters[kind.value] += 1
+        if kind is not Settlement.FOREIGN:
+            self._workers.progressed(wid, now)
+            self._workers.release(wid, result.batch)
+        state = self._batches.find(result.batch)
+        if kind is not Settlement.FRESH or state is None:
+            return SettleReply(kind)
+        self._queue.measure(state.batch, result.cpu_seconds)
+        if state.holder == wid:
+            self._workers.lease_timeout.measure(now - state.since)
+        self._queue.remove(state.batch)
+        self._batches.close(state, winner=wid)
+        settled = self._split(state.batch, result, rows)
+        if state.holder in (None, wid):
+            return settled
+        self._workers.release(state.holder, result.batch)
+        return replace(settled, superseded=state.holder)
+
+    def _split(self, batch: Batch, result: Result, rows: Rows) -> SettleReply:
+        """Return the settled rows; queue failed ones again until they failed too often."""
+        failed = {failure.row: failure.reason for failure in result.failures}
+        self.counters["failures"] += len(failed)
+        complete_rows(rows, batch, failed)
+        if not failed:
+            return SettleReply(Settlement.FRESH, rows, result.cpu_seconds)
+        if batch.failed + 1 < STRIKES:
+            for place in sorted(failed):
+                self._queue.requeue_row(batch, place)
+            return SettleReply(Settlement.FRESH, np.delete(rows, list(failed)), result.cpu_seconds)
+        self.counters["errors"] += len(failed)
+        failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
+        return SettleReply(Settlement.FRESH, rows, result.cpu_seconds, failures)

@@ -1,0 +1,346 @@
+"""The pipeline of one run: orders asks and tells, and ends the run with its budget.
+
+Results arrive in any order; the search is told generation by generation, and the journal is that order:
+by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state:
+whatever came in between, the rows that become final, and what the search is asked, are a function of the
+spec (docs/reproducibility.md).
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
+from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
+from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.errors import ReplayError
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import Overlaps
+
+MOST_FINAL = 4096  # The most rows that become final at once
+Places = NDArray[np.int64]
+"""(n,): indices, or trials, of rows."""
+
+
+@dataclass(frozen=True)
+class Generation:
+    """Rows of one generation that are to be evaluated."""
+
+    number: int
+    indices: NDArray[np.uint32]
+    """(n,): places in the generation."""
+    trials: NDArray[np.uint16]
+    """(n,): 0 is nominal, 1 and up are randomised."""
+    genomes: Genomes
+    """(n, d)."""
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, places: slice) -> "Generation":
+        return Generation(self.number, self.indices[places], self.trials[places], self.genomes[places])
+
+
+class GenerationBuffer:
+    """One generation that is asked and not yet told.
+
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial). At most
+    `limit` nominal rows are needed, from index 0 on; a success has `trials` trials.
+    """
+
+    final: int = 0
+    """Number of its final rows, in journal order."""
+
+    def __init__(self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: int = 0) -> None:
+        self.number = number
+        self._trials = trials
+        self._nominal = min(limit, len(genomes))
+        """Nominal rows that the journal is to hold."""
+        self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
+        """By index and trial; what is never written costs no memory."""
+        self._bytes = row_bytes(self._rows)
+        self._rows["generation"][:, 0] = number
+        self._rows["index"][:, 0] = np.arange(len(genomes))
+        self._rows["genome"][:, 0] = genomes
+        self._is_present = np.zeros((self._nominal, 1 + trials), dtype=bool)
+        self._is_success = np.zeros(self._nominal, dtype=bool)
+        self._handed_out = False
+        self._opened = 0
+        """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
+
+    @property
+    def rows_for_tell(self) -> Rows:
+        """Nominal rows as told to the search: fitness is summed over a success's trials."""
+        rows = take_rows(self._rows, np.s_[:, 0])
+        if self._trials:
+            found = self._successes
+            rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
+        return rows
+
+    @property
+    def missing(self) -> int:
+        """Number of nominal rows not final yet."""
+        return max(0, self._nominal - self.final)
+
+    @property
+    def is_complete(self) -> bool:
+        """True if every row that the journal is to hold is final."""
+        return not self.missing and self.final == self._nominal + self._trials * len(self._successes)
+
+    def hand_out(self) -> Generation | None:
+        """Return missing rows not handed out before; None: nothing to hand out now.
+
+        Nominal rows first; the trials of a success once all nominal rows up to it are here.
+        """
+        if not self._handed_out:
+            self._handed_out = True
+            indices = np.flatnonzero(~self._is_present[: self._nominal, 0])
+            if len(indices):
+                return self._to_evaluate(indices, np.zeros_like(indices))
+        return self._hand_out_trials() if self._trials else None
+
+    def _hand_out_trials(self) -> Generation | None:
+        gapless = _count_before_gap(self._is_present[self._opened : self._nominal, 0])
+        found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
+        self._opened += gapless
+        places, trials = np.nonzero(~self._is_present[found, 1:])
+        return self._to_evaluate(found[places], trials + 1) if len(places) else None
+
+    def put(self, rows: Rows) -> None:
+        """Put rows in their places; those that are here already, or were not asked, are ignored."""
+        indices, trials = rows["index"].astype(np.int64), rows["trial"].astype(np.int64)
+        is_new = self._is_asked(indices, trials)
+        is_new[is_new] = ~self._is_present[indices[is_new], trials[is_new]]
+        first = np.flatnonzero(is_new)[::-1]  # of equal places the last one written stays
+        self._store(take_rows(rows, first), indices[first], trials[first])
+
+    @property
+    def has_ready_row(self) -> bool:
+        """True if the row behind the final ones is here."""
+        if self.missing:
+            return bool(self._is_present[self.final, 0])
+        indices, trials = self._next(1)
+        return bool(self._is_present[indices, trials].any())
+
+    def ready_rows(self) -> Rows:
+        """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
+        if self.missing:
+            n = _count_before_gap(self._is_present[self.final : self._nominal, 0][:MOST_FINAL])
+            return take_rows(self._rows, np.s_[self.final : self.final + n, 0])
+        indices, trials = self._next(MOST_FINAL)
+        n = _count_before_gap(self._is_present[indices, trials])
+        return take_rows(self._rows, (indices[:n], trials[:n]))
+
+    def truncate(self) -> None:
+        """Drop the nominal rows behind the final ones: budget or goal is reached."""
+        self._nominal = min(self._nominal, self.final)
+
+    def replay(self, rows: Rows) -> None:
+        """Take what belongs here of recorded rows that begin behind the final ones.
+
+        Raises ReplayError if keys or genomes differ from those asked, in any bit.
+        """
+        # Where the budget ends a generation, trials follow early.
+        nominal = _count_before_gap(rows["trial"] == 0)
+        indices, trials = self._next(max(1, nominal) if self.missing else len(rows))
+        recorded = rows[: len(indices)]
+        asked = self._rows[indices[: len(recorded)], 0]
+        asked["trial"] = trials[: len(recorded)]
+        for column in ("generation", "index", "trial", "genome"):
+            if asked[column].tobytes() != recorded[column].tobytes():
+                raise ReplayError(self._mismatch(asked, recorded, column))
+        self._store(recorded, indices[: len(recorded)], trials[: len(recorded)])
+
+    @property
+    def _successes(self) -> Places:
+        """The successes among the nominal rows that the journal is to hold, by index."""
+        return np.flatnonzero(self._is_success[: self._nominal])
+
+    def _is_asked(self, indices: Places, trials: Places) -> NDArray[np.bool_]:
+        """Mask of places of this generation: nominal rows, and trials handed out."""
+        is_known: NDArray[np.bool_] = (indices < len(self._is_present)) & (trials <= self._trials)
+        if not self._trials:
+            return is_known
+        safe = np.where(is_known, indices, 0)
+        asked: NDArray[np.bool_] = (trials == 0) | (safe < self._opened) & self._is_success[safe]
+        return is_known & asked
+
+    def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
+        genomes = self._rows["genome"][indices, 0]
+        return Generation(self.number, indices.astype(np.uint32), trials.astype(np.uint16), genomes)
+
+    def _store(self, rows: Rows, indices: Places, trials: Places) -> None:
+        self._bytes[indices, trials] = row_bytes(rows)
+        self._is_present[indices, trials] = True
+        nominal = indices[trials == 0]
+        self._is_success[nominal] = self._rows["outcome"][nominal, 0] >= Outcome.DROPPED
+
+    def _next(self, most: int) -> tuple[Places, Places]:
+        """Return indices and trials of the next rows in journal order: nominal, or else trials."""
+        if self.missing:
+            indices = np.arange(self.final, min(self.final + most, self._nominal))
+            return indices, np.zeros_like(indices)
+        found, first = self._successes, self.final - self._nominal
+        places = np.arange(first, min(first + most, self._trials * len(found)))
+        return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
+
+    def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
+        pairs = zip(asked[column], recorded[column], strict=True)
+        place = next(i for i, (one, other) in enumerate(pairs) if one.tobytes() != other.tobytes())
+        return (
+            f"The journal's {column} differs from what the spec asks in generation {self.number}, "
+            f"index {asked['index'][place]}: it was recorded by another spec or version of qdgrasp, "
+            "so this run cannot go on from it."
+        )
+
+
+def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
+    """Return the number of rows before the first missing."""
+    return len(is_present) if is_present.all() else int(is_present.argmin())
+
+
+class Pipeline:
+    """Orders the asks and tells of one search.
+
+    Generation g is asked of the search at the moment when generation g - `generations_in_flight` has been
+    told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one; `ask`
+    only hands out what is there. Nothing has been asked of the search before.
+
+    The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
+    of its generation's rows up to that one. Later rows of that generation are not journalled, and that
+    generation is not told. `goals` end the run earlier in the same manner. Each nominal success has `trials`
+    trials; its fitness is then the sum over them.
+    """
+
+    def __init__(
+        self,
+        search: SearchAlgorithm,
+        shape: RowShape,
+        evaluations: int,
+        overlaps: Overlaps,
+        generations_in_flight: int = 1,
+        trials: int = 0,
+        goals: StopCriteria = BUDGET_ALONE,
+    ) -> None:
+        self.tally = RunCounter(evaluations, overlaps, trials, goals)
+        self._search = search
+        self._shape = shape
+        self._overlaps = overlaps
+        self._trials = trials
+        self._open: deque[GenerationBuffer] = deque()
+        self._asked = 0
+        self._cpu_seconds = 0.0
+        self._reasons: dict[tuple[int, int, int], str] = {}
+        for _ in range(generations_in_flight):
+            self._prepare()
+
+    @property
+    def finished(self) -> str | None:
+        """Reason why the run is over; None while it is not."""
+        return self.tally.finished or (None if self._open else "the search has nothing left to ask")
+
+    def ask(self) -> Generation | None:
+        """Return the next rows to evaluate; None: nothing now, or the run is finished."""
+        for buffer in self._open if self.finished is None else ():
+            if (rows := buffer.hand_out()) is not None:
+                return rows
+        return None
+
+    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
+        """Take evaluated rows, in any order, and return those that have just become final.
+
+        The rows have keys, genomes and results, and are of any generations. Those that came before, were not
+        asked for, or come after the end, are ignored. `cpu_seconds` go on with the next rows that become
+        final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
+        """
+        self._cpu_seconds += cpu_seconds
+        self._reasons |= {_key(rows[failure.row]): failure.reason for failure in failures}
+        if self.finished is None:
+            self._put(rows)
+        return self._advance()
+
+    def replay(self, rows: Rows) -> None:
+        """Take the next recorded rows of the journal as if they had just been evaluated.
+
+        Raises ReplayError if this run does not ask them: the journal is of another spec or version.
+        """
+        while len(rows):
+            if self.finished is not None:
+                raise ReplayError(f"The journal goes on after its row {self.tally.rows}: {self.finished}.")
+            before = self.tally.rows
+            self._open[0].replay(rows)
+            self._advance()
+            rows = rows[self.tally.rows - before :]
+
+    def _put(self, rows: Rows) -> None:
+        """Put each row into its open generation."""
+        generations = rows["generation"]
+        for buffer in self._open:
+            is_its = generations == buffer.number
+            if is_its.all():
+                buffer.put(rows)
+            elif is_its.any():
+                buffer.put(take_rows(rows, is_its))
+
+    def _advance(self) -> JournalSlice:
+        """Make final what follows without a gap; tell and ask where a generation is complete."""
+        first, errors = self.tally.rows, self.tally.errors
+        pieces: list[Rows] = []
+        while self.finished is None and self._open[0].has_ready_row:
+            pieces.append(self._next_final_rows(self._open[0]))
+        if not pieces:
+            return JournalSlice(first, self._shape.empty(0))
+        rows = join_rows(pieces)
+        cpu_seconds, self._cpu_seconds = self._cpu_seconds, 0.0
+        failures = self._failures(rows) if self.tally.errors > errors else ()
+        return JournalSlice(first, rows, cpu_seconds, failures)
+
+    def _next_final_rows(self, buffer: GenerationBuffer) -> Rows:
+        """Count the ready rows of the oldest generation, up to the end of the run."""
+        rows = buffer.ready_rows()
+        rows = rows[: self.tally.rows_until_stop(rows)]
+        buffer.final += len(rows)
+        self.tally.count(rows)
+        if self.tally.is_reached:
+            buffer.truncate()
+        if buffer.is_complete:
+            self.tally.end_generation()
+            self._close(buffer)
+        return rows
+
+    def _close(self, buffer: GenerationBuffer) -> None:
+        """Tell a complete generation, and ask the one that waited for it, unless the run is over."""
+        if self.finished is None:
+            self._search.tell(buffer.number, buffer.rows_for_tell)
+            self._open.popleft()
+            self._prepare()
+
+    def _prepare(self) -> None:
+        """Ask the search for the next generation, unless the open ones are sure to spend the budget."""
+        needed = self.tally.left
+        if self._overlaps == "count":
+            needed -= sum(buffer.missing for buffer in self._open)
+        if needed <= 0:
+            return
+        genomes = self._search.ask(self._asked)
+        if len(genomes):
+            limit = needed if self._overlaps == "count" else len(genomes)
+            self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, self._trials))
+            self._asked += 1
+
+    def _failures(self, rows: Rows) -> tuple[Failure, ...]:
+        """The reasons of the error rows among final ones."""
+        return tuple(
+            Failure(row=int(place), reason=self._reasons.pop(_key(rows[place]), ""))
+            for place in np.flatnonzero(rows["outcome"] == Outcome.ERROR)
+        )
+
+
+def _key(row: np.void) -> tuple[int, int, int]:
+    return int(row["generation"]), int(row["index"]), int(row["trial"])

@@ -1,0 +1,317 @@
+"""Sinks of a run's rows: a recorder, or memory where only a result is wanted.
+
+A put is no promise: what was sent may be lost, repeated or overtaken. The outbox knows the number up to
+which the recorder has reported rows durable, and sends everything behind it again when the recorder is new
+or stands still (docs/bus.md, rule 8). Time is passed in, in seconds of any steady clock.
+"""
+
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from qdgrasp_coordinator.storage.journal_slice import (
+    JournalSlice,
+    join_slices,
+    slice_from_message,
+    slice_to_message,
+)
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus, Channel
+from qdgrasp_protocol.errors import Faulty, InputError, NoReply, RecorderFellBack, Refused, TookOver
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Platform, Recordable, Recorded
+from qdgrasp_protocol.rows import Rows, RowShape
+
+
+class RowSink(ABC):
+    """Takes the settled rows of a run, in journal order; safe at once without a recorder."""
+
+    trouble: str = ""
+    """Reason why rows cannot be written now; empty when they can."""
+
+    def __init__(self, shape: RowShape) -> None:
+        self._shape = shape
+        self.platform: dict[str, str] = {}
+        """Platform of the rows; empty before a worker came."""
+
+    @abstractmethod
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        """Open the run; returns the epoch to use and the number of recorded rows.
+
+        In epoch 0 a new one is issued. `wait` is called between two tries; it may raise to end them.
+        """
+
+    @abstractmethod
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        """Return recorded rows from number `first` on, some if there are any."""
+
+    @abstractmethod
+    def push(self, part: JournalSlice) -> None:
+        """Take rows that became final."""
+
+    def set_platform(self, platform: dict[str, str]) -> None:
+        """Note the platform of this job's rows."""
+        self.platform = platform
+
+    def tick(self, now: float) -> None:
+        """Send what is due."""
+        return
+
+    def on_report(self, message: Recorded, now: float) -> None:
+        """Process a recorder's report."""
+        return
+
+    def on_recorder_up(self, now: float) -> None:
+        """Send again what is not durable: a recorder appeared."""
+        return
+
+    @property
+    @abstractmethod
+    def durable(self) -> int:
+        """Number of durable rows of the run."""
+
+    @property
+    def is_full(self) -> bool:
+        """True if too many rows are unconfirmed to ask for more."""
+        return False
+
+    @property
+    def is_empty(self) -> bool:
+        """True if all rows taken are safe."""
+        return True
+
+
+class MemorySink(RowSink):
+    """Keeps rows in memory, for a job whose result is not to be recorded."""
+
+    def __init__(self, shape: RowShape) -> None:
+        super().__init__(shape)
+        self._parts: list[Rows] = []
+
+    @property
+    def rows(self) -> Rows:
+        """All rows taken, in journal order."""
+        return np.concatenate([self._shape.empty(0), *self._parts])
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        """Return that nothing is recorded."""
+        return Opened(epoch=1, durable=[0], platform={})
+
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        """Return no rows."""
+        return JournalSlice(first, self._shape.empty(0))
+
+    def push(self, part: JournalSlice) -> None:
+        """Keep the rows."""
+        self._parts.append(part.rows)
+
+    @property
+    def durable(self) -> int:
+        """Number of rows taken."""
+        return sum(map(len, self._parts))
+
+
+MESSAGE_ROWS = 1024  # The most rows in one message
+MOST_UNCONFIRMED = 20_000  # With more unconfirmed rows than this, the run stops asking
+RESEND_AFTER = 2.0  # Seconds without progress after which everything unconfirmed is sent again
+DOUBT_SECONDS = 3.0  # Seconds of hearing only lower numbers before they are believed: one may be late
+
+
+class Outbox:
+    """Unconfirmed rows of one run, of which `durable` rows were durable when it was opened."""
+
+    def __init__(self, durable: int = 0) -> None:
+        self.confirmed = durable
+        """Rows that the recorder reported durable."""
+        self._kept: deque[JournalSlice] = deque()
+        self._end = durable
+        self._sent = durable
+        self._progress = 0.0
+        self._lower_since: float | None = None
+
+    @property
+    def unconfirmed(self) -> int:
+        """Number of rows not known to be durable."""
+        return self._end - self.confirmed
+
+    @property
+    def is_empty(self) -> bool:
+        """True if all rows are durable."""
+        return not self.unconfirmed
+
+    @property
+    def is_full(self) -> bool:
+        """True if the run must stop asking until the recorder catches up."""
+        return self.unconfirmed > MOST_UNCONFIRMED
+
+    def push(self, part: JournalSlice) -> None:
+        """Take the next rows of the journal."""
+        if part.first != self._end:
+            raise ValueError(f"row {self._end} was to be next, got {part.first}")
+        if len(part):
+            self._kept.append(part)
+            self._end = part.stop
+
+    def take_due(self, now: float) -> list[JournalSlice]:
+        """Return what is to be sent now, in slices, and count it as sent."""
+        if self._is_waiting and now >= self._progress + RESEND_AFTER:
+            self.resend(now)
+        if self._sent == self._end:
+            return []
+        if not self._is_waiting:
+            self._progress = now
+        parts = [kept.part(self._sent, self._end) for kept in self._kept if kept.stop > self._sent]
+        rest = join_slices(parts)
+        self._sent = self._end
+        return [
+            rest.part(first, first + MESSAGE_ROWS) for first in range(rest.first, rest.stop, MESSAGE_ROWS)
+        ]
+
+    def confirm(self, number: int, now: float) -> None:
+        """Record that `number` rows are durable.
+
+        Raises RecorderFellBack if the recorder has fewer rows than it reported before, or more than were ever
+        sent. A lower number may also have been overtaken by a higher one on its way, so it is believed only
+        when nothing else was reported for `DOUBT_SECONDS`.
+        """
+        if number < self.confirmed or number > self._end:
+            if self._lower_since is None:
+                self._lower_since = now
+            elif now >= self._lower_since + DOUBT_SECONDS:
+                raise RecorderFellBack(number, self.confirmed, self._end)
+            return
+        self._lower_since = None
+        if number > self.confirmed:
+            self._progress = now
+            self._forget(number)
+
+    def resend(self, now: float) -> None:
+        """Have all unconfirmed rows sent again: a new recorder may have missed them."""
+        self._sent = self.confirmed
+        self._progress = now
+
+    @property
+    def _is_waiting(self) -> bool:
+        """True if rows were sent that are not confirmed."""
+        return self._sent > self.confirmed
+
+    def _forget(self, number: int) -> None:
+        self.confirmed = number
+        self._sent = max(self._sent, number)
+        while self._kept and self._kept[0].stop <= number:
+            self._kept.popleft()
+
+
+REPLAY_ROWS = 2048  # Rows in one page of a replay
+ASK_TIMEOUT, MOST_ASK_TIMEOUT = 1.0, 10.0
+"""Seconds that a request to a recorder waits, at first and at most.
+
+A request on a lost link is lost; each wait in vain doubles the time, as a recorder may be slow.
+"""
+
+
+class RecorderClient(RowSink):
+    """The recorder at the other end of the bus (docs/bus.md, rule 8)."""
+
+    def __init__(self, bus: Bus, job: str, shape: RowShape) -> None:
+        super().__init__(shape)
+        self._bus = bus
+        self._keys = Keys(job)
+        self._job = job
+        self._run = ""
+        self._epoch = 0
+        self._outbox = Outbox(0)
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        """Ask the recorder to open the run, again and again until one answers.
+
+        Raises InputError if it holds another run, TookOver if it answers another coordinator by now.
+        """
+        try:
+            request = Open(job=self._job, runs=[run], epoch=epoch)
+            opened = messages.decode(self._ask(self._keys.open, request, wait), Opened)
+        except (Refused, Faulty) as refusal:
+            over = TookOver.told_by(refusal, self._job)
+            raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
+        self._run, self._epoch = run.run, opened.epoch
+        self._outbox = Outbox(opened.durable[0])
+        self.platform = opened.platform
+        return opened
+
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        """Return a page of rows from the recorder's journal; InputError if it cannot read it."""
+        try:
+            request = Log(run=self._run, first=first, limit=REPLAY_ROWS)
+            page = messages.decode(self._ask(self._keys.log, request, wait), Recordable)
+        except (Refused, Faulty) as refusal:
+            raise InputError(
+                f"The recorder does not show the rows of run '{self._run}': {refusal}."
+            ) from None
+        return slice_from_message(page, self._shape)
+
+    def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:
+        """Ask until a recorder answers: one that died is started again."""
+        patience = ASK_TIMEOUT
+        while True:
+            began = time.monotonic()
+            try:
+                answer = self._bus.ask(key, messages.encode(request), timeout=patience)
+            except NoReply:
+                if time.monotonic() >= began + patience:
+                    patience = min(2 * patience, MOST_ASK_TIMEOUT)
+                self.trouble = f"no recorder of job '{self._job}' answers, or its disk is full"
+                wait()
+            else:
+                self.trouble = ""
+                return answer
+
+    def push(self, part: JournalSlice) -> None:
+        """Keep rows until they are durable."""
+        self._outbox.push(part)
+
+    def on_report(self, message: Recorded, now: float) -> None:
+        """Take note of what is durable."""
+        if message.epoch > self._epoch > 0:
+            raise TookOver(self._job, message.epoch)
+        if message.run != self._run or message.epoch != self._epoch:
+            return
+        self.trouble = message.trouble
+        try:
+            self._outbox.confirm(message.durable, now)
+        except RecorderFellBack as fallen:
+            raise fallen.of(self._run) from None
+
+    def on_recorder_up(self, now: float) -> None:
+        """A recorder appeared: send again what is not durable."""
+        self._outbox.resend(now)
+
+    def tick(self, now: float) -> None:
+        """Send the rows that are due."""
+        parts = self._outbox.take_due(now)
+        if parts:  # The platform goes before each burst of rows: a message may have been lost
+            self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self.platform))
+        for part in parts:
+            message = slice_to_message(part, self._run, self._epoch, self._shape)
+            self._put(self._keys.outcome(self._epoch), message)
+
+    @property
+    def is_full(self) -> bool:
+        """True if too many rows are unconfirmed."""
+        return self._outbox.is_full
+
+    @property
+    def is_empty(self) -> bool:
+        """True if all rows are durable."""
+        return self._outbox.is_empty
+
+    @property
+    def durable(self) -> int:
+        """Number of rows of the run on disk."""
+        return self._outbox.confirmed
+
+    def _put(self, key: str, message: Recordable | Platform) -> None:
+        kind = type(message)
+        self._bus.put(key, messages.encode(message), encoding=messages.encoding(kind), channel=Channel.DATA)

@@ -1,0 +1,245 @@
+"""Plans of runs with all that carrying them out takes, and the queue of a job's runs.
+
+From what a user asks for to a run that can be carried out: spec, scene, search and pipeline.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from qdgrasp_assets.asset_paths import named_path, path_problem
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.scene import Bundle, Scene, pack_scene
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
+from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
+from qdgrasp_coordinator.search.registry import check_spec, method
+from qdgrasp_coordinator.storage.job_folder import RUN
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.messages import Failure, OpenRun
+from qdgrasp_protocol.rows import Rows, RowShape, trial_count
+from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
+
+
+class EvaluationPlan(Protocol):
+    """Rows to evaluate in a run, in the order in which they count; `Pipeline` for a search."""
+
+    tally: RunCounter
+
+    @property
+    def finished(self) -> str | None:
+        """Reason why the run is over; None while it is not."""
+
+    def ask(self) -> Generation | None:
+        """Return the next rows to evaluate; None: nothing to evaluate now."""
+
+    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
+        """Take evaluated rows, in any order, and give those that have just become final."""
+
+    def replay(self, rows: Rows) -> None:
+        """Take the next recorded rows as if they had just been evaluated."""
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """One run that a coordinator carries out."""
+
+    run: str
+    spec: bytes
+    """The full spec as TOML."""
+    bundle: Bundle
+    prior: str
+    shape: RowShape
+    pipeline: EvaluationPlan
+    evaluations: int
+    """The budget."""
+
+    @property
+    def open_request(self) -> OpenRun:
+        """Message that opens the run at a recorder."""
+        return OpenRun(run=self.run, spec=self.spec, scene=self.bundle.digest, **asdict(self.shape))
+
+
+@dataclass(frozen=True)
+class JobExtent:
+    """Size of a job, counted before its first run is opened."""
+
+    runs: int
+    evaluations: int
+    """Sum of the budgets of all runs."""
+    budgets: Mapping[str, int]
+    """Budgets of the runs that are to be carried out, by name."""
+    runs_done: int = 0
+    """Runs that were finished before; they are not opened again."""
+    done: RunTotals = NO_TOTALS
+    """Totals of the runs that were finished before."""
+
+    @classmethod
+    def of(cls, budgets: Mapping[str, int]) -> "JobExtent":
+        """Return the extent of runs with these budgets, by name, none of them finished."""
+        return cls(runs=len(budgets), evaluations=sum(budgets.values()), budgets=budgets)
+
+    def with_done(self, found: Mapping[str, RunTotals]) -> "JobExtent":
+        """Return the same extent, where these runs, by name, were finished before."""
+        return replace(
+            self,
+            budgets={run: budget for run, budget in self.budgets.items() if run not in found},
+            runs_done=self.runs_done + len(found),
+            done=sum(found.values(), self.done),
+        )
+
+
+class RunQueue(Protocol):
+    """Interface of the queue of a job's runs."""
+
+    extent: JobExtent
+
+    def next(self) -> RunPlan | None:
+        """Return the next run to carry out; None when no run is left.
+
+        Raises RunFailed if it cannot be made, while the one behind it may; DiskFull if there is no room for
+        it now: it is made when `next` is called again and there is.
+        """
+
+    def put_back(self, run: str) -> None:
+        """Have `next` make a run again, before any other: it goes on from its records.
+
+        May be called in another thread than `next`.
+        """
+
+
+class SingleRunQueue:
+    """The queue of a job with one run; `make` makes it, at its very beginning."""
+
+    def __init__(self, make: Callable[[], RunPlan], evaluations: int) -> None:
+        self.extent = JobExtent.of({RUN: evaluations})
+        self._make = make
+        self._is_due = True
+
+    def next(self) -> RunPlan | None:
+        """The run, whenever it is due."""
+        if not self._is_due:
+            return None  # and nothing is written: it may be put back meanwhile
+        self._is_due = False
+        return self._make()
+
+    def put_back(self, run: str) -> None:
+        """Have the run made again."""
+        self._is_due = True
+
+
+def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
+    """Return the complete spec: files as absolute paths, defaults of the method filled in.
+
+    Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
+    """
+    chosen = method(run_spec(values, where).method)
+    usual = {name: getattr(chosen, name) for name in ("overlaps", "population", "generations_in_flight")}
+    whole = usual | values
+    whole |= {name: absolute_asset(values[name]) for name in ("gripper", "object")}
+    spec = run_spec(whole, where)
+    check_spec(spec)
+    return spec
+
+
+def absolute_asset(name: Any) -> Any:
+    """Return a gripper or object: a file as its absolute path, anything else as it is."""
+    path = named_path(name) if isinstance(name, str) else Path()
+    return str(path.resolve()) if path.suffix and not path_problem(path) else name
+
+
+def default_run_name(spec: RunSpec) -> str:
+    """Return the name of a run's folder when it has none."""
+    return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
+
+
+def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
+    """Return the scene of a spec, and its bytes.
+
+    Raises InputError if it cannot be built, or the method's prior is not for such a hand.
+    """
+    scene = build_scene(spec)
+    row_shape(scene, method(spec.method).prior)
+    return scene, pack_scene(scene)
+
+
+def plan_run(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> RunPlan:
+    """Return a run, ready for the coordinator."""
+    chosen = method(spec.method)
+    return plan_with_search(chosen.build(spec, search_space(scene, chosen.prior)), spec, scene, bundle, run)
+
+
+def plan_with_search(
+    search: SearchAlgorithm, spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN
+) -> RunPlan:
+    """Make a run with a given search, which asks genomes of the method's prior."""
+    chosen = method(spec.method)
+    shape = row_shape(scene, chosen.prior)
+    pipeline = Pipeline(
+        search,
+        shape,
+        evaluations=spec.evaluations,
+        overlaps=spec.overlaps,
+        generations_in_flight=spec.generations_in_flight,
+        trials=trial_count(spec.protocol),
+        goals=StopCriteria.of(spec),
+    )
+    return RunPlan(run, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
+
+
+def row_shape(scene: Scene, prior: str) -> RowShape:
+    """Return the shape of a scene's rows."""
+    return RowShape(len(layout(scene, prior)), len(scene.gripper.joints), descriptors(prior))
+
+
+CompareRow = Callable[[int, np.void, str], None]
+"""Takes a row's place among the recorded ones, the row as evaluated now, and its error."""
+
+
+class ReevaluationPlan:
+    """Recorded rows that are evaluated once more; no row becomes final.
+
+    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
+    recorded rows as index, and its trial. `compare` is called once for each row.
+    """
+
+    def __init__(self, recorded: Rows, compare: CompareRow) -> None:
+        self.tally = RunCounter(len(recorded), "count")
+        """Rows evaluated so far; trials count as evaluations."""
+        self._recorded = recorded
+        self._compare = compare
+        self._is_due = True
+        self._is_missing = np.ones(len(recorded), dtype=bool)
+
+    @property
+    def finished(self) -> str | None:
+        """Reason why it is over; None while rows are missing."""
+        return None if self._is_missing.any() else "all rows were evaluated again"
+
+    def ask(self) -> Generation | None:
+        """Return all rows at the first call, then None."""
+        if not self._is_due:
+            return None
+        self._is_due = False
+        indices = np.arange(len(self._recorded), dtype=np.uint32)
+        return Generation(0, indices, self._recorded["trial"], self._recorded["genome"])
+
+    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
+        """Compare evaluated rows with the recorded ones; returns no rows."""
+        reasons = {failure.row: failure.reason for failure in failures}
+        fresh = np.flatnonzero(self._is_missing[rows["index"]])
+        self._is_missing[rows["index"]] = False
+        for place in fresh.tolist():
+            self._compare(int(rows["index"][place]), rows[place], reasons.get(place, ""))
+        counted = rows[fresh]
+        counted["trial"] = 0
+        self.tally.count(counted)
+        return JournalSlice(0, rows[:0])
+
+    def replay(self, rows: Rows) -> None:
+        """Do nothing: no row is recorded."""

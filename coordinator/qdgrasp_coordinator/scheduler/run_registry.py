@@ -1,0 +1,319 @@
+"""The runs of a job in progress: opened and replayed when needed, let go when done.
+
+The loader makes the next run ready in a thread of its own: building a scene takes seconds, and so may the
+replay of a journal; results go on being settled meanwhile. What was made is handed over by the scheduler's
+inbox.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from msgspec import structs
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.metrics.job_status import JobStatus, RunListing, RunStatus
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
+from qdgrasp_coordinator.scheduler.batch_queue import RunRef
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue
+from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
+from qdgrasp_protocol.messages import Opened
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.spec import from_toml
+
+
+class ActiveRun:
+    """A run from its opening at the recorder to its last durable row."""
+
+    def __init__(self, plan: RunPlan, sink: RowSink) -> None:
+        self.name = plan.run
+        self.plan = plan
+        self.pipeline = plan.pipeline
+        self.sink = sink
+        self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior)
+        self.replayed = 0
+        """Counted evaluations that were in the journal when the run was opened."""
+        self._spec = from_toml(plan.spec.decode(), f"the spec of run '{plan.run}'")
+        self._began = time.monotonic()
+
+    def open(self, epoch: int, wait: Callable[[], None]) -> Opened:
+        """Open the run and replay its journal into its search, checked bit for bit.
+
+        In epoch 0 the recorder issues a new one. `wait` is called between two requests; it may raise to end
+        them. Raises InputError if the recorder refuses the run, or its spec does not replay to its journal.
+        """
+        opened = self.sink.open(self.plan.open_request, epoch, wait)
+        position, durable = 0, opened.durable[0]
+        while position < durable:
+            recorded = self.sink.recorded_rows(position, wait)
+            if not len(recorded):
+                raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
+            self.pipeline.replay(recorded.rows)
+            position = recorded.stop
+            self.replayed = self.tally.evaluations
+        return opened
+
+    @property
+    def tally(self) -> RunCounter:
+        """Counts of its journal's rows."""
+        return self.pipeline.tally
+
+    @property
+    def curve(self) -> GrowthCurve:
+        """Growth of its counts."""
+        return self.tally.curve(self.name)
+
+    @property
+    def undurable_rows(self) -> int:
+        """Settled rows that are not known to be on disk."""
+        return max(0, self.tally.rows - self.sink.durable)
+
+    @property
+    def remaining(self) -> int:
+        """Counted evaluations that it may still take; 0 once it is over."""
+        return 0 if self.pipeline.finished else max(0, self.tally.budget - self.tally.evaluations)
+
+    @property
+    def is_done(self) -> bool:
+        """True if the run is finished and all of its rows are on disk."""
+        return self.pipeline.finished is not None and self.sink.is_empty
+
+    def status(self, workers: int, now: float) -> RunStatus:
+        """Return the run's figures; `workers` are those of the job."""
+        seconds = now - self._began
+        listing = RunListing.of(self.name, self._spec, self.plan.bundle.digest, self.tally)
+        counts = structs.asdict(listing) | {"finished": self.pipeline.finished or ""}
+        return RunStatus(
+            **counts,
+            workers=workers,
+            durable=self.sink.durable,
+            seconds=seconds,
+            rate=(listing.evaluations - self.replayed) / seconds if seconds > 0 else 0.0,
+            trouble=self.sink.trouble,
+        )
+
+
+TRY_INTERVAL = 0.1  # seconds between two tries: a recorder does not answer, or a disk is full
+JOIN_TIMEOUT = 0.5  # seconds that the thread may take to notice that it is not needed any more
+
+
+@dataclass(frozen=True)
+class RunOpened:
+    """A run is open and replayed."""
+
+    run: ActiveRun
+    opened: Opened
+
+
+@dataclass(frozen=True)
+class RunNotOpened:
+    """A run failed (`RunFailed`), or the coordinator cannot go on (any other error)."""
+
+    reason: Exception
+
+
+@dataclass(frozen=True)
+class NoRunLeft:
+    """There was no run to open."""
+
+
+LoaderEvent = RunOpened | RunNotOpened | NoRunLeft
+
+
+class RunLoader:
+    """Opens the runs of a job one at a time; `put` takes the results, in the loader's thread."""
+
+    def __init__(
+        self,
+        queue: RunQueue,
+        make_sink: Callable[[RunPlan], RowSink],
+        put: Callable[[LoaderEvent], None],
+        stop: Stop,
+    ) -> None:
+        self._queue = queue
+        self._make_sink = make_sink
+        self._put = put
+        self._stop = stop
+        self._thread: threading.Thread | None = None
+        self._is_closed = False
+        self.run: ActiveRun | None = None
+        """The run that is being opened, or was opened last; None before it is made."""
+        self.trouble = ""
+        """Reason why no run can be opened now; empty when one can."""
+
+    def begin(self, epoch: int) -> None:
+        """Start to open the next run; `epoch` is the coordinator's, 0 before it has one."""
+        self.run, self.trouble = None, ""
+        self._thread = threading.Thread(target=self._load, args=(epoch,), name="loader", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop, at the next request to the recorder."""
+        self._is_closed = True
+        if self._thread is not None:
+            self._thread.join(JOIN_TIMEOUT)
+
+    def _load(self, epoch: int) -> None:
+        try:
+            self._put(self._open_next(epoch))
+        except _Closed:
+            return
+        except Exception as error:  # noqa: BLE001  # whatever it is, it is raised again where the job is run
+            self._put(RunNotOpened(error))
+
+    def _open_next(self, epoch: int) -> LoaderEvent:
+        plan = self._next_plan()
+        if plan is None:
+            return NoRunLeft()
+        self.run = run = ActiveRun(plan, self._make_sink(plan))
+        try:
+            return RunOpened(run, run.open(epoch, self._wait))
+        except InputError as error:
+            raise RunFailed(plan.run, str(error)) from None
+
+    def _next_plan(self) -> RunPlan | None:
+        """Return the queue's next run; waits while the disk is full."""
+        while True:
+            try:
+                plan = self._queue.next()
+            except DiskFull as full:
+                self.trouble = str(full)
+                self._wait()
+            else:
+                self.trouble = ""
+                return plan
+
+    def _wait(self) -> None:
+        """Pause between two tries; raises if closed."""
+        if self._is_closed or self._stop.is_set:
+            raise _Closed
+        time.sleep(TRY_INTERVAL)
+
+
+class _Closed(Exception):  # a way out, not an error
+    """The loader is not needed any more."""
+
+
+MOST_RUNS = 256  # The most runs that are carried out at once
+MOST_SCENES = 64  # Number of scenes kept for late queries after their last run is done
+
+
+class RunRegistry:
+    """The active runs of a job."""
+
+    def __init__(self, queue: RunQueue, loader: RunLoader) -> None:
+        self.extent = queue.extent
+        """Amount of work when the job began."""
+        self._queue = queue
+        self._loader = loader
+        self._is_opening = False
+        self._all_opened = False
+        self._was_put_back = False  # since the loader began
+        self._open: dict[str, ActiveRun] = {}
+        self._failures: list[RunFailed] = []
+        self._budgets = dict(self.extent.budgets)  # of the runs that are neither done nor failed
+        self._scenes: dict[str, Bundle] = {}
+        self._done = 0
+        self._found = self.extent.done
+        self._replayed = self.extent.done.evaluations
+        self._began = time.monotonic()
+
+    def __iter__(self) -> Iterator[ActiveRun]:
+        """Iterate over the active runs, oldest first; any may end meanwhile."""
+        return iter(list(self._open.values()))
+
+    def get(self, run: str) -> ActiveRun | None:
+        """Return an active run; None: not active."""
+        return self._open.get(run)
+
+    def scene(self, digest: str) -> Bundle | None:
+        """Return a present or recent scene; None: unknown. Safe in any thread."""
+        return self._scenes.get(digest)
+
+    @property
+    def are_done(self) -> bool:
+        """True if every run of the job is finished or failed."""
+        return self._all_opened and not self._open
+
+    def check(self) -> None:
+        """Raise RunsFailed if some runs could not be carried out."""
+        if self._failures:
+            raise RunsFailed(self._failures, self.extent.runs)
+
+    def open_another(self, epoch: int, *, is_wanted: bool) -> None:
+        """Start to open a run if one is wanted or no run is active; one at a time."""
+        is_due = is_wanted or not self._open
+        if is_due and not self._is_opening and not self._all_opened and len(self._open) < MOST_RUNS:
+            self._is_opening, self._was_put_back = True, False
+            self._loader.begin(epoch)
+
+    def add(self, run: ActiveRun) -> None:
+        """Add an opened run."""
+        self._is_opening = False
+        self._open[run.name] = run
+        self._budgets.setdefault(run.name, run.tally.budget)  # of a queue that grows
+        self._replayed += run.replayed
+        self._keep_scene(run.plan.bundle)
+
+    def add_failure(self, failure: RunFailed) -> None:
+        """Count a run that cannot be carried out as failed."""
+        self._is_opening = False
+        self._failures.append(failure)
+        self._budgets.pop(failure.run, None)
+
+    def no_run_left(self) -> None:
+        """Note that no run is left to open, unless one was put back meanwhile."""
+        self._is_opening = False
+        self._all_opened = not self._was_put_back
+
+    def remove(self, run: ActiveRun) -> None:
+        """Remove a run that is done."""
+        del self._open[run.name]
+        self._done += 1
+        self._budgets.pop(run.name, None)
+        self._found += run.tally.totals
+
+    def reopen(self, run: ActiveRun) -> None:
+        """Remove a run whose recorder lost rows, to reopen it from its journal."""
+        del self._open[run.name]
+        self._replayed -= run.replayed
+        self._queue.put_back(run.name)
+        self._was_put_back, self._all_opened = True, False
+
+    def close(self) -> None:
+        """Stop opening."""
+        self._loader.close()
+
+    def _keep_scene(self, bundle: Bundle) -> None:
+        """Add a scene, and forget the oldest of those that no active run has."""
+        wanted = {run.plan.bundle.digest for run in self._open.values()}
+        old = [digest for digest in self._scenes if digest not in wanted][:-MOST_SCENES]
+        kept = {digest: scene for digest, scene in self._scenes.items() if digest not in old}
+        self._scenes = kept | {bundle.digest: bundle}
+
+    def status(self, job: str, workers: int, now: float) -> JobStatus:
+        """Return the job's figures, as far as they are those of its runs."""
+        opening = [self._loader.run] if self._is_opening and self._loader.run else []
+        runs = [*self._open.values(), *opening]
+        troubles = [self._loader.trouble if self._is_opening else "", *(run.sink.trouble for run in runs)]
+        found = sum((run.tally.totals for run in runs), self._found)
+        replayed = self._replayed + sum(run.replayed for run in opening)
+        spent = sum(run.tally.budget - run.remaining for run in runs)
+        seconds = now - self._began
+        return JobStatus(
+            job=job,
+            runs=self.extent.runs,
+            runs_done=self.extent.runs_done + self._done,
+            runs_failed=len(self._failures),
+            runs_open=len(self._open),
+            budget=max(self.extent.evaluations, found.evaluations),
+            remaining=sum(self._budgets.values()) - spent,
+            **structs.asdict(found),
+            waiting=sum(run.undurable_rows for run in self._open.values()),
+            workers=workers,
+            seconds=seconds,
+            rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,
+            trouble=next(filter(None, troubles), ""),
+        )

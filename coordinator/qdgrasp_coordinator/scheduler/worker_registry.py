@@ -1,0 +1,400 @@
+"""The workers of a job: joins, tokens, the batches they hold, and their figures.
+
+Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases that pass. Time is passed in,
+in seconds of any steady clock.
+"""
+
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
+from math import ceil, exp, expm1, inf
+
+from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage, WorkerStatus
+from qdgrasp_coordinator.storage.run_folder import admit_platform
+from qdgrasp_protocol.errors import Refused
+from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
+
+RATE_SECONDS = 10.0  # Seconds after which what was counted weighs 1 / e
+
+
+class RateMeter:
+    """Recent rate of counting."""
+
+    def __init__(self, now: float) -> None:
+        self._since = self._last = now
+        self._weighed = 0.0
+
+    def count(self, amount: float, now: float) -> None:
+        """Add an amount counted at `now`."""
+        self._weighed = self._weighed * exp((self._last - now) / RATE_SECONDS) + amount
+        self._last = now
+
+    def rate(self, now: float) -> float:
+        """Return the rate [1/s]: an exponentially weighted mean over the time there was."""
+        if now <= self._since:
+            return 0.0
+        return (
+            self._weighed
+            * exp((self._last - now) / RATE_SECONDS)
+            / (RATE_SECONDS * -expm1((self._since - now) / RATE_SECONDS))
+        )
+
+
+LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
+LEASE_TURNAROUNDS = 10  # A lease may take so many times the 95th percentile of turnarounds, if that is longer
+TURNAROUNDS_KEPT = 256
+
+
+class LeaseTimeout:
+    """Lease timeout: the longest wait for progress of a worker that holds leases."""
+
+    def __init__(self) -> None:
+        self._turnarounds: deque[float] = deque(maxlen=TURNAROUNDS_KEPT)
+        self._limit: float | None = LEASE_SECONDS
+
+    def measure(self, seconds: float) -> None:
+        """Record the time from lease to result of a batch [s]."""
+        self._turnarounds.append(seconds)
+        self._limit = None
+
+    @property
+    def limit(self) -> float:
+        """max(10 s, 10 x the 95th percentile of turnarounds) (docs/bus.md, rule 4)."""
+        if self._limit is None and LEASE_TURNAROUNDS * max(self._turnarounds) <= LEASE_SECONDS:
+            self._limit = LEASE_SECONDS
+        if self._limit is None:
+            ordered = sorted(self._turnarounds)
+            self._limit = max(LEASE_SECONDS, LEASE_TURNAROUNDS * ordered[ceil(0.95 * len(ordered)) - 1])
+        return self._limit
+
+
+TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
+TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
+SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
+WID_DIGITS = 8  # Characters of a worker's id that people are shown
+
+
+@dataclass(eq=False)
+class Worker:
+    """A worker, the batches that it holds, and its figures."""
+
+    join: Join
+    """Its latest."""
+    order: int
+    """Ascends with its first join."""
+    since: float
+    """When it joined first."""
+    progress: float
+    """When it last showed progress, or was leased something while it held nothing."""
+    heard: float
+    """Time of its last message."""
+    speed: RateMeter
+    """Of the rows that it settles."""
+    batches: dict[bytes, None] = field(default_factory=dict)
+    """The ids of the batches it holds."""
+    scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
+    """The scenes it holds, the latest last."""
+    gone_at: float | None = None
+    """When its token vanished; None: it is there."""
+    is_expected: bool = False
+    """True: its token is not gone, but late."""
+    is_stuck: bool = False
+    """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
+    is_drained: bool = False
+    """It is to leave: it gets no more work."""
+    rows: int = 0
+    memory: int = 0
+    restarts: int = 0
+
+    @property
+    def wid(self) -> str:
+        """Its id."""
+        return self.join.wid
+
+    @property
+    def is_well(self) -> bool:
+        """True if it is present, progressing and not leaving."""
+        return self.gone_at is None and not self.is_stuck and not self.is_drained
+
+    @property
+    def has_credit(self) -> bool:
+        """True if it is present and may be leased more."""
+        return len(self.batches) < self.join.credit and self.gone_at is None and not self.is_drained
+
+    @property
+    def state(self) -> str:
+        """Its state: gone, leaving, stuck, working or idle."""
+        if self.gone_at is not None and not self.is_expected:
+            return "gone"
+        if self.is_drained:
+            return "leaving"
+        if self.is_stuck:
+            return "stuck"
+        return "working" if self.batches else "idle"
+
+    @property
+    def description(self) -> str:
+        """Id, host and process, for people."""
+        return f"Worker {self.wid[:WID_DIGITS]} on {self.join.host} (process {self.join.pid})"
+
+    def deadline(self, limit: float) -> float:
+        """Return when it is given up if nothing is heard of it; infinite: never."""
+        if self.gone_at is not None:
+            return self.gone_at + TOKEN_GRACE
+        return self.progress + limit if self.batches else inf
+
+    def hold(self, batch_id: bytes, scene: str, now: float) -> None:
+        """Add a batch to those it holds."""
+        if not self.batches:
+            self.progress = now
+        self.batches[batch_id] = None
+        self.scenes[scene] = None
+        self.scenes.move_to_end(scene)
+        if len(self.scenes) > SCENES_KEPT:
+            self.scenes.popitem(last=False)
+
+    def status(self, now: float) -> WorkerStatus:
+        """Return its figures."""
+        return WorkerStatus(
+            wid=self.wid,
+            host=self.join.host,
+            pid=self.join.pid,
+            state=self.state,
+            batches=len(self.batches),
+            rows=self.rows,
+            rate=round(self.speed.rate(now), 2),
+            seconds=round(now - self.since, 2),
+            seen=round(now - self.heard, 2),
+            memory=self.memory,
+            restarts=self.restarts,
+        )
+
+
+def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
+    """Yield the worker to lease to next, as long as one has credit left.
+
+    Among equals the one that was quiet for longest comes first, so that every stuck worker is tried.
+    """
+    heap = [(len(worker.batches), worker.progress, worker.order, worker) for worker in workers]
+    heapify(heap)
+    while heap:
+        yield heap[0][-1]
+        *_, order, worker = heappop(heap)
+        if worker.has_credit:
+            heappush(heap, (len(worker.batches), worker.progress, order, worker))
+
+
+@dataclass(frozen=True)
+class LostWorker:
+    """A worker that was given up."""
+
+    worker: Worker
+    reason: str
+    batches: list[bytes]
+    """Ids of the batches it held."""
+    is_there: bool
+    """It is still there, but stuck."""
+
+
+GONE_SECONDS = 60.0  # Seconds for which a worker that is gone is still shown
+MOST_GONE = 1024  # Most workers shown that are gone
+
+
+class WorkerRegistry:
+    """The workers of a job, all of one platform.
+
+    Which are well, which have credit, and when the next may be overdue, is updated with every change:
+    an event of one worker needs no pass over a thousand.
+    """
+
+    def __init__(self) -> None:
+        self.platform: dict[str, str] = {}
+        """Platform of the job's rows; empty until a worker joins or a recorded run opens."""
+        self.alive: set[str] = set()
+        """Those whose tokens are present."""
+        self.lease_timeout = LeaseTimeout()
+        self._workers: dict[str, Worker] = {}
+        self._gone: dict[str, tuple[Worker, float]] = {}  # and when it was given up
+        self._drained: set[str] = set()
+        self._link_is_up = True
+        self._joins = 0
+        self._well: set[str] = set()
+        self._free: dict[str, Worker] = {}
+        self._limit = self.lease_timeout.limit
+        self._earliest = inf  # no worker is overdue before, with this limit
+
+    def __iter__(self) -> Iterator[Worker]:
+        """Iterate over known workers by order of joining, also gone ones not yet given up."""
+        return iter(self._workers.values())
+
+    def __len__(self) -> int:
+        """Number of workers present, progressing and not leaving."""
+        return len(self._well)
+
+    def get(self, wid: str) -> Worker | None:
+        """Return a worker; None: unknown."""
+        return self._workers.get(wid)
+
+    def join(self, join: Join, now: float) -> list[bytes] | None:
+        """Admit a worker, or admit it again; the first one sets the platform of the rows.
+
+        Returns the ids of the batches that it held, which are taken from it; None: a join older than the
+        latest changes nothing. A worker whose token is not there yet is waited for, at most `TOKEN_DELAY`
+        seconds. Raises Refused if it speaks another version of the protocol, or is of another platform.
+        """
+        if VERSION not in join.versions:
+            spoken = f"it speaks versions {join.versions} of the protocol"
+            raise Refused(f"{spoken}, this job speaks {VERSION}")
+        self.platform = admit_platform(self.platform, join.platform)
+        known = self._workers.get(join.wid)
+        worker = known or self._add(join, now)
+        worker.heard = now
+        batches = None
+        if known is None or join.number > known.join.number:
+            batches, worker.batches = list(worker.batches), {}
+            worker.join, worker.progress, worker.is_stuck = join, now, False
+            worker.gone_at, worker.is_expected = None, False
+        if join.wid not in self.alive:
+            _lose_token(worker, now + TOKEN_DELAY - TOKEN_GRACE)
+            worker.is_expected = True
+        self._update(worker)
+        return batches
+
+    def _add(self, join: Join, now: float) -> Worker:
+        """Add a worker, with the figures of its former life if it was here lately."""
+        self._joins += 1
+        worker, _ = self._gone.pop(join.wid, (None, now))
+        if worker is None:
+            worker = Worker(join, self._joins, now, now, now, RateMeter(now))
+        worker.join, worker.order, worker.scenes = join, self._joins, OrderedDict()
+        worker.is_drained = join.wid in self._drained
+        self._workers[join.wid] = worker
+        return worker
+
+    def on_token(self, wid: str, alive: bool, now: float) -> None:
+        """Record that a worker's token appeared or vanished."""
+        (self.alive.add if alive else self.alive.discard)(wid)
+        if (worker := self._workers.get(wid)) is None:
+            return
+        if alive:
+            worker.gone_at, worker.is_expected = None, False
+        else:
+            _lose_token(worker, now)
+        self._update(worker)
+
+    def on_link(self, is_up: bool, now: float) -> None:
+        """Record a change of the coordinator's own link; while it is down no deadline passes."""
+        if is_up and not self._link_is_up:
+            for worker in self:
+                worker.progress = now
+                worker.gone_at = None if worker.gone_at is None else now
+            self._update_deadline()
+        self._link_is_up = is_up
+
+    def drain(self, wid: str) -> None:
+        """Give a worker no more work, whenever it joins; what it holds still counts."""
+        self._drained.add(wid)
+        if (worker := self._workers.get(wid)) is not None:
+            worker.is_drained = True
+            self._update(worker)
+
+    def hold(self, worker: Worker, batch_id: bytes, scene: str, now: float) -> None:
+        """Record that a worker is leased a batch."""
+        worker.hold(batch_id, scene, now)
+        self._update(worker)
+
+    def release(self, wid: str, batch_id: bytes) -> None:
+        """Record that a worker holds a batch no more."""
+        if (worker := self._workers.get(wid)) is not None:
+            worker.batches.pop(batch_id, None)
+            self._update(worker)
+
+    def progressed(self, wid: str, now: float) -> None:
+        """Record that a worker makes progress, on any job."""
+        if (worker := self._workers.get(wid)) is not None:
+            worker.progress, worker.is_stuck = now, False
+            self._update(worker)
+
+    def on_heartbeat(self, wid: str, heartbeat: Heartbeat, now: float) -> None:
+        """Record a worker's heartbeat; it renews leases only if the simulator progresses."""
+        if (worker := self._workers.get(wid)) is not None:
+            worker.heard, worker.memory, worker.restarts = now, heartbeat.memory, heartbeat.restarts
+        if heartbeat.progressed:
+            self.progressed(wid, now)
+
+    def on_settled(self, wid: str, rows: int, now: float) -> None:
+        """Record that a worker has settled rows."""
+        if (worker := self._workers.get(wid)) is not None:
+            worker.heard = now
+            worker.rows += rows
+            worker.speed.count(rows, now)
+
+    def idle(self) -> Iterator[Worker]:
+        """Yield the worker to lease to next; stuck ones only if no worker is well."""
+        return fewest_batches_first(
+            [worker for worker in self._free.values() if not (worker.is_stuck and self._well)]
+        )
+
+    def next_deadline(self) -> float:
+        """Return the time before which no worker is overdue; infinite: never."""
+        if self.lease_timeout.limit < self._limit:
+            self._update_deadline()
+        return self._earliest if self._link_is_up else inf
+
+    def overdue(self, now: float) -> list[LostWorker]:
+        """Give up overdue workers: take their batches, and forget those whose token vanished."""
+        if now < self.next_deadline():
+            return []
+        self._update_deadline()
+        late = [worker for worker in self if now >= worker.deadline(self._limit)]
+        lost = [self._give_up(worker, now) for worker in late]
+        self._update_deadline()
+        return lost
+
+    def _give_up(self, worker: Worker, now: float) -> LostWorker:
+        batches, worker.batches = list(worker.batches), {}
+        if worker.gone_at is None:
+            worker.is_stuck = True
+            self._update(worker)
+            reason = f"no sign of progress for {self._limit:.0f} seconds"
+            return LostWorker(worker, reason, batches, is_there=True)
+        del self._workers[worker.wid]
+        self._well.discard(worker.wid)
+        self._free.pop(worker.wid, None)
+        worker.is_expected = False
+        self._gone[worker.wid] = (worker, now)
+        if len(self._gone) > MOST_GONE:
+            del self._gone[next(iter(self._gone))]
+        return LostWorker(worker, "its token vanished", batches, is_there=False)
+
+    def _update(self, worker: Worker) -> None:
+        """Update the indexes after a worker has changed."""
+        (self._well.add if worker.is_well else self._well.discard)(worker.wid)
+        if worker.has_credit:
+            self._free[worker.wid] = worker
+        else:
+            self._free.pop(worker.wid, None)
+        self._earliest = min(self._earliest, worker.deadline(self._limit))
+
+    def _update_deadline(self) -> None:
+        """Recompute the next deadline with the present lease timeout."""
+        self._limit = self.lease_timeout.limit
+        self._earliest = min((worker.deadline(self._limit) for worker in self), default=inf)
+
+    def pages(self, now: float) -> list[WorkersPage]:
+        """Return all workers in pages, at least one; those that have just gone come last."""
+        self._gone = {wid: one for wid, one in self._gone.items() if now - one[1] < GONE_SECONDS}
+        gone = [worker for worker, _ in self._gone.values()]
+        shown = [worker.status(now) for worker in (*self, *gone)]
+        firsts = range(0, max(1, len(shown)), WORKERS_PER_PAGE)
+        return [
+            WorkersPage(page=page, pages=len(firsts), workers=shown[first : first + WORKERS_PER_PAGE])
+            for page, first in enumerate(firsts)
+        ]
+
+
+def _lose_token(worker: Worker, at: float) -> None:
+    """Record that a worker's token vanished, unless it had before."""
+    if worker.gone_at is None:
+        worker.gone_at = at

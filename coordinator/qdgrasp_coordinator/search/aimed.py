@@ -1,0 +1,341 @@
+"""The default search: aims at empty cells beside successes, with a neighbour's grasp.
+
+What an archive tells grasps apart by, the position of the hand, is known before anything is simulated. So
+the search chooses the cell first, by its frontier, and then the genes that bring the hand there: the
+contact point, roll and posture of a successful neighbour. The worker makes candidates of these, screens
+them for overlap, and simulates the one that a model ranks first; the model learns here, and its weights
+travel in the genome.
+
+Exploration: grasps without a success to learn from aim as the prior `approach` would at a box: at a cell
+before one of its faces, at most 45 degrees aside, and near it, where hands hold. They know the object's box
+and the hand's distances, and leave the surface to the worker.
+
+Retries: a second try in a cell whose grasp is weak takes the best grasp from around the cell. How often it
+gives a robust one tells, about, the share of the cell's 26 neighbours that hold one; what the tries so far
+gave corrects it. A robust grasp in place of a weak one adds no cell: it counts `VALUE` of one, and is tried
+where that is more than what an evaluation at the frontier brought lately. So a search whose frontier is
+rich makes no such try.
+
+New in this project, not from the paper. What selects is success alone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.genes import FEATURES, MOST_CANDIDATES, NU_A
+from qdgrasp_assets.geometry.rotation import Floats, tangents, turned
+from qdgrasp_coordinator.metrics.cells import PER_METRE
+from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
+from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, EliteStore, Frontier, Places, select_top
+from qdgrasp_coordinator.search.success_model import CandidateRanker, SuccessThreshold
+from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
+
+TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
+"""Places of the prior's genes in a genome (assets, `genes`)."""
+WEIGHTS = slice(9, 9 + len(FEATURES))
+PRIOR_GENES = WEIGHTS.stop
+"""Number of the prior's own genes; those of the posture (synergy, free joints) follow."""
+SYNERGY = "synergy"
+SCATTER_SHARE = 0.5  # The inner part of a cell that a scattered target may be in, along each axis
+POINT_SIGMA = 0.002  # Standard deviation of a scattered contact point along each axis [m]
+ROLL_SIGMA = 0.05  # rad
+
+
+@dataclass(frozen=True)
+class AimedGrasps:
+    """Cells to aim at, each with the grasp to try there."""
+
+    targets: Floats
+    """(n, 3) [m]: the middles of the cells."""
+    contacts: Floats
+    """(n, 3) [m]: the surface points to look at, nearly."""
+    rolls: Floats
+    """(n,) [rad]: about the direction from target to contact."""
+    looseness: Floats
+    """(n,): 0 keeps to contact and roll, 1 takes any."""
+    postures: Floats
+    """(n, k): genes of synergy and free joints."""
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
+        """Return their genomes (n, d), with so many candidates, ranked by weights (n, features)."""
+        values = np.zeros((len(self), PRIOR_GENES))
+        values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
+        values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
+        values[:, CANDIDATES], values[:, WEIGHTS] = candidates, weights
+        own = Layout(layout.prior, layout.genes[:PRIOR_GENES]).genomes(values)
+        return np.concatenate([own, self.postures.astype(np.float32)], axis=1)
+
+
+def directions(targets: Floats, contacts: Floats) -> Floats:
+    """The unit vectors (n, 3) from targets to contacts; along z where both are one point."""
+    ways = contacts - targets
+    lengths = np.sqrt((ways * ways).sum(axis=1))[:, None]
+    along: Floats = np.tile([0.0, 0.0, 1.0], (len(ways), 1))
+    np.divide(ways, lengths, out=along, where=lengths > 0)
+    return along
+
+
+def join_grasps(one: AimedGrasps, other: AimedGrasps) -> AimedGrasps:
+    """The aims of both, one after the other."""
+    return AimedGrasps(*(np.concatenate([vars(one)[name], vars(other)[name]]) for name in vars(one)))
+
+
+def scatter_grasps(aims: AimedGrasps, generator: np.random.Generator) -> AimedGrasps:
+    """Scatter aims a little, for genomes of one candidate, which the prior does not scatter.
+
+    It is less than the prior's scatter, where the best of many candidates is taken.
+    """
+    n = len(aims)
+    return replace(
+        aims,
+        targets=aims.targets + SCATTER_SHARE / PER_METRE * generator.uniform(-0.5, 0.5, (n, 3)),
+        contacts=aims.contacts + POINT_SIGMA * generator.standard_normal((n, 3)),
+        rolls=aims.rolls + ROLL_SIGMA * generator.standard_normal(n),
+    )
+
+
+NEAR_SHARE = 0.5  # Share of the hand's distances, from the nearest: farther off hardly anything is held
+LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
+
+
+def exploration_grasps(
+    space: SearchSpace, n: int, astray: float, loosest: float, generator: np.random.Generator
+) -> AimedGrasps:
+    """Return `n` grasps that explore, without a success to learn from.
+
+    The share `astray` of them aims anywhere in the archive's box, at any point: for objects that are unlike
+    their boxes. The others are at most so loose as `loosest`: many candidates make up for a box that is not
+    the surface; a single one had better keep to its aim.
+    """
+    low, high = (corner[CONTACT] for corner in space.layout.intervals)
+    bottom, top = (corner[TARGET] for corner in space.layout.intervals)
+    nearest, farthest = space.distances
+    contacts, outward = _on_faces(low, high, n, generator)
+    distances = nearest + NEAR_SHARE * (farthest - nearest) * generator.random(n)
+    targets = contacts + distances[:, None] * _leaning(outward, generator)
+    looseness = loosest * generator.uniform(LEAST_LOOSENESS, 1.0, n)
+    anywhere = generator.uniform(bottom, top, (n, 3))
+    is_astray = generator.random(n) < astray
+    return AimedGrasps(
+        np.where(is_astray[:, None], anywhere, targets),
+        contacts,
+        generator.uniform(0.0, 2 * np.pi, n),
+        np.where(is_astray, 1.0, looseness),
+        generator.uniform(-1.0, 1.0, (n, space.genes - PRIOR_GENES)),
+    )
+
+
+def _on_faces(low: Floats, high: Floats, n: int, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Points (n, 3) uniform on the surface of a box, and its normals there."""
+    size = high - low
+    areas = np.roll(size, 1) * np.roll(size, 2)
+    axes = generator.choice(3, n, p=areas / areas.sum())
+    is_high = generator.random(n) < 0.5
+    points = generator.uniform(low, high, (n, 3))
+    rows = np.arange(n)
+    points[rows, axes] = np.where(is_high, high[axes], low[axes])
+    normals = np.zeros((n, 3))
+    normals[rows, axes] = np.where(is_high, 1.0, -1.0)
+    return points, normals
+
+
+def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
+    """Directions (n, 3) at most 45 degrees from `normals`, as the prior `approach` draws them."""
+    n = len(normals)
+    nu, xi = generator.uniform(0.0, NU_A, n), generator.uniform(0.0, 2 * np.pi, n)
+    aside, _ = turned(*tangents(normals), xi)
+    return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
+
+
+RETRY_VALUE = 1 / 3  # Worth of a robust grasp in place of a weak one, relative to a success in an empty cell
+RETRY_SHARE = 0.5  # The most such tries in a generation, as a share of those that count at the frontier
+PRIOR_PROMISES = 20.0  # Promised and given robust grasps that are assumed before the first try
+FADING = 0.9  # Weight of an older generation against the next in the frontier's recent success rate
+NO_PROMISES = np.zeros(0)
+
+
+class RetryBudget:
+    """Tries for better grasps in cells whose grasp is not robust."""
+
+    def __init__(self, frontier: Frontier, elites: EliteStore) -> None:
+        self._frontier = frontier
+        self._elites = elites
+        self._robust = np.zeros(frontier.size, np.bool_)
+        self._around = np.zeros(frontier.size, np.uint8)
+        """Number of neighbours of each cell that hold a robust grasp."""
+        self._open: dict[int, Floats] = {}
+        """Shares of robust neighbours for each try of the generations that are not told yet."""
+        self._promised = self._given = PRIOR_PROMISES
+        self._tries, self._successes = 1.0, 1.0
+        """Recent tries and successes at the frontier; they begin with one try that succeeded."""
+
+    def ask(self, generation: int, generator: np.random.Generator) -> Places:
+        """The weak cells to try in a generation."""
+        weak, most = self._elites.weak, int(RETRY_SHARE * (1.0 - FADING) * self._tries)
+        weak = select_top(weak, self.worth(weak), most, generator)
+        tries: Places = weak[RETRY_VALUE * self.worth(weak) > self._successes / self._tries]
+        self._open[generation] = self._shares(tries)
+        return tries
+
+    def tell(self, generation: int, fresh: NDArray[np.bool_], again: NDArray[np.bool_]) -> None:
+        """Learn from the results of a generation.
+
+        `fresh` (n,): which of the tries in empty cells that count succeeded. `again` (m, 2): of rows that
+        begin with the retries, which count, and which are robust grasps.
+        """
+        promised = self._open.pop(generation, NO_PROMISES)
+        counts, is_robust = again[: len(promised)].T
+        self._promised += float(promised[counts].sum())
+        self._given += float(np.count_nonzero(is_robust & counts))
+        self._tries = FADING * self._tries + len(fresh)
+        self._successes = FADING * self._successes + float(np.count_nonzero(fresh))
+
+    def add_robust(self, places: Places) -> None:
+        """Record robust grasps in `places` (n,), in any order and repeated."""
+        new = np.unique(places[~self._robust[places]])
+        self._robust[new] = True
+        np.add.at(self._around, self._frontier.around(new).ravel(), 1)
+
+    def worth(self, places: Places) -> Floats:
+        """Return the probability of a robust grasp in each of `places` (n,), over tries so far."""
+        tries = np.maximum(self._frontier.spent(places), 1.0)
+        return self._shares(places) * (self._given / self._promised) / tries
+
+    def _shares(self, places: Places) -> Floats:
+        return self._around[places] / len(NEIGHBOURS)
+
+
+FIRST_SCOUTS = 100  # Genomes that scout before any is aimed
+SCOUT_SHARE = 0.04  # Approximate share of evaluations that scout later; lower of genomes: no scout is refused
+ASTRAY_GENOMES = 2000
+"""Genomes after which half of the scouts aim anywhere, if there is no success; fewer before."""
+SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
+POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
+
+
+class AimedSearch:
+    """Aims at empty cells beside successes, with genomes of the prior `aimed`.
+
+    Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
+    """
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        self._spec = spec
+        self._space = space
+        self._counts_all = spec.overlaps == "count"
+        self._within = space.distances if self._counts_all else ANYWHERE
+        self._frontier = Frontier(space.box, space.distances[1], self._within)
+        self._elites = EliteStore(self._frontier.size, space.approach_axis, space.genes - PRIOR_GENES)
+        self._ranker = CandidateRanker()
+        self._threshold = SuccessThreshold()
+        self._retries = RetryBudget(self._frontier, self._elites)
+        self._open: dict[int, Floats] = {}
+        """Features of the empty cells that generations not told yet aim at."""
+        self._candidates = 1 if self._counts_all else MOST_CANDIDATES
+        self._asked = 0
+
+    def ask(self, generation: int) -> Genomes:
+        """Return genomes that aim at the best cells, and scouts: (population, genes)."""
+        targets = self._targets(generation)
+        self._open[generation] = self._frontier.features(targets[~self._frontier.successful[targets]])
+        aimed = self._aimed(targets, generation)
+        if self._candidates == 1:
+            aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
+        scouts = self._scouts(generation, self._spec.population - len(aimed))
+        wanted = self._threshold.wanted(self._frontier.dead_ends(aimed.targets))
+        weights = self._weights(np.concatenate([wanted, np.zeros(len(scouts))]))
+        genomes = join_grasps(aimed, scouts).genomes(self._space.layout, self._candidates, weights)
+        self._frontier.count_tries(self._aimed_at(genomes))
+        self._asked += len(genomes)
+        return genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Learn from reached cells, dead ends and the features of simulated poses."""
+        is_simulated = rows["outcome"] >= Outcome.MISSED
+        is_success = rows["outcome"] >= Outcome.DROPPED
+        features = self._open.pop(generation)
+        is_told, n = is_simulated | self._counts_all, len(features)
+        fresh, again = is_told[:n], np.stack([is_told, rows["outcome"] >= Outcome.HELD], axis=1)[n:]
+        self._frontier.learn(features[fresh], is_success[:n][fresh])
+        self._retries.tell(generation, is_success[:n][fresh], again)
+        self._frontier.count_dead_ends(self._aimed_at(rows["genome"][~is_simulated]))
+        self._succeed(rows[is_success])
+        self._ranker.learn(rows[is_simulated])
+        self._threshold.update(is_told)
+
+    def _succeed(self, successes: Rows) -> None:
+        """Learn from successes; those outside the box are passed over."""
+        places = self._frontier.places(successes["descriptor"][:, :3])
+        successes, places = successes[places >= 0], places[places >= 0]
+        self._frontier.add_successes(places, successes["surface_point"].astype(np.float64))
+        self._elites.offer(places, successes)
+        self._retries.add_robust(places[successes["outcome"] >= Outcome.HELD])
+
+    def _targets(self, generation: int) -> Places:
+        """The cells to aim at, each once, at most as many as the population; none in the beginning."""
+        if self._asked < FIRST_SCOUTS:
+            return np.zeros(0, np.intp)
+        generator = keyed_generator(self._spec.seed, "targets", generation)
+        scouts = SCOUT_SHARE * self._threshold.share
+        n = int(np.count_nonzero(generator.random(self._spec.population) >= scouts))
+        best = self._frontier.best(n, generator)
+        retries = self._retries.ask(generation, generator)
+        left = max(0, min(len(best), n - len(retries)))
+        return np.concatenate([self._frontier.best(left, generator, best), retries])
+
+    def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
+        """Return the grasps of neighbours, for the cells `targets`."""
+        generator = keyed_generator(self._spec.seed, "parents", generation)
+        parents = self._parents(targets, generator)
+        centres, contacts = self._frontier.centres(targets), self._elites.points(parents)
+        rolls = self._elites.rolls(parents, directions(centres, contacts))
+        postures = self._varied(self._elites.postures(parents), generator)
+        return AimedGrasps(centres, contacts, rolls, np.zeros(len(targets)), postures)
+
+    def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
+        """Choose for each target a success in or around it, at a wanted distance where possible."""
+        options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
+        preference = self._elites.preference(options, generator)
+        least, greatest = self._within
+        distances = self._elites.distances(options, self._frontier.centres(targets))
+        is_near = (distances >= least) & (distances <= greatest)
+        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
+        parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
+        return parents
+
+    def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
+        """Postures (n, k) with some synergies drawn anew and free joints moved a little."""
+        names = self._space.layout.names[PRIOR_GENES:]
+        anew = generator.uniform(-1.0, 1.0, postures.shape)
+        moved = np.clip(postures + POSTURE_SIGMA * generator.standard_normal(postures.shape), -1.0, 1.0)
+        is_anew = generator.random((len(postures), 1)) < SYNERGY_REDRAW
+        is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
+        return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
+
+    def _weights(self, wanted: Floats) -> Floats:
+        """Return the ranking weights of each genome's candidates, threshold included: (n, features).
+
+        All zero where every pose counts, because one that is refused would count as well.
+        """
+        if self._counts_all:
+            return np.zeros((len(wanted), len(FEATURES)))
+        return self._ranker.wanting(wanted)
+
+    def _scouts(self, generation: int, n: int) -> AimedGrasps:
+        found = len(self._elites) > 0
+        astray = 0.0 if found else min(0.5, 0.5 * self._asked / ASTRAY_GENOMES)
+        loosest = 0.0 if self._candidates == 1 else 1.0
+        return exploration_grasps(
+            self._space, n, astray, loosest, keyed_generator(self._spec.seed, "scouts", generation)
+        )
+
+    def _aimed_at(self, genomes: Genomes) -> Places:
+        """The cells (n,) that genomes (n, d) aim at."""
+        target = Layout(self._space.layout.prior, self._space.layout.genes[TARGET])
+        return self._frontier.places(target.values(genomes[:, TARGET]))

@@ -1,0 +1,72 @@
+"""The interface of a search, the space of its genomes, and keyed random numbers.
+
+Random numbers are keyed, so that one spec gives one stream of genomes.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from qdgrasp_assets.genes import archive_box, layout
+from qdgrasp_assets.scene import Scene, Vector
+from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_protocol.rows import Genomes, Layout, Rows
+
+
+def keyed_generator(seed: int, purpose: str, generation: int) -> np.random.Generator:
+    """Return the generator of one purpose ("initial", "parents" ...) in a generation of a run.
+
+    Draw whole arrays over the index from it: what a genome gets then depends on (seed, purpose, generation,
+    index) alone, never on what was drawn for another purpose or generation before. Seeds are 0 or greater,
+    generations below 2**32.
+    """
+    digest = hashlib.sha256(purpose.encode()).digest()
+    words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in (0, 4, 8, 12))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*words, generation)))
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """Genes and cells of one search."""
+
+    layout: Layout
+    """The genes of its genomes."""
+    box: PositionBox
+    """The box of hand positions that are kept."""
+    approach_axis: Vector = (0.0, 0.0, 1.0)
+    """Unit vector in the hand's base frame that points from the palm to the object."""
+    distances: tuple[float, float] = (0.0, 0.1)
+    """The least and the greatest from the hand's base to the surface point that it looks at [m]."""
+
+    @property
+    def genes(self) -> int:
+        """Number of genes of a genome."""
+        return len(self.layout)
+
+
+def search_space(scene: Scene, prior: str) -> SearchSpace:
+    """Return the space of genomes of `prior` in a scene.
+
+    Raises `JawNeeded` where the prior is for two-finger hands, and this hand has another number of them.
+    """
+    hand = scene.gripper
+    distances = (hand.palm_offset + hand.standoff[0], hand.reach)
+    return SearchSpace(layout(scene, prior), archive_box(scene, prior), hand.approach_axis, distances)
+
+
+class SearchAlgorithm(Protocol):
+    """Interface of every search."""
+
+    def ask(self, generation: int) -> Genomes:
+        """Return a generation's genomes: (lambda, d), float32; no rows when nothing is left to ask.
+
+        Called once per generation, in order.
+        """
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Learn from the results of a whole generation: its nominal rows, by index.
+
+        Called once per generation, in order.
+        """

@@ -1,0 +1,240 @@
+"""Hand poses that come from outside, the search that asks each once, and their scores."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
+from qdgrasp_coordinator.metrics.scores import eta, trial_sums
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Genomes, Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
+
+ROUNDING = 1e-6  # Greatest error of a unit quaternion's length in float32
+SHORTEST = 1e-6  # Least length of a quaternion that names a rotation
+FARTHEST = 1000.0  # Greatest coordinate of hands and centres of mass [m]; farther, float32 loses digits
+
+
+class PoseNames(NamedTuple):
+    """Names of the arrays of poses where they come from, for errors."""
+
+    positions: str
+    quaternions: str
+    synergies: str
+    spreads: str
+
+
+IN_FILES = PoseNames("base_position", "base_quaternion_xyzw", "synergy", "spread")
+
+
+@dataclass(frozen=True)
+class HandPoses:
+    """Poses of a hand's root link in the object's CoM frame; made by `of` or `read_poses`."""
+
+    positions: NDArray[np.float64]
+    """(n, 3) [m]."""
+    quaternions: NDArray[np.float64]
+    """(n, 4), xyzw, of any length but zero."""
+    synergies: NDArray[np.int64]
+    """(n,) labels; -1: no synergy."""
+    spreads: NDArray[np.float64]
+    """(n, k) positions of the free joints [rad]; NaN: the open posture."""
+    names: PoseNames
+
+    @classmethod
+    def of(
+        cls,
+        names: PoseNames,
+        positions: ArrayLike,
+        quaternions: ArrayLike,
+        synergies: ArrayLike | None = None,
+        spreads: ArrayLike | None = None,
+    ) -> "HandPoses":
+        """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
+
+        Raises `InputError` where an array has another type or shape, holds a number that cannot be, or there
+        are no poses.
+        """
+        places = finite_numbers(names.positions, positions, ("n", 3))
+        n = len(places)
+        rotations = finite_numbers(names.quaternions, quaternions, (n, 4))
+        labels = np.full(n, np.nan) if synergies is None else real_numbers(names.synergies, synergies, (n,))
+        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(names.spreads, spreads, (n, "k"))
+        if not n:
+            raise InputError(f"{names.positions} holds no poses.")
+        if len(far := places[np.abs(places) > FARTHEST]):
+            expected = f"no more than {FARTHEST:g} m away; lengths are metres"
+            raise ImpossibleValue(names.positions, float(far[0]), expected)
+        if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
+            raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
+        if np.isinf(free).any():
+            raise InputError(f"{names.spreads} holds a number that is infinite.")
+        return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def check(self, hand: SceneGripper) -> None:
+        """Check that a hand has the synergies and free joints that poses ask for."""
+        known, free = len(hand.synergies), len(hand.free_joints)
+        wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
+        if len(wrong):
+            labels = f"-1 (none) or 0 to {known - 1} for this hand" if known else "-1, for the hand has none"
+            raise ImpossibleValue(self.names.synergies, int(wrong[0]), labels)
+        behind = self.spreads[:, free:]
+        if len(given := behind[~np.isnan(behind)]):
+            columns = (
+                f"NaN but in the first {free} columns" if free else "NaN, for the hand has no free joints"
+            )
+            raise ImpossibleValue(self.names.spreads, float(given[0]), columns)
+
+    def genomes(self, scene: Scene) -> NDArray[np.float32]:
+        """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints."""
+        hand = scene.gripper
+        self.check(hand)
+        columns = [self.positions, _unit_quaternions(self.quaternions)]
+        if hand.synergies:
+            columns.append(self.synergies[:, None].astype(np.float64))
+        if hand.free_joints:
+            columns.append(self._free(hand))
+        return np.hstack(columns).astype(np.float32)
+
+    def _free(self, hand: SceneGripper) -> NDArray[np.float64]:
+        opened, count = {joint.name: joint.opened for joint in hand.joints}, len(hand.free_joints)
+        default = np.array([opened[joint.name] for joint in hand.free_joints])
+        given = np.full((len(self), count), np.nan)
+        given[:, : self.spreads.shape[1]] = self.spreads[:, :count]
+        return np.where(np.isnan(given), default, given)
+
+
+def read_poses(path: Path) -> HandPoses:
+    """Return the poses in an npz file; raises `InputError` as `read_arrays` and `HandPoses.of`."""
+    arrays = read_arrays(path, "poses")
+    for name in (IN_FILES.positions, IN_FILES.quaternions):
+        if name not in arrays:
+            raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
+    names = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
+    first, second, *others = IN_FILES
+    return HandPoses.of(names, arrays[first], arrays[second], *map(arrays.get, others))
+
+
+def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
+    """Return the genomes of the prior `given` (n, d) with the very poses of rows of `prior`.
+
+    Evaluated, they give the same outcome, fitness and trials bit for bit. In a merged journal zeros may stand
+    behind the genes.
+    """
+    known, hand = layout(scene, prior), scene.gripper
+    genomes = rows["genome"][:, : len(known)]
+    values = genomes.astype(np.float64) if prior == GIVEN else known.values(genomes)
+    own = len(known) - bool(hand.synergies) - len(hand.free_joints)
+    if hand.synergies:
+        values[:, own] = np.rint(values[:, own])
+    return np.hstack([rows["base_to_object"], values[:, own:]]).astype(np.float32)
+
+
+def postures(scene: Scene, prior: str, rows: Rows) -> NDArray[np.float32]:
+    """Return start positions (n, j) of joints [rad or m]: open, free joints from the genomes."""
+    given = as_given(scene, prior, rows)
+    return opened(scene.gripper, given[:, given.shape[1] - len(scene.gripper.free_joints) :])
+
+
+def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The joint positions (n, j) of the open posture, with free joints at `spreads` (n, k)."""
+    names = [joint.name for joint in gripper.joints]
+    starts = np.tile(np.array([joint.opened for joint in gripper.joints], np.float32), (len(spreads), 1))
+    starts[:, [names.index(joint.name) for joint in gripper.free_joints]] = spreads
+    return starts
+
+
+def write_scores(path: Path, rows: Rows, trials: int = 0) -> None:
+    """Write `scores` of rows to a new file, in the order of the poses."""
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
+
+
+def scores(rows: Rows, trials: int = 0) -> dict[str, NDArray[np.generic]]:
+    """Return scores of a journal's rows, as arrays by name; nominal rows only, but for eta.
+
+    valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
+    (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
+    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where each success has
+    `trials` trials, eta (n,): the estimated probability that it transfers, 0 for what is no success.
+    """
+    etas = {"eta": eta(trial_sums(rows, trials), trials)} if trials else {}
+    rows = rows[rows["trial"] == 0]
+    outcome = rows["outcome"]
+    return etas | {
+        "valid": outcome >= Outcome.MISSED,
+        "touched": outcome >= Outcome.BRUSHED,
+        "success": outcome >= Outcome.DROPPED,
+        "fitness": rows["fitness"].astype(np.uint8),
+        "outcome": outcome,
+        "base_position": rows["base_to_object"][:, :3],
+        "base_quaternion_xyzw": rows["base_to_object"][:, 3:],
+        "joints": rows["joints"],
+        "contacts": rows["contacts"],
+        "penetration": rows["penetration"],
+    }
+
+
+def _unit_quaternions(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normalise quaternions (n, 4); those of length one within float32 rounding stay as stored."""
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
+
+
+def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return labels (n,) as integers; NaN: `NO_SYNERGY`."""
+    labels = np.where(np.isnan(labels), NO_SYNERGY, labels)
+    with np.errstate(invalid="ignore"):
+        integers = labels.astype(np.int64)
+    if len(wrong := labels[integers != labels]):
+        raise ImpossibleValue(name, float(wrong[0]), "integers")
+    return integers
+
+
+class FixedPoseSearch:
+    """Asks given poses in their order, at most `population` in a generation, each once.
+
+    They are (n, d) float32, laid out as `layout(scene, GIVEN)` says, and not confined to [-1, 1].
+    """
+
+    def __init__(self, poses: Genomes, population: int) -> None:
+        self._poses = poses
+        self._population = population
+
+    def ask(self, generation: int) -> Genomes:
+        """The next poses; no rows when all have been asked."""
+        first = generation * self._population
+        return self._poses[first : first + self._population]
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Nothing is learned."""
+
+
+def check_poses(spec: RunSpec) -> None:
+    """Check that a spec has poses, finite ones, and no greater budget than these."""
+    if spec.poses is None:
+        raise ImpossibleValue("poses", None, f"lists of numbers for method '{spec.method}'")
+    if spec.evaluations > len(spec.poses):
+        raise ImpossibleValue(
+            "evaluations", spec.evaluations, f"at most {len(spec.poses)}, one for each pose"
+        )
+    if not all(np.isfinite(pose).all() for pose in spec.poses):
+        raise ImpossibleValue("poses", "one with a number that is not finite", "lists of finite numbers")
+
+
+def fixed_pose_search(spec: RunSpec, genes: int) -> FixedPoseSearch:
+    """Return the search over the poses of a spec, each of `genes` numbers."""
+    check_poses(spec)
+    poses = spec.poses or ()
+    if wrong := {len(pose) for pose in poses} - {genes}:
+        expected = f"lists of {genes} numbers for this hand: the pose, synergy and free joints"
+        raise ImpossibleValue("poses", f"one of {wrong.pop()}", expected)
+    return FixedPoseSearch(np.array(poses, dtype=np.float32), spec.population)

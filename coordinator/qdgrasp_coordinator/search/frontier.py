@@ -1,0 +1,268 @@
+"""The frontier of empty cells beside successes, and the best grasp of each successful cell.
+
+A cell is worth a try when it is likely to hold a success and little was spent on it: likelihood / (tries +
+dead ends / 2 + 1), where a try is a simulated pose and a dead end a genome of which nothing could be
+simulated. How likely it is, the search learns, from the distance between the cell and the contact point of
+the nearest success beside it, and from how many of its 26 neighbours hold a success. It does not begin from
+nothing: in units of a hand's reach, all hands and objects teach nearly the same.
+
+What a successful cell passes on to its neighbours is the contact point, the roll and the posture of its
+best success. The roll is kept as a vector of the hand, so that it can be read about the direction in which
+a neighbour will look: as a number it belongs to a frame that jumps between directions
+(`rotation.tangents`).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, rotate, tangents, unit
+from qdgrasp_assets.scene import Vector
+from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
+from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.success_model import LogisticRegression
+from qdgrasp_protocol.rows import Outcome, Rows
+
+Places = NDArray[np.intp]
+"""(n,): cells of a frontier, as places in its grid."""
+DEAD_END = 0.5  # Weight of a dead end against a try: it costs no simulation, and the next may do better
+FIRST_WEIGHTS = (1.0, -5.0, 3.0, 2.0)
+"""Weights of `features` before the first fit, about those of finished runs of all hands."""
+ANYWHERE = (0.0, np.inf)
+NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
+"""(26, 3): the steps from a cell to those around it."""
+
+
+class Frontier:
+    """All cells of a box, enlarged to whole cells, with what was tried in them.
+
+    `reach` is the greatest distance from the hand to the surface point that it looks at [m], `within` the
+    least and the greatest distance [m] from a success's contact point of a cell to aim at. Every step costs
+    what it concerns, never a pass over all cells: a large hand around a large object has some 400 000.
+    """
+
+    def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
+        self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
+        # One more cell on every side: no step leaves it.
+        self._shape = tuple((self._high - self._low + 3).tolist())
+        size = int(np.prod(self._shape))
+        self._around = NEIGHBOURS @ np.array([self._shape[1] * self._shape[2], self._shape[2], 1])
+        self._tries = np.zeros(size, np.int32)
+        self._dead_ends = np.zeros(size, np.int32)
+        self.successful = np.zeros(size, np.bool_)
+        """Flags, by place, of the cells that hold a success."""
+        self._neighbours = np.zeros(size, np.uint8)
+        self._distances = np.full(size, np.inf, np.float32)
+        self._farthest = np.zeros(size, np.float32)
+        self._reach = reach
+        self._within = within
+        self._model = LogisticRegression(FIRST_WEIGHTS)
+        inside = np.zeros(self._shape, np.bool_)
+        inside[1:-1, 1:-1, 1:-1] = True
+        self._inside = inside.reshape(-1)
+        self.edge: Places = np.zeros(0, np.intp)
+        """The empty cells beside a success, those that became so first in front."""
+
+    @property
+    def size(self) -> int:
+        """Number of places: the cells of the box, and those around it, which stay empty."""
+        return len(self._tries)
+
+    def places(self, positions: ArrayLike) -> Places:
+        """The cell (n,) of each position (n, 3) [m]; -1 outside the box."""
+        found = cells(positions)
+        inside = ((found >= self._low) & (found <= self._high)).all(axis=1)
+        shifted = np.where(inside[:, None], found - self._low + 1, 0)
+        return np.where(inside, np.ravel_multi_index(tuple(shifted.T), self._shape), -1)
+
+    def centres(self, places: Places) -> NDArray[np.float64]:
+        """The middle (n, 3) [m] of cells (n,)."""
+        indices = np.stack(np.unravel_index(places, self._shape), axis=1)
+        centres: NDArray[np.float64] = (indices - 1 + self._low) / PER_METRE
+        return centres
+
+    def around(self, places: Places) -> Places:
+        """The 26 neighbours (n, 26) of cells (n,); those beyond the box never hold a success."""
+        around: Places = places[:, None] + self._around
+        return around
+
+    def count_tries(self, places: Places) -> None:
+        """Count a try in each of `places` (n,), which may repeat, before its result is known."""
+        np.add.at(self._tries, places, 1)
+
+    def count_dead_ends(self, places: Places) -> None:
+        """Count tries in `places` (n,) as dead ends instead."""
+        np.add.at(self._tries, places, -1)
+        np.add.at(self._dead_ends, places, 1)
+
+    def add_successes(self, places: Places, contacts: Floats) -> None:
+        """Record successes in `places` (n,), in any order and repeated, at `contacts` (n, 3) [m]."""
+        new, first = np.unique(places, return_index=True)
+        is_new = ~self.successful[new]
+        new, contacts = new[is_new], contacts[first[is_new]]
+        if not len(new):
+            return
+        self.successful[new] = True
+        around = self.around(new).ravel()
+        ways = self.centres(around) - np.repeat(contacts, len(NEIGHBOURS), axis=0)
+        distances = np.sqrt(dot(ways, ways)).astype(np.float32)
+        np.minimum.at(self._distances, around, distances)
+        np.maximum.at(self._farthest, around, distances)
+        touched = np.unique(around[(self._neighbours[around] == 0) & self._inside[around]])
+        np.add.at(self._neighbours, around, 1)
+        edge = np.concatenate([self.edge, touched])
+        self.edge = edge[~self.successful[edge]]
+
+    def features(self, places: Places) -> Floats:
+        """Return the features (n, 4) of cells (n,) beside successes, known before they are tried.
+
+        The distance in units of the hand's reach, its square, the share of successful neighbours, and 1.
+        """
+        distances = self._distances[places].astype(np.float64) / self._reach
+        shares = self._neighbours[places] / len(NEIGHBOURS)
+        return np.stack([distances, distances * distances, shares, np.ones(len(places))], axis=1)
+
+    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
+        """Learn from tries in cells with such `features` (n, 4) when they were aimed at."""
+        self._model.learn(features, successes)
+
+    def worth(self, places: Places) -> Floats:
+        """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
+        return self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
+
+    def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
+        """Return the `n` of the edge, or of `among`, that are worth most; fewer if there are fewer.
+
+        Among equals `generator` draws.
+        """
+        places, (least, greatest) = self.edge, self._within
+        if among is None:  # those that may be as far from a contact point as is wanted
+            places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
+        else:
+            places = among
+        return select_top(places, self.worth(places), n, generator)
+
+    def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
+        """Return the number of dead ends in the cells of `positions` (n, 3) [m]; 0 outside the box."""
+        places = self.places(positions)
+        return np.where(places >= 0, self._dead_ends[places], 0)
+
+    def spent(self, places: Places) -> Floats:
+        """Return the tries spent on each of `places` (n,); a dead end counts `DEAD_END`."""
+        return self._tries[places] + DEAD_END * self._dead_ends[places]
+
+
+def select_top(places: Places, worth: NDArray[np.float64], n: int, generator: np.random.Generator) -> Places:
+    """The `n` of `places` with the greatest worth; among equals `generator` draws."""
+    if len(places) <= n or not n:
+        return places[:n]
+    least = np.partition(worth, -n)[-n]
+    sure, equal = places[worth > least], places[worth == least]
+    return np.concatenate([sure, generator.choice(equal, n - len(sure), replace=False)])
+
+
+RANK_NOISE = 3.0
+"""Greatest random addition to a rank.
+
+So much that a dropped success is followed now and then where a held one is near, and that equals are all
+followed in turn.
+"""
+NO_SLOT = -1  # The slot of a place without an elite
+FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
+
+
+class EliteStore:
+    """The best success of each place, by outcome and then fitness; of equals the elder.
+
+    `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
+    joints.
+    """
+
+    def __init__(self, places: int, axis: Vector, posture: int) -> None:
+        self._axis = np.array([axis], dtype=np.float64)
+        self._slots = np.full(places, NO_SLOT, np.int32)
+        fields = [("place", "i8"), ("outcome", "u1"), ("rank", "f8")]
+        vectors = [("point", "f8", (3,)), ("aside", "f8", (3,)), ("posture", "f4", (posture,))]
+        self._kept = np.zeros(FIRST_CAPACITY, [*fields, *vectors])
+        self._size = 0
+
+    def __len__(self) -> int:
+        """Return the number of places that have an elite."""
+        return self._size
+
+    def offer(self, places: Places, rows: Rows) -> None:
+        """Offer the successes `rows` (n,), elder ones first, found in `places` (n,)."""
+        best_first = np.argsort(-_ranks(rows), kind="stable")
+        _, first = np.unique(places[best_first], return_index=True)
+        best = best_first[first]  # the best row of each distinct place, of ties the first
+        best = best[_ranks(rows[best]) > self.ranks(places[best])]
+        self._keep(self._slots_for(places[best]), places[best], rows[best])
+
+    def points(self, places: Places) -> Floats:
+        """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
+        return self._at("point", places)
+
+    def distances(self, options: Places, points: Floats) -> Floats:
+        """Return how far surface points of `options` (n, k) are from points (n, 3): (n, k) [m]."""
+        ways = self._at("point", options) - points[:, None]
+        distances: Floats = np.sqrt((ways * ways).sum(axis=2))
+        return distances
+
+    def rolls(self, places: Places, directions: Floats) -> Floats:
+        """Return rolls (n,) [rad] of the grasps at `places`, about other unit `directions` (n, 3)."""
+        return rolls(self._at("aside", places), directions)
+
+    def postures(self, places: Places) -> Floats:
+        """Return the genes of synergy and free joints at `places`: (n, k)."""
+        return self._at("posture", places)
+
+    def ranks(self, places: Places) -> Floats:
+        """Return ranks, for comparison alone: (n,), below zero where there is no elite."""
+        slots = self._slots[places]
+        return np.where(slots == NO_SLOT, -1.0, self._kept["rank"][slots])
+
+    def preference(self, options: Places, generator: np.random.Generator) -> Floats:
+        """Return the preference of each of `options` (n, k), by outcome and by chance: (n, k).
+
+        -1 where there is no elite.
+        """
+        ranks = self.ranks(options)
+        return np.where(ranks < 0, -1.0, ranks + RANK_NOISE * generator.random(options.shape))
+
+    @property
+    def weak(self) -> Places:
+        """The places whose best success is not robust, in the order of discovery."""
+        kept = self._kept[: self._size]
+        return kept["place"][kept["outcome"] < Outcome.HELD]
+
+    def _at(self, name: str, places: Places) -> Floats:
+        return self._kept[name][self._slots[places]].astype(np.float64)
+
+    def _slots_for(self, places: Places) -> NDArray[np.int32]:
+        """Return the slots of distinct `places`; those without one get the next ones."""
+        new = places[self._slots[places] == NO_SLOT]
+        while self._size + len(new) > len(self._kept):
+            self._kept = np.concatenate([self._kept, np.zeros_like(self._kept)])
+        self._slots[new] = np.arange(self._size, self._size + len(new))
+        self._size += len(new)
+        return self._slots[places]
+
+    def _keep(self, slots: NDArray[np.int32], places: Places, rows: Rows) -> None:
+        behind = self._kept["posture"].shape[1]
+        rotations = unit(rows["base_to_object"][:, 3:].astype(np.float64))
+        first, _ = tangents(np.broadcast_to(self._axis, (len(rows), 3)))
+        columns = {
+            "place": places,
+            "outcome": rows["outcome"],
+            "rank": _ranks(rows),
+            "point": rows["surface_point"],
+            "aside": rotate(rotations, first),
+            "posture": rows["genome"][:, rows["genome"].shape[1] - behind :],
+        }
+        for name, values in columns.items():
+            self._kept[name][slots] = values
+
+
+def _ranks(rows: Rows) -> Floats:
+    """A number for each of `rows` that orders them by outcome and then by fitness."""
+    fitness = rows["fitness"].astype(np.float64)
+    return rows["outcome"] + fitness / (1.0 + fitness)

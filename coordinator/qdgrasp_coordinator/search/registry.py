@@ -1,0 +1,156 @@
+"""The table of search methods: the paper's, the default, and the one that re-scores poses.
+
+A search is a fold over ordered tells: what it asks in a generation depends on the seed and on what it was
+told, never on clocks, workers or the order of arrival (the pipeline orders). It knows genomes in [-1, 1],
+rows and its space; the paper's methods take no notice of what the genes mean.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, NoReturn
+
+from qdgrasp_assets import genes
+from qdgrasp_coordinator.search import cma_mae, fixed_poses
+from qdgrasp_coordinator.search.aimed import AimedSearch
+from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
+from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_protocol.rows import GIVEN
+from qdgrasp_protocol.spec import Overlaps, RunSpec
+
+BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
+"""Makes a search from a spec and the space of its genomes."""
+CheckSpec = Callable[[RunSpec], None]
+"""Raises an `InputError` where a spec asks what the search cannot do."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method in the table: a search and its prior by a name, with defaults."""
+
+    name: str
+    prior: str
+    """The prior that decodes its genomes."""
+    build: BuildSearch
+    check: CheckSpec
+    overlaps: Overlaps
+    """Counting of overlaps as evaluations unless the spec says otherwise."""
+    population: int
+    """Genomes in a generation unless the spec says otherwise."""
+    summary: str
+    generations_in_flight: int = 1
+    """Generations asked before the first is told unless the spec says otherwise."""
+
+
+class PriorLabel(NamedTuple):
+    """Prefix and description of a prior in the table of methods."""
+
+    prefix: str
+    words: str
+
+
+PRIORS = {
+    "contact": PriorLabel("contact_", "any angle to the surface"),
+    "approach": PriorLabel("approach_", "at most 45 deg from the surface's normal"),
+    "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
+    "spherical": PriorLabel("", "without a prior"),
+    genes.AIMED: PriorLabel("", "into a cell"),
+}
+
+
+def _family(
+    name: str,
+    build: BuildSearch,
+    words: str,
+    population: int = 500,
+    check: CheckSpec = lambda _: None,
+    priors: tuple[str, ...] = ("contact", "approach", "antipodal", "spherical"),
+) -> list[Method]:
+    """Return the methods of one search, one for each prior; 500 is the paper's mu = lambda."""
+    known = [(prior, PRIORS[prior].prefix + name, PRIORS[prior].words) for prior in priors]
+    return [
+        Method(full, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
+        for prior, full, by in known
+    ]
+
+
+PAPER = [
+    *_family(
+        "rand",
+        lambda spec, space: RandomSearch(spec.seed, spec.population, space.genes),
+        "Uniform genomes",
+        priors=("contact", "approach", "antipodal"),
+    ),
+    *_family(
+        "me_rand",
+        lambda spec, space: MapElites(spec, space.genes, space.box, select_uniform),
+        "MAP-Elites, parents uniform over the archive",
+    ),
+    *_family(
+        "me_scs",
+        lambda spec, space: MapElites(spec, space.genes, space.box, select_successes),
+        "MAP-Elites, successful elites first",
+    ),
+    *_family(
+        "cma_mae",
+        lambda spec, space: cma_mae.CmaMae(spec, space.genes, space.box),
+        "CMA-MAE, 15 evolution strategies",
+        population=cma_mae.POPULATION,
+        check=cma_mae.check,
+    ),
+]
+"""The methods that Huber et al. 2024, section IV, compare; those without prefix: no prior."""
+AIMED = Method(
+    "aimed",
+    genes.AIMED,
+    AimedSearch,
+    lambda _: None,
+    "redraw",
+    50,
+    "The default, this project's own: empty cells beside successes, with a neighbour's grasp.",
+    generations_in_flight=2,
+)
+METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
+"""The first one is the default, as `RunSpec` has it."""
+SCORING = Method(
+    GIVEN,
+    GIVEN,
+    lambda spec, space: fixed_poses.fixed_pose_search(spec, space.genes),
+    fixed_poses.check_poses,
+    "count",
+    500,
+    "The poses of the spec, each once.",
+)
+"""Method that scores given poses again; it is not offered among the methods."""
+
+
+def _elsewhere(spec: RunSpec, *_space: SearchSpace) -> NoReturn:
+    raise ImpossibleValue(
+        "method",
+        spec.method,
+        "one of `qdgrasp methods`: this is a search that a program of its own carries out, and goes on with "
+        "(`qdgrasp.optimise` with resume=True)",
+    )
+
+
+CUSTOM = {
+    prior: Method(f"custom_{prior}", prior, _elsewhere, _elsewhere, "count", 500, "A program's own search.")
+    for prior in PRIORS
+}
+"""Methods of runs whose search came from outside, by prior; their folders read like any."""
+
+
+def method(name: str) -> Method:
+    """Return the method of a name, or raise `UnknownName`, which names the known ones."""
+    known = METHODS | {other.name: other for other in (SCORING, *CUSTOM.values())}
+    if name not in known:
+        raise UnknownName("method", name, METHODS)
+    return known[name]
+
+
+def check_spec(spec: RunSpec) -> None:
+    """Check that there is the method that a spec asks for, and that it can do it."""
+    chosen = method(spec.method)
+    if spec.poses is not None and chosen is not SCORING:
+        raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
+    chosen.check(spec)

@@ -1,0 +1,163 @@
+"""Success models: logistic regression, candidate ranking, and the threshold to simulate.
+
+Screening candidates costs less than simulating one, so that it pays to draw more of them and to be choosy;
+up to a point, which is a share of genomes that are simulated. A cell that gave no candidate is asked again,
+and for less each time.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_assets.genes import FEATURES, STEEPEST
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_protocol.rows import Outcome, Rows
+
+EXAMPLES_KEPT = 2048  # The last examples that a fit looks at
+FIT_INTERVAL = 256  # Examples between two fits
+LEAST_EXAMPLES = 10  # Least number of successes, and of failures, among the examples of a fit
+NEWTON_STEPS = 5
+RIDGE = 1.0
+"""Precision of the weights' prior, N(mean, 1 / RIDGE), features in their units.
+
+It keeps a fit finite where features separate successes from failures.
+"""
+LEAST_VARIANCE = 1e-9  # The variance below which a feature is taken for constant
+WEIGHT_GRAIN = 64
+"""Weights are whole multiples of 1 / GRAIN.
+
+So the last bits of a fit, which differ between processors, do not reach the genomes.
+"""
+
+
+class LogisticRegression:
+    """Probability of success, given features of which the last is constant.
+
+    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits. With
+    `own_units` the unit of each feature is its standard deviation, instead of 1: what is small then counts as
+    much as what is large.
+    """
+
+    def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:
+        self._start = _quantised(np.asarray(start, np.float64))
+        self.weights: Floats = self._start
+        """One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`."""
+        self._own_units = own_units
+        self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
+        self._successes = np.zeros(EXAMPLES_KEPT, np.bool_)
+        self._seen = 0
+        self._fitted = 0
+
+    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
+        """Learn from examples: features (n, k) and which of them were successes."""
+        features, successes = features[-EXAMPLES_KEPT:], successes[-EXAMPLES_KEPT:]
+        places = (self._seen + np.arange(len(features))) % EXAMPLES_KEPT
+        self._features[places], self._successes[places] = features, successes
+        self._seen += len(features)
+        known = min(self._seen, EXAMPLES_KEPT)
+        found = int(np.count_nonzero(self._successes[:known]))
+        if self._seen - self._fitted >= FIT_INTERVAL and min(found, known - found) >= LEAST_EXAMPLES:
+            self._fitted = self._seen
+            features, successes = self._features[:known], self._successes[:known]
+            precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
+            self.weights = _quantised(fit(features, successes, self._start, precision))
+
+    def likely(self, features: Floats) -> Floats:
+        """The probability (n,) of success for features (n, k)."""
+        return _likely(features, self.weights)
+
+
+def fit(features: Floats, successes: NDArray[np.bool_], mean: Floats, precision: Floats) -> Floats:
+    """The weights (k,) of features (n, k), by Newton's method from zero.
+
+    Mean and precision (k,) are those of their prior. Sums are einsum's own loops: no matrix library with
+    threads, for so little.
+    """
+    weights = np.zeros(features.shape[1])
+    for _ in range(NEWTON_STEPS):
+        likely = _likely(features, weights)
+        gradient = np.einsum("nk,n->k", features, successes - likely) - precision * (weights - mean)
+        scaled = features * (likely * (1.0 - likely))[:, None]
+        curvature = np.einsum("nk,nl->kl", scaled, features) + np.diag(precision)
+        weights = weights + np.linalg.solve(curvature, gradient)
+    return weights
+
+
+def _variances(features: Floats) -> Floats:
+    """Return the variances of features (n, k): (k,); 1 for constants."""
+    variances = features.var(axis=0)
+    return np.where(variances > LEAST_VARIANCE, variances, 1.0)
+
+
+def _quantised(weights: Floats) -> Floats:
+    return np.rint(weights * WEIGHT_GRAIN) / WEIGHT_GRAIN
+
+
+def _likely(features: Floats, weights: Floats) -> Floats:
+    likely: Floats = 1.0 / (1.0 + np.exp(-np.einsum("nk,k->n", features, weights)))
+    return likely
+
+
+class CandidateRanker:
+    """Logistic regression of success on the features that the prior `aimed` gives of its pose.
+
+    It begins from nothing: what ranks poses on one object misleads on another.
+    """
+
+    def __init__(self) -> None:
+        self._model = LogisticRegression(np.zeros(len(FEATURES)), own_units=True)
+
+    def wanting(self, likely: Floats) -> Floats:
+        """Return weights (n, features) that reject candidates less `likely` (n,) to succeed.
+
+        A rejected candidate's score is negative. Where `likely` is 0, and before the first fit, none
+        is rejected.
+        """
+        weights = np.tile(self._model.weights, (len(likely), 1))
+        if weights.any():
+            is_choosy = likely > 0.0
+            weights[~is_choosy, -1] = 0.0
+            weights[is_choosy, -1] -= _quantised(np.log(likely[is_choosy] / (1.0 - likely[is_choosy])))
+            weights[is_choosy & (weights[:, -1] == 0.0), -1] = 1.0 / WEIGHT_GRAIN
+        return scale_to_gene_range(weights)
+
+    def learn(self, simulated: Rows) -> None:
+        """Learn from rows that were simulated."""
+        features = simulated["descriptor"][:, 3:].astype(np.float64)
+        self._model.learn(features, simulated["outcome"] >= Outcome.DROPPED)
+
+
+def scale_to_gene_range(weights: Floats) -> Floats:
+    """Scale down weights (n, features) too steep for their genes; order and signs stay."""
+    steepest = np.maximum(np.abs(weights).max(axis=1, keepdims=True), STEEPEST)
+    scaled: Floats = weights * (STEEPEST / steepest)
+    return scaled
+
+
+WANTED = 0.8  # Probability of success demanded of a cell's first candidates
+DEAD_END_DISCOUNT = 0.5  # Reduction for each dead end: wanted / (dead ends * LESS + 1)
+LEAST_SHARE = 0.1  # Least share of genomes that are to be simulated; below it the threshold is lowered
+WANTED_STEP = 0.9  # Factor by which a generation changes the demand
+LEAST_WANTED = 1e-3  # Least probability of success that is demanded of a candidate
+
+
+class SuccessThreshold:
+    """Threshold on the probability of success, adapted to the share of genomes that pass it."""
+
+    def __init__(self) -> None:
+        self._wanted = WANTED
+        self.share = 1.0
+        """The share of the last generation's genomes that got through, `LEAST_SHARE` at the least."""
+
+    def wanted(self, dead_ends: NDArray[np.int32]) -> Floats:
+        """Return the probability of success demanded in cells (n,) with so many dead ends."""
+        wanted: Floats = np.maximum(
+            LEAST_WANTED, self._wanted / (DEAD_END_DISCOUNT * dead_ends.astype(np.float64) + 1.0)
+        )
+        return wanted
+
+    def update(self, through: NDArray[np.bool_]) -> None:
+        """Adapt the threshold to which genomes (n,) of a generation became evaluations."""
+        is_narrow = np.count_nonzero(through) < LEAST_SHARE * len(through)
+        self.share = max(LEAST_SHARE, float(through.mean()))
+        wanted = self._wanted * WANTED_STEP if is_narrow else self._wanted / WANTED_STEP
+        self._wanted = min(WANTED, max(LEAST_WANTED, wanted))

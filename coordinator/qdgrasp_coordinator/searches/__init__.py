@@ -1,1 +1,0 @@
-"""The searches: one module per family, each an implementation of `search.Search`."""

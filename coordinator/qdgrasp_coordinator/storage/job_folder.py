@@ -1,0 +1,224 @@
+"""The folder of a job: name, epoch and files, and the lock of the process that writes in it.
+
+A run of its own is a job of one run: its folder is the job's too. A campaign's folder holds `campaign.toml`
+(on a recorder's machine it need not), and below `runs/` a folder for each of its runs.
+
+* `job.json`      the job's name and identity, and the epoch of its last coordinator
+* `endpoint`      where the coordinator's router listens, while it does
+* `lock`          locked by the recorder; the kernel frees it when that process dies
+* `supervised`    locked by the command that started the job's processes
+* `logs/`         what the job's processes said
+"""
+
+import fcntl
+import os
+import secrets
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO
+
+import msgspec
+
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.outputs import (
+    CAMPAIGN,
+    ENDPOINT,
+    JOB,
+    LOCK,
+    LOGS,
+    RUNS,
+    SUPERVISED,
+    OutFolder,
+)
+from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.keys import Keys, job_name
+from qdgrasp_protocol.messages import JobId
+
+LOCK_PATIENCE = 1.0  # seconds; whoever only looks whether a folder is in use holds its lock for an instant
+LOCK_INTERVAL = 0.05  # seconds between two tries
+
+
+@contextmanager
+def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
+    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
+    with _lock_file(folder, name) as file:
+        deadline = time.monotonic() + LOCK_PATIENCE
+        while not _try_lock(file):
+            if time.monotonic() > deadline:
+                raise _in_use(folder, file)
+            time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
+        with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
+        yield
+
+
+def check_unlocked(folder: Path, name: str = LOCK) -> None:
+    """Raise `FolderError` if a process holds the lock `name` of the folder."""
+    with _lock_file(folder, name) as file:
+        if not _try_lock(file):
+            raise _in_use(folder, file)
+
+
+@contextmanager
+def _lock_file(folder: Path, name: str) -> Iterator[IO[str]]:
+    with atomic_files.writing(folder):
+        file = (folder / name).open("a+")
+    with file:
+        yield file
+
+
+def _try_lock(file: IO[str]) -> bool:
+    """Take the lock if it is free."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _in_use(folder: Path, file: IO[str]) -> FolderError:
+    file.seek(0)
+    pid = file.read().strip()
+    return FolderError(f"{folder} is in use{f' by process {pid}' if pid else ''}; wait for it or stop it.")
+
+
+RUN = "run"  # The name of the run in a job that has only one; its folder is the job's
+
+
+class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The content of `job.json`."""
+
+    job: str
+    epoch: int = 0
+    """Of the last coordinator; 0 before the first."""
+    identity: JobId = ""
+    """Unique id of the job; empty in an earlier version's folder until its next epoch."""
+
+    @classmethod
+    def begun(cls, path: Path, name: str | None = None) -> "JobRecord":
+        """Return the job of a new folder at `path`; without a name it is called after the folder.
+
+        A name that is not of the allowed characters raises `ImpossibleValue`.
+        """
+        name = job_name(path.absolute().name) if name is None else Keys(name).job
+        return cls(name, identity=secrets.token_hex(16))
+
+    @property
+    def file(self) -> dict[str, bytes]:
+        """The content of `job.json` by file name, for a new folder."""
+        return {JOB: msgspec.json.encode(self)}
+
+
+class JobFolder:
+    """The existing folder of a job."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def open(cls, path: Path) -> "JobFolder":
+        """Return the folder of a job that was begun; raise `NoFolder` or `FolderError` without one."""
+        atomic_files.check_folder(path)
+        if not cls.is_job(path):
+            raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")
+        return cls(path)
+
+    @classmethod
+    def create(cls, path: Path, name: str, files: Mapping[str, bytes] = MappingProxyType({})) -> "JobFolder":
+        """Begin a campaign's folder with these files beside its own; it appears whole or not at all.
+
+        Raises `FolderError` or `DiskFull` where the folder holds other files, or cannot be made.
+        """
+        OutFolder(path).check()
+        atomic_files.create_folder(path, JobRecord.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
+        return cls(path)
+
+    @staticmethod
+    def is_job(path: Path) -> bool:
+        """Return whether a job was begun in this folder."""
+        return atomic_files.is_file(path / JOB)
+
+    @property
+    def is_campaign(self) -> bool:
+        """True if its runs have folders of their own; a recorder elsewhere has no campaign file."""
+        return (self.path / CAMPAIGN).is_file() or (self.path / RUNS).is_dir()
+
+    @property
+    def resume_command(self) -> str:
+        """The command that goes on with the job."""
+        return f"qdgrasp {'campaign' if self.is_campaign else 'resume'} {self.path}"
+
+    def run_path(self, run: str) -> Path:
+        """Return the path of a run's folder, which need not exist yet."""
+        return self.path if run == RUN else self.path / RUNS / run
+
+    @property
+    def run_paths(self) -> list[Path]:
+        """The folders of all its runs that are there."""
+        if not self.is_campaign:
+            return [self.path]
+        return sorted(path for path in (self.path / RUNS).glob("[!.]*") if path.is_dir())
+
+    @property
+    def name(self) -> str:
+        """The job's name on the bus."""
+        return self._job.job
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the job's last coordinator; 0 before the first."""
+        return self._job.epoch
+
+    @property
+    def identity(self) -> str:
+        """Unique id that tells the job from others of its name; empty: not known yet."""
+        return self._job.identity
+
+    def set_epoch(self, epoch: int) -> None:
+        """Store an epoch; it is on the disk when this returns."""
+        record = JobRecord(self.name, epoch, self.identity or secrets.token_hex(16))
+        atomic_files.replace(self.path / JOB, msgspec.json.encode(record))
+
+    @property
+    def endpoint(self) -> str | None:
+        """Address on which the coordinator's router listens; None: it is not known."""
+        file = self.path / ENDPOINT
+        return file.read_text().strip() or None if file.is_file() else None
+
+    def write_endpoint(self, endpoint: str) -> None:
+        """Note where the router listens."""
+        atomic_files.replace(self.path / ENDPOINT, f"{endpoint}\n".encode())
+
+    def forget_endpoint(self) -> None:
+        """Note that no router listens."""
+        (self.path / ENDPOINT).unlink(missing_ok=True)
+
+    @property
+    def logs(self) -> Path:
+        """The folder of the processes' logs."""
+        return self.path / LOGS
+
+    def lock(self) -> AbstractContextManager[None]:
+        """Lock the folder as the only process that writes its journals; see `hold_lock`."""
+        return hold_lock(self.path)
+
+    def supervise(self) -> AbstractContextManager[None]:
+        """Lock the folder as the only command that starts processes for it; see `hold_lock`."""
+        return hold_lock(self.path, SUPERVISED)
+
+    def check_not_in_use(self) -> None:
+        """Raise `FolderError` if a process writes in this folder."""
+        check_unlocked(self.path, SUPERVISED)
+        check_unlocked(self.path)
+
+    @property
+    def _job(self) -> JobRecord:
+        try:
+            return msgspec.json.decode(atomic_files.read(self.path / JOB), type=JobRecord)
+        except msgspec.MsgspecError as error:
+            raise atomic_files.damaged_file(self.path / JOB, str(error)) from None

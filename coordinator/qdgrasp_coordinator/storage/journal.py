@@ -1,0 +1,258 @@
+"""The journal of a run: every evaluation in order, in `run.sqlite` (docs/run-folder.md).
+
+Rows are kept as blocks of packed structured arrays (`rows.Shape.dtype`), one transaction per group of rows;
+beside them stand the successes with what queries need, reasons of errors, the spec and the platform. One
+process writes; any number may read while it does, each sees the journal as it was when it was opened.
+"""
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.storage.atomic_files import damaged_file
+from qdgrasp_coordinator.storage.journal_schema import (
+    APPLICATION,
+    FILE,
+    FORMAT,
+    REDUCED,
+    JournalIdentity,
+    JournalSource,
+    create_tables,
+    explaining_read_errors,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, from_toml
+
+
+class Journal:
+    """A journal to read; opened by `Journal.open`, closed by its with-block.
+
+    Any method raises `FolderError` where the file is damaged.
+    """
+
+    def __init__(self, database: sqlite3.Connection, file: Path) -> None:
+        self._database = database
+        self._file = file
+        self._check_format()
+        meta = self._meta()
+        self.run = meta["run"]
+        self.scene = meta["scene"]
+        """sha256 of the scene bundle."""
+        self.shape = RowShape(**json.loads(meta["shape"]))
+        self.package = meta["package"]
+        """The version of this package that began it."""
+        self.created = float(meta["created"])
+        """When it was begun [s since 1970]."""
+        self.sources = self._sources()
+        """The runs that it was reduced from; none where it holds every row of its own run."""
+
+    @classmethod
+    def open(cls, folder: Path) -> "Journal":
+        """Open the journal in a run's folder as it is now.
+
+        Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version of this
+        package.
+        """
+        file = folder / FILE
+        if not file.is_file():
+            raise FolderError(f"{folder} holds no journal ({FILE}).")
+        with explaining_read_errors(file):
+            database = _connect(file)
+            try:
+                return cls(database, file)
+            except BaseException:
+                database.close()
+                raise
+
+    @classmethod
+    def empty(cls, identity: JournalIdentity) -> "Journal":
+        """Return the journal of a run that has not recorded anything yet, in memory."""
+        database = sqlite3.connect(":memory:", isolation_level=None)
+        create_tables(database, identity)
+        return cls(database, Path(FILE))
+
+    @property
+    def spec(self) -> RunSpec:
+        """The full spec, with the latest budget."""
+        return from_toml(self.spec_text, str(self._file))
+
+    @property
+    def spec_text(self) -> str:
+        """The full spec as TOML, with the latest budget."""
+        return self._meta()["spec"]
+
+    @property
+    def platform(self) -> dict[str, str]:
+        """The platform that the rows were made on; empty while the journal has no rows."""
+        return dict(json.loads(self._meta().get("platform", "{}"))) if self.count else {}
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        found = self._all("SELECT first + n FROM blocks ORDER BY first DESC LIMIT 1")
+        return int(found[0][0]) if found else 0
+
+    @property
+    def mark(self) -> str:
+        """Fingerprint of the rows, without reading them: their number and their checksums."""
+        blocks, rows, crc = self._all("SELECT count(*), total(n), total(crc) FROM blocks")[0]
+        return f"{blocks} blocks {rows:.0f} rows {crc:.0f}"
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of all rows on their workers [s]."""
+        return float(self._all("SELECT total(cpu_seconds) FROM blocks")[0][0])
+
+    @property
+    def wall_seconds(self) -> float:
+        """Sum over coordinators of the time from opening the run to its last commit [s]."""
+        return float(self._all("SELECT total(last - opened) FROM turns")[0][0])
+
+    def rows(self, first: int, limit: int) -> Rows:
+        """At most `limit` rows from number `first` on, all columns."""
+        return self.slice(first, limit).rows
+
+    def slice(self, first: int, limit: int) -> JournalSlice:
+        """Return at most `limit` rows from number `first` on, with their cost and failures."""
+        self.check_whole()
+        stop = min(first + limit, self.count)
+        if first >= stop:
+            return JournalSlice(first, self.shape.empty(0))
+        return join_slices([block.part(first, stop) for block in self._slices(first, stop)])
+
+    def blocks(self) -> Iterator[Rows]:
+        """All rows in order, some thousands at a time."""
+        for part in self.slices():
+            yield part.rows
+
+    def slices(self) -> Iterator[JournalSlice]:
+        """Yield all rows in order, some thousands at a time, with their cost and failures."""
+        self.check_whole()
+        return self._slices(0, self.count)
+
+    def kept(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
+        """The rows that are here from number `first` up to `stop`, some thousands at a time.
+
+        All rows; where the journal is reduced, the successes with their trials, source by source.
+        """
+        end = self.count if stop is None else stop
+        for block in self._slices(first, end):
+            yield block.part(first, end).rows
+
+    def successes(self) -> Rows:
+        """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
+        found = [successes(rows) for rows in self.kept()]
+        return np.concatenate([self.shape.empty(0), *found])
+
+    def errors(self) -> dict[int, str]:
+        """Return the reasons of rows with `Outcome.ERROR`, by row number."""
+        return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
+
+    @property
+    def summary(self) -> str:
+        """Summary of all rows of its sources, as JSON; empty where it holds every row itself."""
+        return self._meta().get("summary", "")
+
+    def check_whole(self) -> None:
+        """Raise `FolderError` if the journal keeps successes alone, not every row."""
+        if not self.sources:
+            return
+        whose = f"{len(self.sources)} runs"
+        if len(self.sources) == 1:
+            whose = f"run '{self.sources[0].run}', whose digest was {self.sources[0].digest}"
+        raise FolderError(
+            f"{self._file.parent} keeps the successes alone of {whose}; "
+            "a digest, curves, and going on with it need every row."
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _slices(self, first: int, stop: int) -> Iterator[JournalSlice]:
+        """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
+        query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
+            AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""
+        reasons = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"
+        failures = self._all(reasons, first, stop)
+        expected: int | None = None
+        with explaining_read_errors(self._file), self._reading(query, stop, first) as found:
+            for number, n, cpu_seconds, crc, blob in found:
+                follows = number <= first if expected is None else number == expected
+                if not follows or len(blob) != n * self.shape.dtype.itemsize or zlib.crc32(blob) != crc:
+                    raise damaged_file(
+                        self._file, f"rows {number} to {number + n - 1} are not what was recorded"
+                    )
+                rows = np.frombuffer(blob, dtype=self.shape.dtype)
+                here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
+                yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
+                expected = number + n
+
+    @contextmanager
+    def _reading(self, query: str, *values: object) -> Iterator[sqlite3.Cursor]:
+        """Execute a query, and close its cursor at the end, also if the journal was closed before."""
+        found = self._database.execute(query, values)
+        try:
+            yield found
+        finally:
+            with suppress(sqlite3.ProgrammingError):
+                found.close()
+
+    def _meta(self) -> dict[str, str]:
+        return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}
+
+    def _sources(self) -> tuple[JournalSource, ...]:
+        if self._all("PRAGMA user_version")[0][0] != REDUCED:
+            return ()
+        found = self._all("SELECT source FROM sources ORDER BY number")
+        return tuple(msgspec.json.decode(text, type=JournalSource) for (text,) in found)
+
+    def _check_format(self) -> None:
+        (application,), (number,) = (
+            self._all(f"PRAGMA {name}")[0] for name in ("application_id", "user_version")
+        )
+        if application != APPLICATION:
+            raise FolderError(f"{self._file} is not a journal of qdgrasp.")
+        if number not in (FORMAT, REDUCED):
+            raise FolderError(
+                f"{self._file} is of format {number}, this version of qdgrasp reads format {FORMAT} and "
+                f"{REDUCED}; use the version that wrote it."
+            )
+
+    def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        with explaining_read_errors(self._file):
+            return self._database.execute(query, values).fetchall()
+
+
+def _connect(file: Path) -> sqlite3.Connection:
+    """A connection to read a journal as it is now."""
+    for mode in ("mode=ro", "mode=ro&immutable=1"):  # the second on a disk that nobody can write
+        database = sqlite3.connect(f"{file.absolute().as_uri()}?{mode}", uri=True, isolation_level=None)
+        try:
+            database.execute("BEGIN")
+            database.execute("PRAGMA user_version").fetchone()
+        except sqlite3.DatabaseError as error:
+            database.close()
+            if error.sqlite_errorcode != sqlite3.SQLITE_CANTOPEN:
+                raise
+            reason = error
+        else:
+            return database
+    raise reason

@@ -1,0 +1,175 @@
+"""Writing of journals: one transaction per group of rows, on the disk when `append` returns.
+
+A few journals are open for writing at a time: each holds three files open.
+"""
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_schema import (
+    FILE,
+    NO_ROOM,
+    JournalIdentity,
+    create_tables,
+    explaining_read_errors,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.errors import DiskFull, FolderError
+
+SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
+
+
+class JournalWriter(Journal):
+    """A journal to append to; the process that opens it holds its job's lock (`JobFolder.lock`)."""
+
+    @classmethod
+    def create(cls, folder: Path, identity: JournalIdentity) -> "JournalWriter":
+        """Begin the journal of a run; the file appears whole or not at all."""
+        part = folder / f"{FILE}.part"
+        part.unlink(missing_ok=True)
+        with explaining_write_errors(folder):
+            database = sqlite3.connect(part, isolation_level=None)
+            try:
+                create_tables(database, identity)
+            finally:
+                database.close()
+        part.replace(folder / FILE)
+        return cls.open(folder)
+
+    @classmethod
+    def open(cls, folder: Path) -> "JournalWriter":
+        """Open the journal in a run's folder to add to it; raises as `Journal.open` does."""
+        file = folder / FILE
+        with Journal.open(folder) as known:
+            known.check_whole()
+        with explaining_read_errors(file), explaining_write_errors(folder):
+            database = sqlite3.connect(file, isolation_level=None)
+            try:
+                database.execute("PRAGMA journal_mode = WAL")
+                database.execute("PRAGMA synchronous = FULL")
+                return cls(database, file)
+            except BaseException:
+                database.close()
+                raise
+
+    def begin_epoch(self, epoch: int, now: float) -> None:
+        """Record that the coordinator of an epoch opened the run at `now` [s since 1970]."""
+        with self._transaction():
+            self._database.execute("INSERT OR IGNORE INTO turns VALUES (?, ?, ?)", (epoch, now, now))
+
+    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
+        """Add the next rows: all of them, durably, or none.
+
+        Raises `DiskFull`, or `FolderError` where the file cannot be written, or `ValueError` for other rows
+        than the next ones.
+        """
+        if part.first != self.count:
+            raise ValueError(f"row {self.count} is next, got {part.first}")
+        with self._transaction():
+            insert_rows(self._database, part, epoch)
+            self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
+
+    def set_platform(self, platform: dict[str, str]) -> None:
+        """Note the platform that rows are made on."""
+        self._set_meta("platform", json.dumps(platform, sort_keys=True))
+
+    def set_spec(self, toml: str) -> None:
+        """Replace the spec by the same one with another budget."""
+        self._set_meta("spec", toml)
+
+    def _set_meta(self, name: str, value: str) -> None:
+        with self._transaction():
+            self._database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with explaining_write_errors(self._file.parent):
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
+
+def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) -> None:
+    """Add rows to the tables of a journal, within a transaction."""
+    blob = part.rows.tobytes()
+    block = (part.first, len(part), epoch, part.cpu_seconds, zlib.crc32(blob), blob)
+    errors = [(part.first + failure.row, failure.reason) for failure in part.failures]
+    database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
+    database.executemany(SUCCESS, _success_columns(part))
+    database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
+
+
+def _success_columns(part: JournalSlice) -> list[tuple[float, ...]]:
+    """Return the entries that the table of successes gets for a slice."""
+    at = np.flatnonzero(success_mask(part.rows))
+    rows = part.rows[at]
+    columns = [part.first + at]
+    columns += [rows[name] for name in ("generation", "index", "trial", "outcome", "fitness")]
+    columns += [*rows["base_to_object"].T, *cells(rows["descriptor"][:, :3]).T]
+    columns += [rows[name] for name in ("nu", "contacts", "penetration")]
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+@contextmanager
+def explaining_write_errors(folder: Path) -> Iterator[None]:
+    """Turn SQLite's write errors into errors of this package; a full disk has its own."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode in NO_ROOM:
+            raise DiskFull(f"There is no room to write in {folder}: {error}.") from None
+        raise FolderError(f"{folder} cannot be written: {error}.") from None
+
+
+class OpenJournals:
+    """Opens at most `most` journals as they are needed; closes the one unused for longest.
+
+    A context manager that closes them all. Raises as `JournalWriter.open` and `JournalWriter.create`.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._open: dict[Path, JournalWriter] = {}
+
+    def __len__(self) -> int:
+        """Return the number of open journals."""
+        return len(self._open)
+
+    def at(self, folder: Path) -> JournalWriter:
+        """The journal in a run's folder, to be used before the next one is asked for."""
+        journal = self._open.pop(folder, None) or self._make_room().open(folder)
+        self._open[folder] = journal  # the last one is the one used last
+        return journal
+
+    def begin(self, folder: Path, identity: JournalIdentity) -> None:
+        """Begin the journal of a run."""
+        self._open[folder] = self._make_room().create(folder, identity)
+
+    def __enter__(self) -> "OpenJournals":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._open:
+            self._close_oldest()
+
+    def _make_room(self) -> type[JournalWriter]:
+        while len(self._open) >= self._most:
+            self._close_oldest()
+        return JournalWriter
+
+    def _close_oldest(self) -> None:
+        self._open.pop(next(iter(self._open))).close()

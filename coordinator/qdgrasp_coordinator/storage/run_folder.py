@@ -1,0 +1,289 @@
+"""The folder of a run: its files, how it is begun, and where its rows come from.
+
+* `spec.toml`     the full spec: `qdgrasp run DIR/spec.toml --out OTHER` repeats the run
+* `scene.bundle`  the scene, as workers fetch it
+* `run.sqlite`    the journal, once a recorder has opened it
+
+Beside them are the files of its job (`job_folder`), unless it is one of a campaign's.
+
+Rows of one job come from workers of one platform, whose results have the same bits; the digest of a journal
+is equal for two runs of one spec, however they were carried out (docs/reproducibility.md); the provenance
+of a row is the run that it comes from: a merged journal holds rows of several.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.text import first_few
+
+VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
+
+
+class PlatformDiffers(Refused):
+    """A worker's platform is not the one that the job's rows come from."""
+
+    def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
+        super().__init__(f"its platform differs: {platform_differences(job, worker)}.")
+
+
+def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
+    """Describe the entries in which another platform differs from the job's."""
+    differing = [name for name in sorted({*job, *other}) if job.get(name) != other.get(name)]
+    if differing == [VERSION]:
+        return ""
+    return ", ".join(
+        f"{name} {other.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
+        for name in differing
+    )
+
+
+def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
+    """The platform of the job once this worker has joined: the first worker sets it.
+
+    Raises `PlatformDiffers` where another platform was there first; what differs is named.
+    """
+    if job and platform_differences(job, worker):
+        raise PlatformDiffers(job, worker)
+    return dict(job or worker)
+
+
+def journal_digest(journal: Journal) -> str:
+    """The sha256 over the bytes of the journal's rows in order, 64 hex digits.
+
+    Where the blocks that hold the rows begin, and what they cost, when, and on which host, is not in it
+    (docs/reproducibility.md).
+    """
+    total = hashlib.sha256()
+    for rows in journal.blocks():
+        total.update(rows.tobytes())
+    return total.hexdigest()
+
+
+SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs
+
+
+class RunFolder:
+    """A run's folder; made by `create`, `add` or `open`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(
+        cls, path: Path, spec: RunSpec, bundle: Bundle | None, *, job: str | None = None
+    ) -> "RunFolder":
+        """Begin the folder of a run that is a job of its own; it appears whole or not at all.
+
+        Without a bundle, the scene is added later (`add_bundle`); without a job's name, it is the folder's,
+        reduced to the allowed characters. Raises `FolderError` where the folder holds another run or other
+        files, or cannot be made.
+        """
+        cls.check_free(path)
+        atomic_files.create_folder(
+            path, JobRecord.begun(path, job).file | run_files(spec, bundle), folders=[LOGS]
+        )
+        return cls(path)
+
+    @classmethod
+    def add(cls, job: JobFolder, run: str, spec: RunSpec, bundle: Bundle | None) -> "RunFolder":
+        """Begin the folder of one of a campaign's runs; raises as `create`."""
+        path = job.run_path(run)
+        OutFolder(path).check()
+        atomic_files.create_folder(path, run_files(spec, bundle))
+        return cls(path)
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """Return the folder of a run that was begun; raise `NoFolder` or `FolderError` without one."""
+        atomic_files.check_folder(path)
+        if not cls.is_run(path):
+            raise FolderError(_no_run_reason(path))
+        return cls(path)
+
+    @staticmethod
+    def is_run(path: Path) -> bool:
+        """Return whether a run was begun in this folder."""
+        return atomic_files.is_file(path / SPEC) and JobFolder.is_job(_job_path(path))
+
+    @staticmethod
+    def check_free(path: Path) -> None:
+        """Check that a run of its own can be begun at `path`: nothing is there, or an empty folder.
+
+        Raises `FolderError` where something is there, or on the way to it, or it is among the runs of a
+        campaign or in another run.
+        """
+        OutFolder(path, force=True, is_kind=RunFolder.is_run).check()
+        RunFolder.check_outside(path)
+        owner = _job_path(path)
+        if owner != path and JobFolder.is_job(owner):
+            raise FolderError(
+                f"{path} is for a run of a campaign: `qdgrasp campaign {owner}` goes on with its runs; "
+                "for a new run name another folder with --out."
+            )
+        if RunFolder.is_run(path):
+            raise FolderError(
+                f"{path} holds a run already: `qdgrasp resume {path}` goes on with it; "
+                "for a new run name another folder with --out."
+            )
+
+    @staticmethod
+    def check_outside(path: Path) -> None:
+        """Raise `FolderError` if `path` is in the folder of a run."""
+        for folder in path.resolve().parents:
+            if RunFolder.is_run(folder):
+                raise FolderError(
+                    f"{path} would lie in {folder}, the folder of a run; name another folder with --out."
+                )
+
+    @property
+    def job(self) -> JobFolder:
+        """The folder of the job that it belongs to: itself, or the campaign's."""
+        return JobFolder(_job_path(self.path))
+
+    @property
+    def run(self) -> str:
+        """Its name in its job."""
+        return RUN if JobFolder.is_job(self.path) else self.path.absolute().name
+
+    @property
+    def spec(self) -> RunSpec:
+        """The full spec."""
+        return run_spec(read_run_spec(self.path / SPEC), str(self.path / SPEC))
+
+    def rewrite_spec(self, spec: RunSpec) -> None:
+        """Replace the spec."""
+        atomic_files.replace(self.path / SPEC, to_toml(spec).encode())
+
+    def bundle(self) -> Bundle:
+        """The scene as bytes, with its digest."""
+        payload = atomic_files.read(self.path / SCENE)
+        return Bundle(payload, hashlib.sha256(payload).hexdigest())
+
+    def has_bundle(self) -> bool:
+        """Return whether the scene is here; a recorder on another machine begins without it."""
+        return (self.path / SCENE).is_file()
+
+    def add_bundle(self, payload: bytes) -> None:
+        """Store the scene."""
+        atomic_files.replace(self.path / SCENE, payload)
+
+    def scene(self) -> Scene:
+        """Return the scene; raise `FolderError` if it is missing or damaged."""
+        try:
+            payload = atomic_files.read(self.path / SCENE)
+            messages.check_bundle(payload)
+            return unpack_scene(payload)
+        except MessageError as error:
+            raise FolderError(
+                f"{self.path / SCENE} cannot be read: {error}; "
+                "use the version of qdgrasp that wrote it, or restore the file from a copy."
+            ) from None
+
+    def journal(self) -> Journal:
+        """Return the journal as it is now, for a with-block; empty before a recorder opened the run.
+
+        Raises `FolderError` where it cannot be read, and `OtherRun` where it is of another run than the spec
+        or the scene here.
+        """
+        if (self.path / JOURNAL).exists():
+            journal = Journal.open(self.path)
+            try:
+                self._check_own(journal)
+            except BaseException:
+                journal.close()
+                raise
+            return journal
+        scene = self.bundle().digest if self.has_bundle() else ""
+        return Journal.empty(JournalIdentity(self.run, to_toml(self.spec), scene, RowShape(0, 0)))
+
+    def _check_own(self, journal: Journal) -> None:
+        """Check that a journal is of this folder's spec, with any budget, and of its scene."""
+        file = self.path / JOURNAL
+        if journal.spec_text != atomic_files.read(self.path / SPEC).decode(errors="replace"):
+            recorded, spec = journal.spec, self.spec
+            if other := differences(recorded, spec):
+                raise OtherRun(
+                    file, self.path / SPEC, _spec_in_words(recorded, other), _spec_in_words(spec, other)
+                )
+        if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
+            scene, spec = self.scene(), journal.spec
+            raise OtherRun(
+                file,
+                self.path / SCENE,
+                f"scene {journal.scene[:12]} ({spec.gripper} on {spec.object})",
+                f"scene {digest[:12]} ({scene.gripper.name} on {scene.object.name})",
+            )
+
+
+def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
+    """The files of a new run."""
+    scene = {} if bundle is None else {SCENE: bundle.payload}
+    return {SPEC: to_toml(spec).encode()} | scene
+
+
+def _job_path(path: Path) -> Path:
+    """The folder of the job of a run's folder."""
+    is_part = not JobFolder.is_job(path) and path.absolute().parent.name == RUNS
+    return path.absolute().parent.parent if is_part else path
+
+
+def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
+    """Describe a run by the keys in which it differs from another one."""
+    values = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
+    return f"a run with {first_few(values, SHOWN)}"
+
+
+def _no_run_reason(path: Path) -> str:
+    """Return the error text for a folder that holds no run."""
+    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
+        return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
+    there = [name for name in (SPEC, JOB) if atomic_files.is_file(path / name)]
+    if not there:
+        return f"{path} holds no run: there is neither {SPEC} nor {JOB} in it; name a run's folder."
+    (missing,) = {SPEC, JOB} - {*there}
+    return f"{path} holds no whole run: it has {there[0]}, but no {missing}; restore that from a copy."
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """A run, and the numbers of its rows in a journal."""
+
+    run: str
+    """The name of the folder that it lay in when its rows were taken."""
+    spec: RunSpec
+    platform: dict[str, str]
+    """Platform that its rows were made on; empty where that is not known."""
+    package: str
+    """The version of this package that began it."""
+    rows: range
+    """Their numbers in the journal."""
+
+
+def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
+    """The runs that the rows of a folder's journal come from, in the order of the rows."""
+    if not journal.sources:
+        name, rows = folder.path.absolute().name, range(journal.count)
+        return [Provenance(name, folder.spec, journal.platform, journal.package, rows)]
+    found, first = [], 0
+    for source in journal.sources:
+        rows = range(first, first + source.kept)
+        found.append(Provenance(source.run, source.asked, source.platform, source.package, rows))
+        first = rows.stop
+    return found
+
+
+def provenance(folder: RunFolder, journal: Journal, number: int) -> Provenance:
+    """The run that a row comes from; the journal has a row of this number."""
+    return next(one for one in provenances(folder, journal) if number in one.rows)

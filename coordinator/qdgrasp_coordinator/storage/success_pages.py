@@ -1,0 +1,173 @@
+"""Successes of a journal page by page, for monitors that draw them as the run goes on."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
+from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.metrics.scores import eta, known_scores
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import SuccessPage
+from qdgrasp_protocol.rows import FLOAT_ITEM, NO_SYNERGY, RowColumn, Rows
+
+NO_ETA = -1.0  # Placeholder for an eta that is not known
+
+
+@dataclass(frozen=True)
+class RowContext:
+    """Context for reading a journal's rows: its trials, and how genomes name synergies."""
+
+    trials: int = 0
+    """Number of trials of a success."""
+    parts: tuple[tuple[int, SynergyReader], ...] = ((0, UNKNOWN_SYNERGIES),)
+    """Readers of synergies, each with the number behind the last row that it holds for.
+
+    The last one holds for all rows behind that too.
+    """
+
+    def synergies(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the labels (n,) of rows by journal number (n,), or `NO_SYNERGY`."""
+        ends = [end for end, _ in self.parts]
+        part_of = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
+        labels = np.full(len(rows), NO_SYNERGY)
+        for part in np.unique(part_of).tolist():
+            labels[part_of == part] = self.parts[part][1].labels(rows["genome"][part_of == part])
+        return labels
+
+    def etas(self, rows: Rows) -> NDArray[np.float64]:
+        """Return eta of each nominal success in consecutive rows (n,); `NO_ETA`: trials are missing."""
+        if not self.trials:
+            return np.full(int(np.count_nonzero(success_mask(rows))), NO_ETA)
+        return np.nan_to_num(eta(known_scores(rows, self.trials), self.trials), nan=NO_ETA)
+
+
+SUCCESS_COLUMNS = (
+    RowColumn("number", "<u4", "1", "the row's number in the journal"),
+    RowColumn("outcome", "<u1", "1", "`Outcome`"),
+    RowColumn("fitness", "<f4", "1", "shakes survived: 0, 1 or 2; the sum over the trials is not in it"),
+    RowColumn(
+        "descriptor", "<f4", "3", "the hand's commanded position [m], CoM frame: what cells are made of"
+    ),
+    RowColumn(
+        "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"
+    ),
+    RowColumn("joints", "<f4", "joints", "finger joint positions at the grasp [rad or m]"),
+    RowColumn(
+        "synergy", "<i2", "1", "the synergy that closed the hand, by its place in the gripper; -1: none"
+    ),
+    RowColumn("eta", "<f4", "1", "estimated probability of transfer; -1 where not all trials are recorded"),
+)
+MOST_SUCCESSES = 4096  # The most finds in one answer
+MOST_BYTES = 1 << 20  # The most bytes of all columns of one answer
+
+SuccessTable = NDArray[np.void]  # A structured array with the dtype of `success_dtype`
+
+
+@cache
+def success_dtype(joints: int) -> np.dtype[np.void]:
+    """The dtype of finds of a hand with so many joints."""
+    return np.dtype([(column.name, column.item, _width(column, joints)) for column in SUCCESS_COLUMNS])
+
+
+def page_limit(joints: int) -> int:
+    """The most finds in one answer about a hand with so many joints."""
+    return min(MOST_SUCCESSES, MOST_BYTES // success_dtype(joints).itemsize)
+
+
+def success_table(rows: Rows, joints: int, **columns: NDArray[np.number]) -> SuccessTable:
+    """Return successes (n,) as finds (n,); the others are the columns number, synergy and eta."""
+    finds = np.zeros(len(rows), dtype=success_dtype(joints))
+    for column in SUCCESS_COLUMNS:
+        values = columns[column.name] if column.name in columns else rows[column.name]
+        finds[column.name] = values[..., :3] if column.name == "descriptor" else values
+    return finds
+
+
+def success_columns(finds: SuccessTable) -> dict[str, bytes]:
+    """Return the columns of successes as bytes, by name."""
+    return {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+
+
+def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) -> SuccessPage:
+    """Pack successes up to row `upto` of a run's journal."""
+    return SuccessPage(
+        run=run,
+        scene=journal.scene,
+        began=journal.created,
+        next=upto,
+        rows=journal.count,
+        n=len(finds),
+        joints=journal.shape.joints,
+        columns=success_columns(finds),
+    )
+
+
+def page_from_message(message: SuccessPage) -> SuccessTable:
+    """Return the successes (n,) in a message.
+
+    Raises `MessageError` where a column is missing, of the wrong length, or holds a number that is not
+    finite.
+    """
+    dtype = success_dtype(message.joints)
+    finds = np.zeros(message.n, dtype=dtype)
+    for column in SUCCESS_COLUMNS:
+        blob, expected = message.columns.get(column.name, b""), message.n * dtype[column.name].itemsize
+        if len(blob) != expected:
+            raise MessageError(f"column '{column.name}' has {len(blob)} bytes, expected {expected}")
+        values = np.frombuffer(blob, dtype=column.item)
+        if column.item == FLOAT_ITEM and not np.isfinite(values).all():
+            raise MessageError(f"column '{column.name}' holds a number that is not finite")
+        finds[column.name] = values.reshape(finds[column.name].shape)
+    return finds
+
+
+def _width(column: RowColumn, joints: int) -> tuple[int, ...]:
+    if column.width == "1":
+        return ()
+    return (int(column.width) if column.width.isdigit() else joints,)
+
+
+ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where the first success's trials lie farther off
+NO_CONTEXT = RowContext()
+
+
+def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT) -> tuple[SuccessTable, int]:
+    """Some successes (n,) from journal number `first` on, and the number from which to read on.
+
+    Where a success at the end of the journal lacks trials, it is given without eta, and the number to read on
+    from is that of the first such success.
+    """
+    rows, is_last = _scanned_rows(journal, first, context)
+    is_success = success_mask(rows)
+    numbers, successes = first + np.flatnonzero(is_success), rows[is_success]
+    finds = success_table(
+        successes,
+        journal.shape.joints,
+        number=numbers,
+        synergy=context.synergies(successes, numbers),
+        eta=context.etas(rows),
+    )
+    lacking = finds["number"][finds["eta"] < 0] if context.trials else finds["number"][:0]
+    upto = int(lacking[0]) if len(lacking) else first + len(rows)
+    if not is_last:
+        finds = finds[finds["number"] < upto]
+    if len(finds) > (most := page_limit(journal.shape.joints)):
+        return finds[:most], min(upto, int(finds["number"][most]))
+    return finds, upto
+
+
+def _scanned_rows(journal: Journal, first: int, context: RowContext) -> tuple[Rows, bool]:
+    """Return rows with all trials of the first success, and whether they are the last."""
+    count, span = journal.count, ROWS_SCANNED
+    while True:
+        stop = min(count, first + span)
+        kept = journal.kept(first, stop) if first < stop else ()
+        rows = np.concatenate([journal.shape.empty(0), *kept])
+        is_last = stop >= count
+        if is_last or not context.trials or (context.etas(rows)[:1] >= 0).all():
+            return rows, is_last
+        span *= 2

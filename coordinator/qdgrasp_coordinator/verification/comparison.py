@@ -1,0 +1,152 @@
+"""Compares rows evaluated again with recorded ones, bit for bit, and words what differs."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_protocol.replay_messages import ReplayAnswer
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows
+from qdgrasp_protocol.text import counted
+
+ROWS_SHOWN = 10  # Rows that are shown to a person one by one
+
+
+class ComparedValues(Struct, frozen=True, kw_only=True):
+    """Recorded and present value of one column of one row."""
+
+    recorded: str
+    now: str
+
+
+class DifferentRow(Struct, frozen=True, kw_only=True):
+    """A row whose result is not what was recorded."""
+
+    folder: str
+    """Folder of the journal that it is in."""
+    run: str
+    """The run that found it."""
+    number: int
+    generation: int
+    index: int
+    trial: int
+    columns: dict[str, ComparedValues]
+    reason: str
+    """Reason of its failure now; empty where it did not fail."""
+
+    @property
+    def words(self) -> str:
+        """One line for a person."""
+        changes = ", ".join(difference_words(self.columns))
+        failed = f" ({self.reason})" if self.reason else ""
+        return f"row {self.number} of {self.folder}, trial {self.trial}: {changes}{failed}"
+
+
+class PlatformShare(Struct, frozen=True, kw_only=True):
+    """A platform that rows were made on."""
+
+    rows: int
+    """Rows evaluated again that were made on it."""
+    platform: dict[str, str]
+    differences: str
+    """Entries that this platform has instead, in words; empty where it is the same."""
+
+    @property
+    def words(self) -> str:
+        """One line for a person."""
+        if not self.platform:
+            which = "a platform that is not recorded"
+        else:
+            which = f"another platform; here is {self.differences}" if self.differences else "this platform"
+        return f"{self.rows} of them were made on {which}"
+
+
+class VerificationReport(Struct, frozen=True, kw_only=True):
+    """Result of evaluating recorded rows again."""
+
+    rows: int
+    same: int
+    """Of these, equal in every bit of every result."""
+    runs: int
+    outcomes: dict[str, int]
+    """Rows by their recorded outcome."""
+    different: list[DifferentRow]
+    columns: dict[str, int]
+    """Number of rows in which each column differs."""
+    platform: dict[str, str]
+    """Platform on which they were evaluated now."""
+    origins: list[PlatformShare]
+
+    @property
+    def is_same(self) -> bool:
+        """True if every row is what was recorded."""
+        return self.same == self.rows
+
+    @property
+    def table(self) -> str:
+        """The result as text for a person."""
+        lines = [one.words for one in self.different[:ROWS_SHOWN]]
+        if len(self.different) > ROWS_SHOWN:
+            lines.append(f"... and {len(self.different) - ROWS_SHOWN} more")
+        if self.columns:
+            counts = ", ".join(f"{name} in {counted(n, 'row')}" for name, n in self.columns.items())
+            lines.append(f"columns that differ: {counts}")
+        ended = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in self.outcomes.items())
+        lines.append(f"{self.same} of {counted(self.rows, 'row')} the same: {ended}")
+        return "\n".join([*lines, *(origin.words for origin in self.origins)])
+
+
+PLATFORM_UNKNOWN = "On which platform it was recorded is not known."
+PLATFORM_SAME = "It was recorded on this very platform, on which it must be the same: please report it."
+
+
+def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
+    """Flag for each result column the rows (n,) of one shape that differ in any bit."""
+    differs = {}
+    for name in (column.name for column in RESULT):
+        first, second = (
+            np.ascontiguousarray(rows[name]).reshape(len(rows), -1).view(np.uint8) for rows in (recorded, now)
+        )
+        differs[name] = np.asarray((first != second).any(axis=1))
+    return differs
+
+
+def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
+    """Return a row with the results of its replay in place of the recorded ones."""
+    now = row.copy()
+    for name in ("outcome", "fitness", "joints", "contacts", "penetration"):
+        now[name] = getattr(answer, name)
+    return now
+
+
+def row_differences(recorded: np.void, now: np.void) -> dict[str, ComparedValues]:
+    """Return the columns in which two rows differ in any bit, with both values."""
+    return {
+        name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
+        for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
+        if differs[0]
+    }
+
+
+def difference_words(columns: Mapping[str, ComparedValues]) -> list[str]:
+    """Describe what differs, column by column."""
+    return [f"{name} {values.now} instead of {values.recorded}" for name, values in columns.items()]
+
+
+def column_words(row: np.void, column: str) -> str:
+    """Format a column of a row for a person, to the last bit."""
+    value = row[column]
+    if column == "outcome":
+        return Outcome(value).name.lower() if value in set(Outcome) else str(value)
+    return " ".join(str(number) for number in np.atleast_1d(value))
+
+
+def platform_words(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """Describe how two platforms differ, in a sentence."""
+    if not recorded:
+        return PLATFORM_UNKNOWN
+    if not (differing := run_folder.platform_differences(recorded, now)):
+        return PLATFORM_SAME
+    return f"It was recorded on another platform; here is {differing}."

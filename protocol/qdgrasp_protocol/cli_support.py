@@ -1,0 +1,151 @@
+"""Shared parts of all commands: options, error sentences and exit codes, never a traceback."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from typer.exceptions import TyperException
+
+from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.process import STOP_SIGNALS
+from qdgrasp_protocol.session import SECURITY_VARIABLE
+from qdgrasp_protocol.text import printable
+
+ConnectOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Endpoint of the router, or several separated by commas: when one is lost, another takes over; "
+        "default: port 7447 on loopback."
+    ),
+]
+WaitOption = Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")]
+SecurityOption = Annotated[
+    Path | None,
+    typer.Option(
+        envvar=SECURITY_VARIABLE,
+        metavar="DIR",
+        help="Folder of certificates, as `qdgrasp security init` writes one: links are encrypted.",
+    ),
+]
+InsecureOption = Annotated[
+    bool,
+    typer.Option("--insecure", help="Listen also where strangers get to, without encryption."),
+]
+
+
+def _print_version(context: typer.Context, wanted: bool) -> None:
+    """Print the version, and end."""
+    if wanted:
+        typer.echo(f"{context.info_name} {version('qdgrasp')}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool,
+    typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
+]
+"""The --version option of every stand-alone command, handled before the command's function."""
+
+
+BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none
+CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
+
+
+def usage_error(error: TyperException, name: str) -> str:
+    """The sentence that refuses a command line: the fault, and the help that tells more.
+
+    `name` is the program's, for errors that do not know their command.
+    """
+    context = getattr(error, "ctx", None)
+    command = name if context is None else context.command_path
+    words = error.format_message()
+    faults = getattr(error.__cause__, "errors", None)  # those of a validation error, without its library
+    for fault in faults() if callable(faults) else ():
+        said = fault["msg"]
+        better = said.removeprefix(CHOICE_PREFIX)
+        if said.startswith(BOUND_PREFIX):
+            better = f"it must be {said.removeprefix(BOUND_PREFIX)}, got '{fault['input']}'"
+        words = words.replace(said, better)
+    return f"{words.rstrip('.')}. See `{command} --help`."
+
+
+SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to hear a signal
+
+
+def run_command(app: typer.Typer, name: str) -> None:
+    """Run a command line; an error ends it with a sentence on stderr and an exit code."""
+    try:
+        for number in STOP_SIGNALS:
+            signal.signal(number, _exit_on_signal)
+        _start_forced_exit()
+        code = app(prog_name=name, standalone_mode=False)
+    except QdgraspError as error:
+        code = _print_error(name, str(error), error.exit_code)
+    except TyperException as error:
+        code = _print_usage_error(name, error)
+    except typer.Abort:
+        code = 130
+    except BrokenPipeError:
+        code = 141
+    finally:
+        for number in STOP_SIGNALS:
+            signal.signal(number, _exit_at_once)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
+    """End a command that is not in a `lifetime` yet, through its with-blocks.
+
+    Not by a KeyboardInterrupt: Python kills itself at its end where one has left an `exec` of a text, as
+    there are in every dataclass that is being loaded.
+    """
+    raise SystemExit(128 + number)
+
+
+def _exit_at_once(number: int, _frame: FrameType | None) -> None:
+    """End a finished command at once; Python would print a traceback if disturbed at its end."""
+    os._exit(128 + number)
+
+
+def _start_forced_exit() -> None:
+    """End this process some time after a signal, even in a call that blocks its handlers.
+
+    The signal's number comes through a pipe at once, and to another thread. Not used within a `lifetime`.
+    """
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    signal.set_wakeup_fd(begin, warn_on_full_buffer=False)
+    threading.Thread(target=_wait_for_signal, args=(end,), name="signals", daemon=True).start()
+
+
+def _wait_for_signal(end: int) -> None:
+    while (number := os.read(end, 1)[0]) not in STOP_SIGNALS:
+        pass
+    time.sleep(SIGNAL_GRACE)
+    os._exit(128 + number)
+
+
+def _print_usage_error(name: str, error: TyperException) -> int:
+    """Report a wrong command line and return its exit code; an empty one prints the help."""
+    words = error.format_message()
+    if words.startswith("Usage: "):
+        print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else
+        return InputError.exit_code
+    return _print_error(name, usage_error(error, name), InputError.exit_code)
+
+
+def _print_error(name: str, sentence: str, code: int) -> int:
+    """Print a sentence, its lines escaped, as it may contain untrusted text."""
+    lines = "\n".join(map(printable, sentence.split("\n")))
+    try:
+        print(f"{name}: {lines}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
+    except OSError:
+        sys.stderr = None  # a full disk: nothing may be left to flush at the exit
+    return code

@@ -1,0 +1,253 @@
+"""The in-memory twin of the bus, with links that can be cut: for tests and one-process jobs.
+
+A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
+subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
+so that its time-out holds.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import structlog
+
+from qdgrasp_protocol.bus import (
+    Bus,
+    Channel,
+    Declaration,
+    Query,
+    RingBuffer,
+    Sample,
+    SampleHandler,
+    TokenHandler,
+    ValuesHandler,
+    reply_error,
+)
+from qdgrasp_protocol.errors import BusError, NoReply
+from qdgrasp_protocol.keys import matches, patterns_intersect
+
+log = structlog.get_logger()
+
+
+@dataclass(eq=False)
+class Registration:
+    """A declaration of a session on a pattern."""
+
+    session: "MemoryBus"
+    pattern: str
+
+
+E = TypeVar("E", bound=Registration)
+
+
+class LivelinessToken(Registration):
+    """A liveliness token of a session."""
+
+
+@dataclass(eq=False)
+class Subscriber(Registration):
+    """A session receives messages."""
+
+    handler: SampleHandler
+
+
+class MemoryRing(RingBuffer):
+    """Buffer of a subscriber's latest messages."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__()
+        self.heard: deque[Sample] = deque(maxlen=capacity)
+
+    def take(self) -> list[Sample]:
+        """Take the buffered messages."""
+        taken = []
+        while self.holds and self.heard:
+            taken.append(self.heard.popleft())
+        return taken
+
+
+@dataclass(eq=False)
+class Queryable(Registration):
+    """A queryable of a session; answers one query at a time, with values by key."""
+
+    handler: ValuesHandler
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
+        """Put the handler's values, or its error, into `answer`."""
+        with self._lock:
+            try:
+                answer.set_result(self.handler(query))
+            except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
+                answer.set_exception(reply_error(error, query.key))
+
+
+@dataclass(eq=False)
+class LivelinessWatcher(Registration):
+    """A session watches tokens; it knows those that were reported alive."""
+
+    handler: TokenHandler
+    _alive: list[str] = field(default_factory=list)
+
+    def update(self, tokens: list[str]) -> None:
+        """Report the changes since the last call to the handler."""
+        before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
+        self._alive = now
+        gone, new = [key for key in before if key not in now], [key for key in now if key not in before]
+        for key in gone + new:
+            _call(self.handler, key, key in now)
+
+
+class MemoryNetwork:
+    """Declarations and locks shared by the sessions of one process."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # held while tokens are told, so that all hear of them in one order
+        self._entries: list[Registration] = []
+
+    def session(self) -> "MemoryBus":
+        """Open a session."""
+        return MemoryBus(self)
+
+    def add(self, entry: Registration) -> Declaration:
+        """Add an entry until its declaration ends."""
+        with self._lock:
+            self._entries.append(entry)
+            self.report_tokens()
+        return Declaration(lambda: self.remove(lambda other: other is entry))
+
+    def remove(self, is_over: Callable[[Registration], bool]) -> None:
+        """Remove entries."""
+        with self._lock:
+            self._entries = [entry for entry in self._entries if not is_over(entry)]
+            self.report_tokens()
+
+    def visible(self, kind: type[E], session: "MemoryBus") -> list[E]:
+        """Return the entries of a kind that `session` can reach."""
+        with self._lock:
+            return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
+
+    def report_tokens(self) -> None:
+        """Report the tokens that it can see to every watcher."""
+        with self._lock:
+            for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
+                watcher.update([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
+
+
+class MemoryBus(Bus):
+    """A session of a `MemoryNetwork`."""
+
+    def __init__(self, network: MemoryNetwork) -> None:
+        self._network = network
+        self._links: list[Callable[[bool], None]] = []
+        self._is_open = True
+        self._is_cut = False
+
+    def reaches(self, other: "MemoryBus") -> bool:
+        """Return whether two sessions are connected."""
+        return self is other or not (self._is_cut or other._is_cut)
+
+    def disconnect(self) -> None:
+        """Break the link to all others; messages put meanwhile are lost."""
+        self._set_cut(True)
+
+    def reconnect(self) -> None:
+        """Restore the link; tokens appear again."""
+        self._set_cut(False)
+
+    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
+        """Deliver a message to every subscriber before this call returns."""
+        self._check_open()
+        sample = Sample(key, bytes(payload), encoding)
+        for subscriber in self._network.visible(Subscriber, self):
+            if matches(subscriber.pattern, key):
+                _call(subscriber.handler, sample)
+
+    def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
+        """Subscribe to messages."""
+        return self._declare(Subscriber(self, pattern, handler))
+
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
+        """Buffer messages."""
+        ring = MemoryRing(capacity)
+        ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
+        return ring
+
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values."""
+        return self._declare(Queryable(self, pattern, handler))
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        """Query a key."""
+        self._check_open()
+        answerers = [a for a in self._network.visible(Queryable, self) if matches(a.pattern, key)]
+        if not answerers:
+            raise NoReply(f"Nobody answers {key}.")
+        try:
+            values = _query(answerers[0], Query(key, parameters, bytes(payload))).result(timeout)
+        except TimeoutError:
+            raise NoReply(f"Nobody answered {key} within {timeout:g} s.") from None
+        if key not in values:
+            raise NoReply(f"Nobody has a value of {key}.")
+        return values[key]
+
+    def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
+        """Query all matching keys."""
+        self._check_open()
+        answerers, query = self._network.visible(Queryable, self), Query(pattern, "", b"")
+        answers = [_query(a, query) for a in answerers if patterns_intersect(a.pattern, pattern)]
+        answered, _ = wait(answers, timeout)
+        found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
+        return {key: value for values in found for key, value in values.items() if matches(pattern, key)}
+
+    def token(self, key: str) -> AbstractContextManager[None]:
+        """Declare a liveliness token."""
+        return self._declare(LivelinessToken(self, key))
+
+    def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
+        """Watch tokens."""
+        return self._declare(LivelinessWatcher(self, pattern, handler))
+
+    def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
+        """Report `disconnect` and `reconnect`."""
+        self._check_open()
+        self._links.append(handler)
+        return Declaration(lambda: self._links.remove(handler))
+
+    def close(self) -> None:
+        """Take back everything declared."""
+        self._is_open = False
+        self._network.remove(lambda entry: entry.session is self)
+
+    def _declare(self, entry: Registration) -> Declaration:
+        self._check_open()
+        return self._network.add(entry)
+
+    def _set_cut(self, cut: bool) -> None:
+        if cut != self._is_cut:
+            self._is_cut = cut
+            for handler in list(self._links):
+                _call(handler, not cut)
+            self._network.report_tokens()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise BusError("The session is closed.")
+
+
+def _query(answerer: Queryable, query: Query) -> "Future[Mapping[str, bytes]]":
+    """Return the future answer of a query, made in a thread of its own."""
+    answer: Future[Mapping[str, bytes]] = Future()
+    threading.Thread(target=answerer.reply, args=(query, answer), daemon=True).start()
+    return answer
+
+
+def _call(handler: Callable[..., None], *arguments: object) -> None:
+    try:
+        handler(*arguments)
+    except Exception:
+        log.exception("a callback failed")

@@ -1,0 +1,334 @@
+"""Processes: their end, their logs, and groups of them that a command starts and watches.
+
+A process lives until its work is done, a signal comes, or whoever started it is gone. A service waits on an
+inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
+that its present piece of work takes.
+
+Logs are sentences with fields on standard error; a person reads the sentence, a machine the fields.
+
+A process group is a context manager: leaving it ends every process that is still there, by pid. Should the
+command itself be killed, each member sees its standard input end and stops by itself (`lifetime`).
+"""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from traceback import TracebackException
+from types import FrameType
+from typing import TextIO, cast
+
+import structlog
+from setproctitle import setproctitle
+from structlog.typing import EventDict, ExcInfo
+
+from qdgrasp_protocol.session import SECURITY_VARIABLE
+from qdgrasp_protocol.text import printable
+
+SUPERVISED = "QDGRASP_SUPERVISED"
+"""Set for a process that ends when its standard input is closed by its parent process."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
+ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
+
+
+class Stop:
+    """Request to stop this process, with its signal."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self.latest: int | None = None
+        """Last signal of several; the first decides the exit code."""
+        self._told: list[Callable[[], None]] = []
+
+    @property
+    def is_set(self) -> bool:
+        """True once this process was asked to stop."""
+        return self.signal is not None
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 128 plus the signal that ended the process: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 0 if self.signal is None else 128 + self.signal
+
+    def tell(self, callback: Callable[[], None]) -> None:
+        """Register `callback` for the stop request; runs in a signal handler: put and return."""
+        self._told.append(callback)
+
+    def set(self, number: int, _frame: FrameType | None = None) -> None:
+        """Ask this process to stop; the first reason stays."""
+        self.latest = number
+        if self.signal is None:
+            self.signal = number
+        for callback in self._told:
+            callback()
+
+
+@contextmanager
+def lifetime(title: str) -> Iterator[Stop]:
+    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`."""
+    setproctitle(title)
+    stop = Stop()
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
+    notes = signal.set_wakeup_fd(begin, warn_on_full_buffer=False)
+    before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
+    if os.environ.pop(SUPERVISED, None):
+        threading.Thread(target=_end_with_parent, name="starter", daemon=True).start()
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(notes)
+        os.close(begin)
+
+
+def _repeat_signal(end: int, stop: Stop) -> None:
+    """Repeat a signal until it is handled: one right before a wait in C would be lost."""
+    main = threading.main_thread().ident or 0
+    while note := os.read(end, 1):
+        while note[0] in STOP_SIGNALS and not stop.is_set:
+            time.sleep(SIGNAL_REPEAT_INTERVAL)
+            if not stop.is_set:
+                signal.pthread_kill(main, note[0])
+    os.close(end)
+
+
+def _end_with_parent() -> None:
+    """End this process once the other end of its standard input is closed."""
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ORPHAN_GRACE)  # what is left after it hangs in a call that never returns
+    os._exit(128 + signal.SIGTERM)
+
+
+STANDARD_ERROR = 2
+
+
+class UnbufferedStderr:
+    """Standard error without a buffer; write errors, as on a full disk, are ignored."""
+
+    def write(self, text: str) -> None:
+        """Write text at once."""
+        with suppress(OSError):
+            os.write(STANDARD_ERROR, text.encode(errors="replace"))
+
+    def flush(self) -> None:
+        """Do nothing: no text waits."""
+
+
+def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
+    """Escape untrusted text; values that are not strings are shown by `repr`, which escapes too."""
+    return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
+def write_traceback(sink: TextIO, error: ExcInfo) -> None:
+    """Write a traceback without the values of variables, and with untrusted text escaped."""
+    for piece in TracebackException(*error).format():
+        is_frame = piece.startswith("  ")  # some lines of code; anything else is a sentence
+        for line in piece.rstrip().split("\n") if is_frame else [piece.strip()]:
+            sink.write(f"\n{printable(line)}")
+
+
+def configure_logging(role: str, *, level: int = logging.INFO) -> None:
+    """Send this process's log to standard error, each line marked with its role."""
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
+            escape_event,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), pad_event_to=0, exception_formatter=write_traceback
+            ),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, UnbufferedStderr())),
+    )
+    structlog.contextvars.bind_contextvars(role=role)
+
+
+GRACE = 2.0  # seconds that a process may take to stop before it is killed
+GRACE_MARGIN = 0.5  # of them, those that it is not told of, so that it is not killed while it stops
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment that limits each process to one thread."""
+STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from the first back-off again
+
+
+@dataclass
+class GroupMember:
+    """One process of a group."""
+
+    name: str
+    arguments: list[str]
+    log: Path | None
+    """Log file; None: this process's standard error."""
+    process: subprocess.Popen[bytes]
+    started: float
+    restarts: int = 0
+    restart_at: float | None = None
+    log_start: int = 0
+    """Byte of the log at which this process began to write."""
+    core: int | None = None
+    """Core that it is pinned to; None: any."""
+
+
+@dataclass(frozen=True)
+class ProcessExit:
+    """A member of the group ended."""
+
+    name: str
+    exit_code: int
+    """Exit code; negative: the signal that killed it."""
+
+    @property
+    def description(self) -> str:
+        """Description of the end for a person."""
+        if self.exit_code < 0:
+            return f"was killed by {signal.Signals(-self.exit_code).name}"
+        return f"ended with exit code {self.exit_code}"
+
+
+def back_off(restarts: int) -> float:
+    """Return the seconds before the next start after `restarts` restarts in a row."""
+    return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
+
+
+class ProcessGroup:
+    """Processes by name, each with a log file in `logs`; without a folder they use our output.
+
+    `grace` is the seconds that they may take to stop.
+    """
+
+    def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
+        self._logs = logs
+        self._grace = grace
+        self._leave_by: float | None = None
+        self._members: dict[str, GroupMember] = {}
+
+    @property
+    def members_grace(self) -> float:
+        """Most seconds that a process may be given to stop."""
+        return max(0.0, self._grace - GRACE_MARGIN)
+
+    def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
+        """Start `python -m module arguments` as the process `name`, on one core or on any."""
+        command = [sys.executable, "-m", module, *arguments]
+        log, log_start = None, 0
+        if self._logs is not None:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            log = self._logs / f"{name}.log"
+            log_start = log.stat().st_size if log.exists() else 0
+        started = time.monotonic()
+        self._members[name] = GroupMember(
+            name, command, log, _start(command, log, core), started, log_start=log_start, core=core
+        )
+
+    def exits(self) -> list[ProcessExit]:
+        """Return the processes that ended since the last call and are not yet to be restarted."""
+        found = []
+        for member in self._members.values():
+            code = member.process.poll()
+            if code is not None and member.restart_at is None:
+                member.restart_at = float("inf")
+                found.append(ProcessExit(member.name, code))
+        return found
+
+    def restart_later(self, name: str, now: float) -> float:
+        """Schedule a restart after the back-off; returns the seconds until then."""
+        member = self._members[name]
+        if now - member.started > STEADY_SECONDS:
+            member.restarts = 0
+        pause = back_off(member.restarts)
+        member.restarts += 1
+        member.restart_at = now + pause
+        return pause
+
+    def restart_due(self, now: float) -> None:
+        """Restart the processes whose back-off is over."""
+        for member in self._members.values():
+            if member.restart_at is not None and member.restart_at <= now:
+                member.process, member.started = _start(member.arguments, member.log, member.core), now
+                member.restart_at = None
+
+    def last_error(self, name: str) -> str:
+        """Return the error sentence with which a process ended; empty where it ended without one."""
+        member = self._members[name]
+        if member.log is None:
+            return ""
+        try:
+            said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
+        except OSError:
+            return ""
+        lines = [line for line in said.splitlines() if line.startswith("qdgrasp-") and ": " in line]
+        return lines[-1].partition(": ")[2] if lines else ""
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """Return the process of this name."""
+        return self._members[name].process
+
+    def pids(self) -> dict[str, int]:
+        """Return the ids of the running processes by name."""
+        return {name: process.pid for name, process in self._running().items()}
+
+    def _running(self) -> dict[str, subprocess.Popen[bytes]]:
+        return {m.name: m.process for m in self._members.values() if m.process.poll() is None}
+
+    def request_stop(self, number: int = signal.SIGTERM) -> None:
+        """Send every process a signal to stop; the grace begins."""
+        self._leave_by = time.monotonic() + self._grace
+        for process in self._running().values():
+            process.send_signal(number)
+
+    def stop(self, number: int = signal.SIGTERM) -> None:
+        """End every process by a signal, then, after the grace, by SIGKILL."""
+        if self._leave_by is None:
+            self.request_stop(number)
+        for process in self._running().values():
+            try:
+                process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        for member in self._members.values():
+            if member.process.stdin is not None:
+                member.process.stdin.close()
+
+    def __enter__(self) -> "ProcessGroup":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
+    """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
+    environment = {**os.environ, **ONE_THREAD, SUPERVISED: "1"}
+    environment.pop(SECURITY_VARIABLE, None)  # children are given the certificate folder by an option
+    with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=file, stderr=file, start_new_session=True, env=environment
+        )
+
+
+@contextmanager
+def _pinned_to(core: int | None) -> Iterator[None]:
+    """Pin this process to a core while it starts a child, which inherits that."""
+    cores = os.sched_getaffinity(0)
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)

@@ -1,0 +1,38 @@
+"""Text for people: names and numbers in sentences, and text of others made safe to print."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+
+def printable(text: str, most: int | None = None) -> str:
+    r"""The text on one line, at most `most` characters, with escapes for unprintable ones."""
+    shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return shown[:most]
+
+
+def counted(n: int, thing: str, things: str = "", told: Callable[[int], str] = str) -> str:
+    """Return a number with its noun: "1 run", "2 runs"; `told` formats the number."""
+    return f"{told(n)} {thing if n == 1 else things or f'{thing}s'}"
+
+
+def first_few(words: Sequence[str], most: int) -> str:
+    """Return the first words, and the number of the others: "a, b and 3 more"."""
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
+
+
+def quoted(names: Iterable[str]) -> list[str]:
+    """Quote names from users: "'a'"."""
+    return [f"'{name}'" for name in names]
+
+
+def join_numbers(values: Iterable[float]) -> str:
+    """Format numbers, such as those of an axis: "0, 0, 1"."""
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def parse_numbers(text: str) -> list[float]:
+    """Parse typed numbers between commas; empty where there is anything else."""
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        return []

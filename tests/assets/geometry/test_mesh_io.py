@@ -1,0 +1,226 @@
+"""Reading and writing mesh files."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from tests.assets.special_files import PLACES, make_places
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.geometry import mesh_io
+from qdgrasp_assets.geometry.mesh_io import (
+    LARGEST_FILE,
+    UNITS,
+    WRITABLE_FORMATS,
+    read_mesh_file,
+    scale_advice,
+    scale_in_words,
+    scale_of,
+    to_bytes,
+)
+from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.object_model import read_draft, read_solid
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.spec import RunSpec
+
+BLOCK = (0.02, 0.03, 0.05)
+MILLIMETRES = """<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"/>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("part.stl", "", r"is empty: the file has no bytes"),
+        ("part.stl", "solid nothing\nendsolid nothing\n", r"is empty, or no \.stl file: it has no triangles"),
+        ("part.obj", "v 0 0 0\nv 1 0 0\n", r"is empty, or no \.obj file|cannot be read as \.obj"),
+        ("part.stl", "this is not a mesh " * 10, r"is empty, or no \.stl file"),
+        ("part.glb", "this is not a mesh " * 10, r"cannot be read as \.glb: .*; export it again"),
+        ("part.xyzzy", "anything", r"'\.xyzzy' is not among the formats \.stl, \.obj, \.ply"),
+        ("part.zip", "anything", r"'\.zip' is not among the formats"),
+        ("part", "anything", r"'' is not among the formats"),
+        (
+            "part.obj",
+            "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+            r"vertices that are not finite \(nan or inf\)",
+        ),
+        (
+            "part.3mf",
+            "anything",
+            r"\.3mf needs lxml and networkx, .*`pip install lxml networkx`, or export it",
+        ),
+        ("part.dae", "anything", r"\.dae needs pycollada, .*`pip install pycollada`"),
+        ("part.step", "anything", r"\.step needs cascadio"),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_refused(tmp_path, monkeypatch, name, content, sentence):
+    monkeypatch.setattr("trimesh.exchange.load.mesh_formats", lambda: {"stl", "obj", "ply", "off", "glb"})
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(AssetError, match=sentence) as refused:
+        read_mesh_file(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_mesh_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(AssetError, match=r"No mesh file at '.*none.stl'"):
+        read_mesh_file(tmp_path / "none.stl")
+
+
+def test_a_folder_is_told_from_a_file(tmp_path):
+    with pytest.raises(AssetError, match=r"is a folder, .* `qdgrasp campaign --objects .*` takes every mesh"):
+        read_mesh_file(tmp_path)
+
+
+def test_a_cloud_of_points_is_no_surface(tmp_path):
+    path = tmp_path / "cloud.ply"
+    trimesh.PointCloud(np.random.default_rng(0).random((9, 3))).export(path)
+    with pytest.raises(AssetError, match=r"has no triangles; an object needs a surface, and points or lines"):
+        read_mesh_file(path)
+
+
+@pytest.mark.parametrize(("unit", "flag"), [("millimeter", "--units mm"), ("0.1 * meters", "--scale 0.1")])
+def test_a_unit_that_the_file_states_is_to_be_said(tmp_path, monkeypatch, unit, flag):
+    """As 3MF and Collada do, which need packages of their own."""
+    path = tmp_path / "part.ply"
+    trimesh.creation.box(BLOCK).export(path)
+    monkeypatch.setattr(trimesh.Scene, "units", unit)
+    with pytest.raises(AssetError, match=rf"its unit is 0\.\d* m, .*: add {flag}, or --units m"):
+        read_solid(path)
+    assert read_draft(path, 1.0).mesh.extents == pytest.approx(BLOCK)
+
+
+def test_a_unit_that_nobody_knows_is_none(tmp_path, monkeypatch):
+    path = tmp_path / "part.ply"
+    trimesh.creation.box(BLOCK).export(path)
+    monkeypatch.setattr(trimesh.Scene, "units", "cubits")
+    assert read_mesh_file(path).unit is None
+
+
+@pytest.mark.parametrize("suffix", WRITABLE_FORMATS)
+def test_what_is_written_is_read_again(tmp_path, suffix):
+    path = tmp_path / f"block{suffix}"
+    path.write_bytes(to_bytes(box(BLOCK), suffix))
+    draft = read_draft(path)
+    assert (draft.repairs, draft.faults) == ((), ())
+    assert draft.mesh.extents == pytest.approx(BLOCK)
+
+
+def test_every_format_that_is_named_is_read_or_needs_a_package():
+    from trimesh.exchange.load import mesh_formats
+
+    assert {kind.removeprefix(".") for kind in mesh_io.READABLE_FORMATS} <= mesh_formats()
+    assert (
+        mesh_formats()
+        <= {kind.removeprefix(".") for kind in (*mesh_io.READABLE_FORMATS, *mesh_io.FORMAT_PACKAGES)} | OTHERS
+    )
+
+
+OTHERS = {"stl_ascii", "xyz"}
+"""Another name, and points alone."""
+
+
+def test_a_damaged_stl_is_told_for_what_it_is(tmp_path):
+    """Binary rubbish gives no advice about packages."""
+    path = tmp_path / "part.stl"
+    path.write_bytes(bytes(80) + b"\xff" * 4)
+    with pytest.raises(AssetError, match=r"part\.stl' (is damaged|cannot be read)") as refused:
+        read_mesh_file(path)
+    assert "module" not in str(refused.value).lower()
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    part = tmp_path / "part.stl"
+    part.touch()
+    os.truncate(part, LARGEST_FILE + 1)
+    with pytest.raises(AssetError, match=r"part\.stl' has 1073741825 bytes, and at most 1 GiB are read"):
+        read_mesh_file(part)
+
+
+def test_a_unit_is_a_scale():
+    assert {unit: scale_of(unit, None) for unit in UNITS} == {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
+    assert scale_of(None, 0.3) == 0.3
+    assert scale_of(None, None) is None
+
+
+def test_a_unit_and_a_scale_at_once_are_refused():
+    with pytest.raises(InputError, match=r"--units mm means --scale 0\.001: give only one"):
+        scale_of("mm", 2.0)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), 1e7])
+def test_a_scale_that_no_mesh_has_is_refused(scale):
+    with pytest.raises(
+        ImpossibleValue, match=r"--scale must be a number greater than 0 and at most 1000000 .*got"
+    ):
+        scale_of(None, scale)
+
+
+def test_an_unknown_unit_is_answered_with_those_that_are_known():
+    with pytest.raises(UnknownName, match=r"Unknown unit 'furlong'\. Known: cm, in, m, mm\."):
+        scale_of("furlong", None)
+
+
+@pytest.mark.parametrize(
+    ("largest", "words"),
+    [
+        (120.0, "it looks like millimetres: add --units mm"),
+        (
+            5.0,
+            "it looks like millimetres or centimetres or inches: add --units mm or --units cm or --units in",
+        ),
+        (3e6, "say how many metres a unit of the file is with --scale"),
+        (1e-4, "say how many metres a unit of the file is with --scale"),
+    ],
+)
+def test_what_a_drawing_looks_like_follows_from_its_size(largest, words):
+    assert scale_advice(largest) == words
+
+
+def test_a_scale_is_told_as_the_flag_that_means_it():
+    assert [scale_in_words(scale) for scale in (0.001, 0.0254, 1.0, 0.5)] == [
+        "--units mm",
+        "--units in",
+        "--units m",
+        "--scale 0.5",
+    ]
+
+
+@pytest.mark.parametrize("name", [*PLACES, "x" * 300 + ".stl"])
+def test_what_is_no_ordinary_file_is_told_for_what_it_is(tmp_path, name):
+    make_places(tmp_path)
+    told = PLACES.get(name, "cannot be looked at (File name too long)")
+    spec = RunSpec(gripper="panda", object=str(tmp_path / name), mass=1.0)
+    for read in (lambda: read_mesh_file(tmp_path / name), lambda: build_scene(spec)):
+        with pytest.raises(AssetError, match=re.escape(told)):
+            read()
+
+
+def buffered(folder, name):
+    """A glTF file whose triangles are in another file."""
+    for file, content in trimesh.creation.box(BLOCK).export(file_type="gltf").items():
+        (folder / file).write_bytes(content)
+    model = json.loads((folder / "model.gltf").read_text())
+    model["buffers"][0]["uri"] = name
+    (folder / "model.gltf").write_text(json.dumps(model))
+    return folder / "model.gltf"
+
+
+def test_a_pipe_in_the_place_of_a_buffer_is_not_waited_for(tmp_path):
+    make_places(tmp_path)
+    assert read_mesh_file(buffered(tmp_path, "gltf_buffer_0.bin")).mesh.extents == pytest.approx(BLOCK)
+    with pytest.raises(
+        AssetError, match=r"'pipe\.stl', which it names, is no ordinary file; export it again"
+    ):
+        read_mesh_file(buffered(tmp_path, "pipe.stl"))
+
+
+def test_a_pipe_in_the_place_of_materials_is_left_aside(tmp_path):
+    make_places(tmp_path)
+    text = trimesh.creation.box(BLOCK).export(file_type="obj")
+    (tmp_path / "part.obj").write_text(f"mtllib pipe.stl\nusemtl red\n{text}")
+    assert read_mesh_file(tmp_path / "part.obj").mesh.extents == pytest.approx(BLOCK)

@@ -1,0 +1,200 @@
+"""Repairs: each changes what it must, and says so."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from qdgrasp_assets.geometry import mesh_repair
+from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.geometry.mesh_repair import (
+    body_gap,
+    inverted_bodies,
+    is_surface,
+    repair_mesh,
+    surface_faults,
+)
+from qdgrasp_assets.geometry.primitives import box, geodesic
+
+BLOCK = (0.02, 0.03, 0.05)
+SOLID = box(BLOCK)
+
+
+def apart(mesh: Mesh) -> Mesh:
+    """The same triangles, each with corners of its own."""
+    return Mesh(mesh.corners.reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
+
+
+def assert_is_block(mesh: Mesh) -> None:
+    assert surface_faults(mesh) == ()
+    assert mesh.volume == pytest.approx(np.prod(BLOCK))
+
+
+def test_a_solid_is_left_as_it_is():
+    mesh, done = repair_mesh(SOLID)
+    assert mesh is SOLID
+    assert done == ()
+
+
+def test_vertices_at_the_same_place_are_merged():
+    mesh, done = repair_mesh(apart(SOLID))
+    assert done == ("28 vertices merged with others",)
+    assert_is_block(mesh)
+    shaken = apart(SOLID)
+    shaken = Mesh(
+        shaken.vertices + np.random.default_rng(0).uniform(0, 1e-8, shaken.vertices.shape), shaken.faces
+    )
+    assert is_surface(repair_mesh(shaken)[0])
+
+
+def test_degenerate_and_duplicate_triangles_are_dropped():
+    extra = np.array([SOLID.faces[0], (0, 0, 1), (2, 3, 3)])
+    mesh, done = repair_mesh(Mesh(SOLID.vertices, np.concatenate([SOLID.faces, extra])))
+    assert done == ("3 degenerate or duplicate triangles dropped",)
+    assert_is_block(mesh)
+
+
+def test_a_sheet_that_lies_back_to_back_is_dropped():
+    fin = np.array([(0, 1, len(SOLID.vertices)), (1, 0, len(SOLID.vertices)), (0, 1, len(SOLID.vertices))])
+    mesh, _ = repair_mesh(
+        Mesh(np.concatenate([SOLID.vertices, [(0, 0, 0.1)]]), np.concatenate([SOLID.faces, fin]))
+    )
+    assert len(mesh.faces) == len(SOLID.faces)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_winding_is_made_the_same_everywhere_and_outward(share):
+    ball = geodesic(0.03, 4)
+    is_turned = np.random.default_rng(1).random(len(ball.faces)) < share
+    mixed = Mesh(ball.vertices, np.where(is_turned[:, None], ball.faces[:, ::-1], ball.faces))
+    mesh, done = repair_mesh(mixed)
+    assert mesh.volume == pytest.approx(ball.volume)
+    assert "triangles turned, wound like their neighbours" in done[0]
+    assert surface_faults(mesh) == ()
+
+
+def test_a_body_that_is_inside_out_is_turned_and_the_others_are_not():
+    pair = join((SOLID, SOLID.flipped().moved((0.1, 0, 0))))
+    mesh, done = repair_mesh(pair)
+    assert done == ("1 of 2 bodies turned: they were inside out (negative volume)",)
+    assert mesh.volume == pytest.approx(2 * np.prod(BLOCK))
+
+
+def test_a_hollow_within_a_body_stays_a_hollow():
+    hollow = join((SOLID, SOLID.scaled(0.5).flipped()))
+    assert not inverted_bodies(hollow).any()
+    mesh, done = repair_mesh(hollow)
+    assert mesh is hollow
+    assert done == ()
+
+
+def pricked(*faces: int) -> Mesh:
+    ball = geodesic(0.03, 8)
+    return Mesh(ball.vertices, np.delete(ball.faces, faces, axis=0))
+
+
+def test_small_holes_are_filled_only_where_that_is_asked_for():
+    whole, holed = geodesic(0.03, 8), pricked(5, 100)
+    mesh, done = repair_mesh(holed)
+    assert (len(mesh.faces), done) == (len(holed.faces), ())
+    assert "around 2 holes, the largest" in surface_faults(mesh)[0]
+    mesh, done = repair_mesh(holed, fill_holes=True)
+    assert "2 holes filled, the widest, 0.00" in done[0]
+    assert surface_faults(mesh) == ()
+    assert mesh.volume == pytest.approx(whole.volume, rel=1e-3)
+
+
+def test_a_large_hole_is_not_guessed_at():
+    ball = geodesic(0.03, 8)
+    half = Mesh(ball.vertices, ball.faces[ball.corners[:, :, 2].mean(axis=1) > 0])
+    mesh, done = repair_mesh(half, fill_holes=True)
+    assert (len(mesh.faces), done) == (len(half.faces), ())
+
+
+def test_bodies_that_share_an_edge_are_a_solid():
+    """Four triangles meet there, and room is inside and outside of each."""
+    low, high = SOLID.bounds
+    edge = trimesh.util.concatenate(
+        [trimesh.creation.box(BLOCK), trimesh.creation.box(BLOCK).apply_translation((high - low) * (1, 1, 0))]
+    )
+    edge.merge_vertices()
+    mesh = Mesh(np.array(edge.vertices), np.array(edge.faces))
+    assert repair_mesh(mesh) == (mesh, ())
+    assert surface_faults(mesh) == ()
+
+
+RING = trimesh.creation.annulus(0.015, 0.03, 0.02)
+TURN = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
+
+
+def block(x: float) -> trimesh.Trimesh:
+    return trimesh.creation.box(BLOCK).apply_translation((x, 0, 0))
+
+
+def rod(radius: float) -> trimesh.Trimesh:
+    return trimesh.creation.cylinder(radius, 0.1)
+
+
+def ball(radius: float) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions=3, radius=radius)
+
+
+def hollow(radius: float) -> trimesh.Trimesh:
+    inverted = ball(radius)
+    inverted.invert()
+    return inverted
+
+
+def link(x: float, turn: np.ndarray) -> trimesh.Trimesh:
+    torus = trimesh.creation.torus(0.03, 0.005)
+    return torus.apply_transform(turn).apply_translation((x, 0, 0))
+
+
+def air(*bodies: trimesh.Trimesh) -> float:
+    """The gap of an object of these bodies; the same whichever comes first."""
+    found = []
+    for some in (bodies, bodies[::-1]):
+        whole = trimesh.util.concatenate(some)
+        found.append(body_gap(Mesh(np.array(whole.vertices), np.array(whole.faces))))
+    assert found[0] == pytest.approx(found[1], rel=0.05)
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("shifts", "room"),
+    [((0.0,), 0.0), ((0.0, 0.02), 0.0), ((0.0, 0.05, 0.0705), 0.03), ((0.0, 0.04, 0.02), 0.0)],
+)
+def test_blocks_in_a_row_meet_face_to_face(shifts, room):
+    assert air(*map(block, shifts)) == pytest.approx(room, rel=0.05)
+
+
+@pytest.mark.parametrize(("radius", "room"), [(0.01, 0.005), (0.0145, 0.0), (0.02, 0.0)])
+def test_a_rod_within_a_ring_meets_it_if_it_is_as_thick(radius, room):
+    assert air(rod(radius), RING) == pytest.approx(room, rel=0.05)
+
+
+def test_links_of_a_chain_are_apart():
+    assert air(link(0.0, np.eye(4)), link(0.03, TURN)) == pytest.approx(0.02, rel=0.05)
+    assert air(link(0.0, np.eye(4)), link(0.05, TURN)) == 0.0
+
+
+def test_a_hollow_is_of_the_body_that_it_is_in():
+    assert air(ball(0.05), hollow(0.04)) == 0.0
+
+
+def test_what_lies_in_a_hollow_is_apart_unless_it_touches_the_wall():
+    assert air(ball(0.05), hollow(0.04), ball(0.02)) == pytest.approx(0.02, rel=0.05)
+    assert air(ball(0.05), hollow(0.04), ball(0.0395)) == 0.0
+
+
+def test_what_lies_in_the_material_of_another_body_is_not_apart():
+    assert air(ball(0.05), ball(0.02)) == 0.0
+
+
+def test_a_shell_in_a_shell_is_apart_with_its_hollow():
+    assert air(ball(0.05), hollow(0.045), ball(0.035), hollow(0.03)) == pytest.approx(0.01, rel=0.05)
+
+
+def test_dust_is_told_apart_by_boxes_alone(monkeypatch):
+    monkeypatch.setattr(mesh_repair, "MANY_BODIES", 1)
+    assert air(rod(0.01), RING) == 0.0
+    assert air(block(0.0), block(0.05)) == pytest.approx(0.03, rel=0.05)

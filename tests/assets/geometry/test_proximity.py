@@ -1,0 +1,83 @@
+"""Rays at a mesh: how far it is, and how many times over a point is inside."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from qdgrasp_assets.geometry.collision_parts import FingerClearance
+from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.geometry.primitives import box, hull
+from qdgrasp_assets.geometry.proximity import come_within, inside_count, ray_distance, surface_distance
+from qdgrasp_assets.geometry.surface_points import sample_surface
+
+BLOCK = (0.02, 0.03, 0.05)
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def inside(mesh: Mesh, *point: float) -> int:
+    return int(inside_count(mesh, np.array([point]), UP)[0])
+
+
+def test_a_point_is_inside_as_many_bodies_as_are_around_it():
+    pair = join((box(BLOCK), box(BLOCK).moved((0.01, 0, 0.001))))
+    assert [inside(pair, x, 0.001, 0.002) for x in (-0.02, -0.005, 0.005, 0.015, 0.03)] == [0, 1, 2, 1, 0]
+
+
+def test_a_hollow_is_outside():
+    hollow = join((box(BLOCK), box(BLOCK).scaled(0.5).flipped()))
+    assert [inside(hollow, 0, 0, 0.001), inside(hollow, 0.007, 0, 0.001)] == [0, 1]
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (500, -300, 200)])
+def test_a_mesh_may_lie_anywhere(shift):
+    """Single precision has no tenth of a millimetre there."""
+    mesh = box(BLOCK).moved(shift)
+    points, drawn = sample_surface(mesh, 500, seed=0)
+    normals = mesh.normals[drawn]
+    assert not inside_count(mesh, points + 1e-5 * normals, normals).any()
+    assert (inside_count(mesh, points - 1e-5 * normals, normals) == 1).all()
+    across = ray_distance(mesh, np.mean(mesh.bounds, axis=0)[None], UP)
+    assert across == pytest.approx([0.025], abs=1e-6)
+    assert FingerClearance(mesh).fit((hull(mesh.vertices),)).is_good
+
+
+def test_room_is_not_looked_for_inside_of_bodies_that_overlap():
+    pair = join((box(BLOCK), box(BLOCK).moved((0.01, 0, 0))))
+    room = FingerClearance(pair)
+    assert room.inside == pytest.approx(0.24, abs=0.02)
+    assert room.fit((hull(pair.vertices),)).is_good
+    assert FingerClearance(box(BLOCK)).inside == 0
+
+
+BALL = np.array(trimesh.creation.icosphere(subdivisions=2, radius=0.01).triangles)
+PLATE = np.array([[(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.0, 0.0)]])
+
+
+@settings(max_examples=30)
+@given(room=st.floats(0.002, 0.2), height=st.floats(-0.3, 0.3))
+def test_a_ball_over_a_plate_of_one_triangle_is_as_far_as_its_lowest_point(room, height):
+    ball = BALL + np.array((0.0, height, room - BALL[..., 2].min()))
+    assert 0.999 * room <= surface_distance(ball, PLATE) <= 1.3 * room
+    assert not come_within(ball, PLATE, room / 2)
+    assert come_within(PLATE, ball, 2 * room)
+
+
+def test_edges_that_cross_each_other_are_nearest_there():
+    """No corner of either is near the other."""
+    blade = np.array([[(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, -0.1)]])
+    other = np.array([[(0.0, -0.1, 0.003), (0.0, 0.1, 0.003), (0.0, 0.0, 0.1)]])
+    assert surface_distance(blade, other) == pytest.approx(0.003, rel=0.3)
+    assert not come_within(blade, other, 0.001)
+
+
+def test_surfaces_that_cut_each_other_come_within_anything():
+    assert come_within(BALL, PLATE, 1e-4)
+
+
+def test_what_stays_open_counts_as_near():
+    """Two sheets a micrometre, or a corner a hair, farther from a sheet than what is asked for."""
+    assert come_within(PLATE, PLATE + np.array((0.0, 0.0, 0.001001)), 0.001)
+    corner = np.array([[(0.0, 0.0, 0.001), (0.1, 0.0, 0.1), (0.0, 0.1, 0.1)]])
+    assert come_within(corner, PLATE, np.nextafter(0.001, 0.0))

@@ -1,0 +1,222 @@
+"""Mended copies of hands can be used, and hollow links are found."""
+
+import os
+
+import numpy as np
+import pytest
+import trimesh
+from tests.assets import example_hands
+
+from qdgrasp_assets.asset_report import examine, hand_faults
+from qdgrasp_assets.geometry.mesh import Mesh, join, parts_to_obj
+from qdgrasp_assets.geometry.primitives import hull
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf, write_copy
+from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
+from qdgrasp_assets.grippers.urdf import read_urdf
+from qdgrasp_protocol.errors import AssetError
+
+BOX = '<box size="0.02 0.01 0.06"/>'
+EYE = (
+    '<link name="eye"/><joint name="j" type="floating">'
+    '<parent link="palm"/><child link="eye"/></joint></robot>'
+)
+FINGER = f'<collision><origin xyz="0 0 0.03"/><geometry>{BOX}</geometry></collision>'
+SOLID = trimesh.creation.box((0.02, 0.01, 0.06))
+
+
+def mended(urdf, *, may_centre=True):
+    """The copy of the jaw from its palm on, after it was seen to be usable."""
+    target = urdf.parent / "own.toml"
+    copy = write_copy(read_urdf(urdf), "palm", target, lambda _: None, may_centre=may_centre)
+    assert hand_faults(copy.robot, copy.base) == ()
+    file = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
+    target.write_text(draft_toml(file, target.name))
+    assert examine(target, "own").faults == ()
+    return copy
+
+
+def test_a_hand_that_needs_no_mending_is_left_as_it_is(jaw_urdf):
+    before = jaw_urdf.read_bytes()
+    copy = mended(jaw_urdf)
+    assert (copy.changes, copy.base) == ((), "palm")
+    assert jaw_urdf.read_bytes() == before
+    assert not mended_meshes(jaw_urdf.parent / "own.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>',
+            "",
+            "the link 'palm' is given a mass,",
+        ),
+        ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are given a mass"),
+        (
+            f'<mass value="0.1"/>{example_hands.INERTIA}',
+            '<mass value="0.1"/>',
+            "the links 'left', 'right' are given",
+        ),
+        ('lower="-0.04" upper="0"', 'lower="0" upper="-0.04"', "limited the right way round"),
+        ("</robot>", EYE, "the joint 'j' is fixed, as no motor drives what floats"),
+        (FINGER, FINGER.replace("collision", "visual"), "the links 'left', 'right' are given the visual"),
+        ("</robot>", "</robot>", ""),
+    ],
+)
+def test_what_can_be_mended_is_and_is_told(jaw_urdf, edit, old, new, sentence):
+    edit(jaw_urdf, old, new)
+    assert any(sentence in change for change in mended(jaw_urdf).changes) or not sentence
+
+
+def test_a_link_gets_the_mass_of_its_shapes_in_water(jaw_urdf, edit):
+    edit(jaw_urdf, 'mass value="0.5"', 'mass value="0"')
+    mass, place = mended(jaw_urdf).robot.masses["palm"]
+    assert mass == pytest.approx(1000 * 0.06 * 0.14 * 0.04, rel=1e-4)
+    assert place == pytest.approx((0, 0, 0.02))
+
+
+def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_stays_as_it_is(jaw_urdf, edit):
+    frame = f'<link name="tip"><inertial><mass value="0"/>{example_hands.INERTIA}</inertial></link>'
+    ends = '<parent link="left"/><child link="tip"/>'
+    edit(jaw_urdf, "</robot>", f'{frame}<joint name="j" type="fixed">{ends}</joint></robot>')
+    assert mended(jaw_urdf).changes == ()
+
+
+def test_visual_meshes_that_are_missing_do_no_harm_any_more(jaw_urdf, edit):
+    edit(jaw_urdf, "</link>", '<visual><geometry><mesh filename="none.dae"/></geometry></visual></link>')
+    assert "3 visual shapes left out, which no evaluation needs" in mended(jaw_urdf).changes
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb", "stl"])
+def test_a_mesh_that_the_simulator_does_not_read_becomes_a_hull(jaw_urdf, edit, kind):
+    text = SOLID.export(file_type="stl_ascii" if kind == "stl" else kind)
+    (jaw_urdf.parent / f"pad.{kind}").write_bytes(text.encode() if isinstance(text, str) else text)
+    edit(jaw_urdf, BOX, f'<mesh filename="pad.{kind}"/>')
+    copy = mended(jaw_urdf)
+    assert "was made a convex hull, as the simulator reads no such file" in copy.changes[0]
+    assert sorted(path.name for path in mended_meshes(jaw_urdf.parent / "own.toml").iterdir()) == ["pad.obj"]
+
+
+def test_a_mesh_in_millimetres_is_written_in_metres(jaw_urdf, edit):
+    trimesh.creation.box((20, 10, 60)).export(jaw_urdf.parent / "pad.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="pad.stl"/>')
+    assert "was 60 m large, and is taken for millimetres" in mended(jaw_urdf).changes[0]
+    written = trimesh.load_mesh(mended_meshes(jaw_urdf.parent / "own.toml") / "pad.obj")
+    assert written.extents == pytest.approx((0.02, 0.01, 0.06))
+
+
+def test_a_hollow_mesh_is_split_into_parts_that_leave_its_room(jaw_urdf, edit):
+    example_hands.write_arch(jaw_urdf.parent / "arch.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
+    copy = mended(jaw_urdf)
+    assert "was split into" in copy.changes[0]
+    assert examine(jaw_urdf.parent / "own.toml", "own").notes == ()
+
+
+def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw_urdf, edit):
+    for side in ("0.045", "-0.045"):
+        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0.08 {side} 0.041"')
+    assert mended(jaw_urdf, may_centre=False).base == "palm"
+    copy = mended(jaw_urdf)
+    assert copy.base == "palm_centre"
+    assert copy.robot.forward({})["palm"][:3, 3] == pytest.approx((-0.08, 0, 0))
+    assert "a new one at (0.08 0 0) m in the frame of 'palm'" in copy.changes[-1]
+
+
+def with_mesh(jaw_urdf, edit, kind="ply"):
+    SOLID.export(jaw_urdf.parent / f"pad.{kind}")
+    edit(jaw_urdf, BOX, f'<mesh filename="pad.{kind}"/>')
+
+
+def test_an_older_copy_is_replaced(jaw_urdf, edit):
+    without, target = jaw_urdf.read_text(), jaw_urdf.parent / "own.toml"
+    with_mesh(jaw_urdf, edit)
+    mended(jaw_urdf)
+    assert [path.name for path in mended_meshes(target).iterdir()] == ["pad.obj"]
+    jaw_urdf.write_text(without)
+    mended(jaw_urdf)
+    assert not mended_meshes(target).exists()
+    assert mended_urdf(target).is_file()
+    assert not [path for path in target.parent.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("after_a_copy", [False, True])
+def test_a_folder_with_files_of_somebody_else_is_not_replaced(jaw_urdf, edit, after_a_copy):
+    with_mesh(jaw_urdf, edit)
+    folder = mended_meshes(jaw_urdf.parent / "own.toml")
+    if after_a_copy:
+        mended(jaw_urdf)
+    folder.mkdir(exist_ok=True)
+    (folder / "keep.txt").write_text("mine")
+    with pytest.raises(AssetError, match="own_meshes' holds what was not written by --mend, and is not"):
+        mended(jaw_urdf)
+    assert (folder / "keep.txt").read_text() == "mine"
+
+
+def test_a_urdf_of_somebody_else_is_not_replaced(jaw_urdf):
+    own = mended_urdf(jaw_urdf.parent / "own.toml")
+    own.write_text("mine")
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' was not written by --mend"):
+        mended(jaw_urdf)
+    assert own.read_text() == "mine"
+
+
+def test_a_pipe_in_the_place_of_a_copy_is_not_waited_for(jaw_urdf):
+    os.mkfifo(mended_urdf(jaw_urdf.parent / "own.toml"))
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' was not written by --mend"):
+        mended(jaw_urdf)
+
+
+def test_a_copy_is_not_made_of_what_it_would_replace(jaw_urdf, edit):
+    with_mesh(jaw_urdf, edit)
+    mended(jaw_urdf)
+    copy = mended_urdf(jaw_urdf.parent / "own.toml")
+    before = copy.read_bytes()
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' is the URDF itself"):
+        mended(copy)
+    edit(jaw_urdf, "pad.ply", "own_meshes/pad.obj")
+    with pytest.raises(AssetError, match="own_meshes' holds the meshes of"):
+        mended(jaw_urdf)
+    assert copy.read_bytes() == before
+    assert (copy.parent / "own_meshes" / "pad.obj").is_file()
+
+
+def test_what_was_there_comes_back_where_something_fails(jaw_urdf, edit):
+    with_mesh(jaw_urdf, edit)
+    mended(jaw_urdf)
+    target = jaw_urdf.parent / "own.toml"
+    before = mended_urdf(target).read_bytes()
+    edit(jaw_urdf, "pad.ply", "pad.glb")
+    SOLID.export(jaw_urdf.parent / "pad.glb")
+    arguments = read_urdf(jaw_urdf), "palm", target, lambda _: None
+    with pytest.raises(KeyError), mended_copy(*arguments, may_centre=True):
+        raise KeyError
+    assert mended_urdf(target).read_bytes() == before
+    assert [path.name for path in mended_meshes(target).iterdir()] == ["pad.obj"]
+
+
+SLAB_CORNERS = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.005, 0.005) for z in (0.0, 0.01)])
+PRISM = np.array([[x, y, z] for y in (-0.005, 0.005) for x, z in ((-0.01, 0.0), (0.01, 0.0), (0.0, 0.06))])
+
+
+def slab(place: int) -> Mesh:
+    return hull(SLAB_CORNERS + np.array([0.0, 0.0, 0.01 * place]))
+
+
+def tooth(place: int) -> Mesh:
+    return hull(PRISM + np.array([0.02 * place, 0.0, 0.0]))
+
+
+def hollow_links(jaw_urdf, edit, parts):
+    (jaw_urdf.parent / "pad.obj").write_bytes(parts_to_obj(parts))
+    edit(jaw_urdf, BOX, '<mesh filename="pad.obj"/>')
+    return [link for link, _ in hollow_meshes(read_urdf(jaw_urdf))]
+
+
+def test_grooves_between_the_teeth_of_one_part_are_filled(jaw_urdf, edit):
+    assert hollow_links(jaw_urdf, edit, [join(tooth(place) for place in range(5))]) == ["left", "right"]
+
+
+def test_a_mesh_of_convex_parts_that_touch_has_no_room_that_they_fill(jaw_urdf, edit):
+    assert hollow_links(jaw_urdf, edit, [slab(place) for place in range(8)]) == []

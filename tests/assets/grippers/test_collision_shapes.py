@@ -1,0 +1,117 @@
+"""Convex parts of collision shapes: never more than the shapes, and hardly less."""
+
+import struct
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.grippers.collision_shapes import (
+    largest_side,
+    link_convex_parts,
+    obj_group_corners,
+    shapes,
+)
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_protocol.spec import RunSpec
+
+LINK = (
+    '<robot name="one"><link name="palm"><collision {}>{}<geometry>{}</geometry></collision></link></robot>'
+)
+TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{0} one\nf 1 2 3\nf 1/1 2/2/2 4//4\nv 5 5 5\n{0} two\nf -1 1 2\n"
+
+
+def parts_of(geometry, files=None, origin="", attributes=""):
+    robot = parse_robot(Path("one"), ElementTree.fromstring(LINK.format(attributes, origin, geometry)))  # noqa: S314 - written above
+    return list(link_convex_parts(robot, files or {}))
+
+
+def binary_stl(triangles):
+    records = [struct.pack("<12fH", *np.zeros(3), *np.ravel(corners), 0) for corners in triangles]
+    return b"header".ljust(80) + struct.pack("<I", len(records)) + b"".join(records)
+
+
+@pytest.mark.parametrize("gripper", ["panda", "barrett", "allegro", "shadow", "robotiq_2f"])
+def test_the_parts_of_a_hand_lie_within_its_shapes_and_nearly_fill_them(gripper) -> None:
+    hand = build_scene(RunSpec(gripper=gripper, object="tennis_ball")).gripper
+    robot = parse_robot(Path(), ElementTree.fromstring(hand.urdf))  # noqa: S314 - our own
+    expected = [(shape.link, ConvexHull(shape.vertices)) for shape in shapes(robot, hand.meshes)]
+    found = list(link_convex_parts(robot, hand.meshes))
+    assert [part.link for part in found] == [link for link, _ in expected]
+    for part, (_, hull) in zip(found, expected, strict=True):
+        heights = part.corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+        assert heights.max() < 1e-4
+        assert 0.9 * hull.volume < ConvexHull(part.corners).volume < 1.01 * hull.volume
+
+
+def test_parts_are_placed_in_their_link() -> None:
+    [part] = parts_of('<box size="2 4 6"/>', origin='<origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>')
+    np.testing.assert_allclose(part.corners.min(axis=0), [-1, -1, -3])
+    np.testing.assert_allclose(part.corners.max(axis=0), [3, 1, 3])
+
+
+def test_round_shapes_have_their_corners_on_them() -> None:
+    [cylinder] = parts_of('<cylinder radius="2" length="6"/>')
+    np.testing.assert_allclose(np.hypot(*cylinder.corners[:, :2].T), 2)
+    np.testing.assert_allclose(np.abs(cylinder.corners[:, 2]), 3)
+    [sphere] = parts_of('<sphere radius="3"/>')
+    np.testing.assert_allclose(np.linalg.norm(sphere.corners, axis=1), 3)
+
+
+def test_an_stl_is_one_part_with_its_scale() -> None:
+    files = {"thing.STL": binary_stl([np.array(TETRAHEDRON)[[0, 1, 2]], np.array(TETRAHEDRON)[[0, 1, 3]]])}
+    [part] = parts_of('<mesh filename="thing.STL" scale="1 2 3"/>', files)
+    assert {tuple(corner) for corner in part.corners} == {(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)}
+
+
+@pytest.mark.parametrize("word", ["o", "g"])
+def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word) -> None:
+    one, two = obj_group_corners(TWO.format(word))
+    np.testing.assert_array_equal(one, TETRAHEDRON)
+    np.testing.assert_array_equal(two, [(0, 0, 0), (1, 0, 0), (5, 5, 5)])
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    ['<mesh filename="a.dae"/>', '<mesh filename="text.stl"/>', '<capsule radius="1" length="2"/>'],
+)
+def test_what_is_not_known_here_has_no_parts(geometry) -> None:
+    assert parts_of(geometry, {"a.dae": b"<xml/>", "text.stl": b"solid".ljust(84 + 3 * 50)}) == []
+
+
+def test_a_shape_that_is_bare_triangles_has_no_parts() -> None:
+    assert len(parts_of('<box size="1 1 1"/>')) == 1
+    assert parts_of('<box size="1 1 1"/>', attributes='concave="yes"') == []
+
+
+ARM = """<robot name="arm">
+<link name="palm"><collision><geometry><box size="0.1 0.02 0.02"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="palm"/><child link="tip"/>
+<origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><axis xyz="1 0 0"/><limit lower="0" upper="1" effort="1" velocity="1"/>
+</joint>
+<link name="tip"><collision><origin xyz="0.1 0 0" rpy="0 1.5707963267948966 0"/>
+<geometry><cylinder radius="0.01" length="0.2"/></geometry></collision>
+<collision><origin xyz="0.2 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+</robot>"""  # noqa: E501
+
+
+@pytest.fixture
+def arm():
+    return parse_robot(Path("arm"), ElementTree.fromstring(ARM))  # noqa: S314 - written above
+
+
+def test_every_shape_is_placed_in_its_link(arm) -> None:
+    box, cylinder, sphere = shapes(arm, {})
+    assert [shape.link for shape in (box, cylinder, sphere)] == ["palm", "tip", "tip"]
+    np.testing.assert_allclose(np.ptp(box.vertices, axis=0), [0.1, 0.02, 0.02])
+    np.testing.assert_allclose(np.ptp(cylinder.vertices, axis=0), [0.2, 0.02, 0.02], atol=1e-9)
+    np.testing.assert_allclose(sphere.vertices.mean(axis=0), [0.2, 0, 0], atol=1e-9)
+
+
+def test_the_largest_side_is_that_of_all_links_at_joints_zero(arm) -> None:
+    # from the box's side at y = -0.01 to the sphere's end: 0.1 turns along y, so 0.2 + 0.05
+    assert largest_side(arm, {}) == pytest.approx(0.01 + 0.25, abs=1e-6)

@@ -1,0 +1,407 @@
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import msgspec
+import numpy as np
+import pytest
+from tests.assets.conftest import TOML
+
+from qdgrasp_assets.catalog import find_gripper, gripper_names
+from qdgrasp_assets.grippers.gripper import CARRIERS, read_gripper
+from qdgrasp_assets.grippers.gripper_file import KINDS, REQUIRED_KEYS, TABLE_KINDS, TABLES, gripper_faults
+from qdgrasp_assets.grippers.urdf import parse_robot, read_urdf
+from qdgrasp_protocol.errors import AssetError, InputError, UnknownKey
+
+
+def read(path):
+    return read_gripper(path, "claw", "claw.toml")
+
+
+def test_a_gripper_takes_what_its_toml_leaves_out_from_the_urdf(claw):
+    hand = read(claw).on_carrier("paper")
+    (joint,) = hand.joints
+    assert (joint.opened, joint.closed, joint.effort, joint.velocity) == (0.0, 1.2, 10.0, 2.0)
+    assert hand.approach_axis == (0.0, 0.0, 1.0)
+    assert list(hand.meshes) == ["0_palm.stl"]
+    assert "visual" not in hand.urdf
+    assert 'filename="0_palm.stl"' in hand.urdf
+
+
+def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
+    gripper = find_gripper(str(claw))
+    assert (gripper.name, gripper.source) == ("claw", "claw.toml")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "sentence"),
+    [
+        ("claw.toml", "[joints.bend]", "[joints.bent]", "joints names 'bent', which"),
+        ("claw.toml", '["finger"]', '["thumb"]', "finger_links names 'thumb', which"),
+        ("claw.toml", '"palm"', '"hand"', "base_link names 'hand', which"),
+        ("claw.toml", "[joints.bend]", "[free_joints.twist]\nlow=0\nhigh=1\n[joints.bend]", "names 'twist'"),
+        ("claw.toml", "[joints.bend]", '[[synergies]]\nname="a"\njoints=["b"]\n[joints.bend]', "synergy 'a'"),
+        (
+            "claw.toml",
+            "[joints.bend]\nopen = 0.0\nclosed = 1.2\n",
+            "[joints]\n",
+            "nothing about the joint 'bend' of '.*', which moves",
+        ),
+        ("claw.toml", "closed = 1.2", "closed = 1.6", r"closed is 1.6, outside the URDF's limits 0 to 1.5"),
+        (
+            "claw.toml",
+            "closed = 1.2",
+            "closed = 1.2\neffort = 0.0",
+            "effort of the joint 'bend' must be greater",
+        ),
+        (
+            "claw.toml",
+            "closed = 1.2",
+            'closed = "shut"',
+            r"joints\.bend\.closed must be a number, got 'shut'",
+        ),
+        ("claw.toml", "closed = 1.2", "driven = 1", r"joints\.bend\.driven must be true or false, got 1"),
+        ("claw.toml", "[0.0, 0.03]", "[0.0]", r"standoff must be two numbers, got \[0\.0\]"),
+        ("claw.toml", "[0, 0, 2]", "2", "approach_axis must be three numbers, got 2"),
+        ("claw.toml", '["finger"]', '"finger"', "finger_links must be a list of names, got 'finger'"),
+        ("claw.toml", '"palm"', "1", "base_link must be text, got 1"),
+        (
+            "claw.toml",
+            "[joints.bend]",
+            "[joints]\nbend = 3\n[joints.twist]",
+            "joints.bend must be a table, got 3",
+        ),
+        (
+            "claw.toml",
+            TOML[TOML.index("[joints") :],
+            "joints = 3",
+            r"joints must be tables \[joints\.NAME\], got 3",
+        ),
+        (
+            "claw.toml",
+            "[joints.bend]",
+            "synergies = 3\n[joints.bend]",
+            r"synergies must be tables \[\[s.*, got 3",
+        ),
+        ("claw.toml", "[joints.bend]", "jaw = 3\n[joints.bend]", r"jaw must be a table \[jaw\], got 3"),
+        ("claw.toml", "open = 0.0", "", r"says no open in joints\.bend: say where it is in the open posture"),
+        (
+            "claw.toml",
+            'finger_links = ["finger"]',
+            "",
+            "'.*claw.toml' says no finger_links: name the links whose",
+        ),
+        ("claw.toml", "[0.0, 0.03]", "[0.05, 0.03]", r"standoff must be \[least, greatest\]"),
+        ("claw.toml", "[0, 0, 2]", "[0, 0, 0]", "approach_axis must not be zero"),
+        ("claw.toml", "[0, 0, 2]", "[nan, 0, 1]", "approach_axis must be a finite number, got nan"),
+        (
+            "claw.toml",
+            "palm_offset = 0.05",
+            "palm_offset = inf",
+            "palm_offset must be a finite number, got inf",
+        ),
+        ("claw.toml", "[0.0, 0.03]", "[0.0, nan]", "standoff must be a finite number, got nan"),
+        (
+            "claw.toml",
+            "closed = 1.2",
+            "closed = -inf",
+            r"joints\.bend\.closed must be a finite number, got -inf",
+        ),
+        ("claw.toml", "palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
+        ("claw.toml", "palm_offset = 0.05", "", "says no palm_offset: say how far the palm is"),
+        (
+            "claw.toml",
+            "palm_offset = 0.05\nstandoff = [0.0, 0.03]",
+            "",
+            r"says no palm_offset: .* \[m\]; no standoff: say how far the palm may stay away",
+        ),
+        ("claw.toml", '["finger"]', "[]", "finger_links must name at least one"),
+        ("claw.toml", '["finger"]', '["finger", "finger"]', "finger_links names 'finger' more than once"),
+        ("claw.toml", "standoff =", "standoff", "is not TOML"),
+        ("claw.toml", '"claw.urdf"', '"none.urdf"', "No URDF can be read at '.*none.urdf'"),
+        ("claw.toml", '"claw.urdf"', '"asset://none.urdf"', "needs 'none.urdf' of the reference data"),
+        ("claw.urdf", "</robot>", "", "is not XML"),
+        ("claw.urdf", 'type="revolute"', 'type="floating"', "'bend' is a floating one, which no"),
+        ("claw.urdf", 'type="revolute"', 'type="planar"', "'bend' is a planar one, which no motor drives"),
+        ("claw.urdf", '"mount"', '"${mount}"', "is a xacro file, of which a URDF is made"),
+        ("claw.urdf", "robot", "sdf", "is no URDF but an SDF file"),
+        ("claw.urdf", 'xyz="0 0 0.1"', 'xyz="0 0 up"', r"must hold 3 numbers"),
+        ("claw.urdf", '<child link="finger"/>', '<child link="fngr"/>', "names the link 'fngr'"),
+        ("claw.urdf", '<child link="finger"/>', '<child link="palm"/>', "is not one tree"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_a_sentence_that_names_it(claw, edit, file, old, new, sentence):
+    edit(claw.parent / file, old, new)
+    with pytest.raises(AssetError, match=sentence) as refused:
+        read(claw).on_carrier("paper")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_there_is_advice_and_a_word_for_every_field_of_a_grippers_file(table):
+    for field in msgspec.structs.fields(TABLES[table]):
+        assert not field.required or f"{table}.{field.name}".lstrip(".") in REQUIRED_KEYS
+        assert field.type in KINDS or field.name in TABLE_KINDS
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [("standoff =", "standof =", "standof"), ("closed =", "close =", "close")],
+)
+def test_a_misspelt_key_is_refused_with_the_known_ones(claw, edit, old, new, key):
+    edit(claw, old, new)
+    with pytest.raises(UnknownKey, match=f"unknown key '{key}'. Did you mean '{key}"):
+        read(claw)
+
+
+def test_a_missing_mesh_is_named(claw):
+    (claw.parent / "palm.stl").unlink()
+    with pytest.raises(AssetError, match=r"refers to the mesh 'palm.stl', which does not exist"):
+        read(claw).on_carrier("paper")
+
+
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        ("stl", bytes(84)),
+        ("stl", b""),
+        ("stl", b"solid nothing\nendsolid nothing\n"),
+        ("obj", b""),
+        ("obj", b"o nothing\nv 0 0 0\n"),
+    ],
+)
+def test_a_mesh_without_triangles_is_one_sentence(claw, edit, kind, content):
+    edit(claw.parent / "claw.urdf", "palm.stl", f"palm.{kind}")
+    (claw.parent / f"palm.{kind}").write_bytes(content)
+    with pytest.raises(
+        AssetError, match=r"claw.urdf' has .* collision shape.*(no triangles|cannot be read).*\.$"
+    ):
+        read(claw).on_carrier("paper")
+
+
+@pytest.mark.parametrize("text", ["v a b c\n", "v 0 0 0\nf 1 2 3\n"])
+def test_a_mesh_that_cannot_be_read_is_one_sentence(claw, edit, text):
+    edit(claw.parent / "claw.urdf", "palm.stl", "palm.obj")
+    (claw.parent / "palm.obj").write_text(text)
+    with pytest.raises(
+        AssetError, match=r"claw.urdf' has a collision shape that cannot be read: \w+Error: .*"
+    ):
+        read(claw).on_carrier("paper")
+
+
+def test_a_package_reference_is_found_in_a_folder_above_the_urdf(claw, edit):
+    edit(claw.parent / "claw.urdf", 'filename="palm.stl"', 'filename="package://claw_description/palm.stl"')
+    folder = claw.parent / "claw_description"
+    folder.mkdir()
+    (claw.parent / "palm.stl").rename(folder / "palm.stl")
+    assert list(read(claw).on_carrier("paper").meshes) == ["0_palm.stl"]
+
+
+def test_there_is_no_gripper_where_there_is_no_file():
+    with pytest.raises(AssetError, match=r"No gripper can be read at 'none.toml'"):
+        find_gripper("none.toml")
+
+
+def test_the_panda_is_built_in_with_the_kinematics_of_the_experiment():
+    hand = find_gripper("panda").on_carrier("paper")
+    assert [(joint.opened, joint.closed, joint.effort, joint.velocity) for joint in hand.joints] == [
+        (0.04, 0.0, 100.0, 100.0)
+    ] * 2
+    assert (hand.palm_offset, hand.standoff) == (0.066, (0.0, 0.046))
+    robot = find_gripper("panda").robot
+    assert robot.mass == pytest.approx(0.7)
+    open_hand = robot.forward({"panda_finger_joint1": 0.04, "panda_finger_joint2": 0.04})
+    assert open_hand["panda_leftfinger"][:3, 3] == pytest.approx([0, 0.04, 0.0584])
+    assert open_hand["panda_rightfinger"][:3, 3] == pytest.approx([0, -0.04, 0.0584])
+
+
+def test_an_obj_in_the_bundle_names_no_materials_that_are_missing_there():
+    for content in find_gripper("panda").on_carrier("paper").meshes.values():
+        assert not re.search(rb"^(mtllib|usemtl)", content, re.MULTILINE)
+        assert content.count(b"\nv ") > 10
+
+
+CLOSED_AT_LOWER = ("ref_allegro", "ref_bh280", "ref_panda_2f", "ref_robotiq_2f", "ref_shadow")
+
+
+@pytest.mark.parametrize("name", CLOSED_AT_LOWER)
+def test_a_reference_hand_closes_to_the_lower_limits_of_its_urdf(asset_path: Path, name):
+    assert name in gripper_names()
+    gripper = find_gripper(name)
+    joints = gripper.on_carrier("released").joints
+    driven = [joint for joint in joints if joint.driven]
+    assert driven
+    for joint in driven:
+        assert joint.closed == pytest.approx(gripper.robot.joint(joint.name).lower, abs=1e-4)
+
+
+def test_a_reference_hand_without_its_data_says_where_it_was_looked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
+    assert "ref_panda_2f" not in gripper_names()
+    with pytest.raises(AssetError, match=rf"QDGRASP_ASSET_PATH is '{tmp_path}'"):
+        find_gripper("ref_panda_2f")
+    monkeypatch.delenv("QDGRASP_ASSET_PATH")
+    with pytest.raises(AssetError, match="QDGRASP_ASSET_PATH is not set"):
+        find_gripper("ref_panda_2f")
+
+
+JAW = "\n[jaw]\naxis = [0, 3, 0]\nopening = 0.08\n"
+
+
+def test_the_axis_of_the_jaw_is_brought_to_one(claw: Path) -> None:
+    claw.write_text(claw.read_text() + JAW)
+    jaw = read_gripper(claw, "claw", "tests").on_carrier("paper").jaw
+    assert jaw is not None
+    assert (jaw.axis, jaw.opening) == ((0.0, 1.0, 0.0), 0.08)
+
+
+def test_a_hand_without_a_jaw_has_none(claw: Path) -> None:
+    assert read_gripper(claw, "claw", "tests").on_carrier("paper").jaw is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[0, 3, 0]", "[0, 3, 1]", "right angles"),
+        ("[0, 3, 0]", "[0, 0, 0]", "right angles"),
+        ("0.08", "0.0", "greater than 0"),
+        ("opening", "width", "unknown key 'width'"),
+        ("opening = 0.08", "", "opening"),
+    ],
+)
+def test_an_impossible_jaw_is_refused(claw: Path, old: str, new: str, words: str) -> None:
+    claw.write_text(claw.read_text() + JAW.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        read_gripper(claw, "claw", "tests")
+
+
+SYNERGY = '\n[[synergies]]\nname = "all"\njoints = ["bend"]\n'
+FREE = "\n[free_joints.bend]\nlow = 1.5\nhigh = 0.0\n"
+
+
+@pytest.mark.parametrize("more", [SYNERGY, FREE, SYNERGY + SYNERGY.replace("all", "others")])
+def test_synergies_and_free_joints_that_can_be_are_taken(claw: Path, more: str) -> None:
+    claw.write_text(claw.read_text() + more)
+    assert list(gripper_faults(read(claw).file, read(claw).robot)) == []
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (SYNERGY + SYNERGY, "more than one of the synergies is called 'all'"),
+        (SYNERGY.replace('"all"', '""'), "a synergy of bend has no name"),
+        (SYNERGY.replace('"bend"', ""), "the synergy 'all' has no joints"),
+        (SYNERGY.replace('"bend"', '"bend", "bend"'), "the synergy 'all' names 'bend' more than once"),
+        (f"driven = false{SYNERGY}", "the synergy 'all' names 'bend', which is not driven"),
+        (FREE.replace("1.5", "-9"), r"free_joints\.bend\.low is -9, outside the URDF's limits 0 to 1\.5"),
+        (FREE.replace("0.0", "9.0"), r"free_joints\.bend\.high is 9, outside the URDF's limits 0 to 1\.5"),
+        (FREE.replace("0.0", "1.5"), r"free_joints\.bend has one place, 1\.5, for low and high"),
+    ],
+)
+def test_impossible_synergies_and_free_joints_are_refused(claw: Path, more: str, words: str) -> None:
+    claw.write_text(claw.read_text() + more)
+    with pytest.raises(AssetError, match=words):
+        read(claw)
+
+
+@pytest.mark.parametrize("force", [0.0, -5.0])
+def test_a_carrier_that_holds_nothing_is_refused(claw: Path, edit, force: float) -> None:
+    edit(claw, "palm_offset", f"carrier_hold_force = {force}\npalm_offset")
+    with pytest.raises(AssetError, match=f"carrier_hold_force must be greater than 0, got {force:g}"):
+        read(claw)
+
+
+@pytest.mark.parametrize("name", gripper_names())
+def test_nothing_is_wrong_with_a_hand_that_is_built_in(name: str) -> None:
+    gripper = find_gripper(name)
+    assert list(gripper_faults(gripper.file, gripper.robot)) == []
+
+
+def test_the_extent_is_the_largest_side_of_the_hand_alone_at_zero(claw: Path) -> None:
+    assert read_gripper(claw, "claw", "tests").on_carrier("released").extent == pytest.approx(0.11)
+
+
+REFERENCE = ("ref_allegro", "ref_bh280", "ref_panda_2f", "ref_robotiq_2f", "ref_shadow")
+
+
+def carried(name: str, protocol: str):
+    hand = find_gripper(name).on_carrier(protocol)
+    return hand, parse_robot(Path(name), ElementTree.fromstring(hand.urdf))  # noqa: S314
+
+
+def assert_base_is_root_at_zero(name: str, protocol: str) -> None:
+    hand, robot = carried(name, protocol)
+    assert robot.root != hand.base_link
+    assert robot.forward({})[hand.base_link] == pytest.approx(np.eye(4))
+    assert {joint.name for joint in hand.carrier} <= {joint.name for joint in robot.joints}
+
+
+@pytest.mark.parametrize("protocol", CARRIERS)
+def test_the_hand_is_at_the_root_when_the_carrier_is_at_zero(protocol):
+    assert_base_is_root_at_zero("panda", protocol)
+
+
+@pytest.mark.parametrize("protocol", CARRIERS)
+@pytest.mark.parametrize("name", REFERENCE)
+def test_a_reference_hand_is_at_the_root_when_the_carrier_is_at_zero(asset_path, name, protocol):
+    assert_base_is_root_at_zero(name, protocol)
+
+
+@pytest.mark.parametrize("protocol", CARRIERS)
+def test_shakes_move_the_hand_along_its_z_and_about_its_x(protocol):
+    hand, robot = carried("panda", protocol)
+    shaken = {joint.shake: joint.name for joint in hand.carrier if joint.shake}
+    frame = robot.forward({shaken["z"]: 0.2, shaken["x"]: np.pi / 2})[hand.base_link]
+    assert frame[:3, 3] == pytest.approx([0, 0, 0.2])
+    assert frame[:3, 1] == pytest.approx([0, 0, 1])
+
+
+def test_the_panda_has_the_forces_of_the_experiment():
+    for protocol in CARRIERS:
+        hand, _ = carried("panda", protocol)
+        shakes = {joint.shake: joint.shake_force for joint in hand.carrier if joint.shake}
+        assert shakes == {"z": 20.0, "x": 100.0}
+        assert {joint.force for joint in hand.carrier} == {100.0}
+
+
+def test_paper_pushes_every_hand_with_the_pandas_acceleration(asset_path):
+    for name in REFERENCE:
+        hand, robot = carried(name, "paper")
+        force = next(joint.shake_force for joint in hand.carrier if joint.shake == "z")
+        moved = robot.mass - 3.0  # the root does not move
+        assert force / moved == pytest.approx(20.0 / 3.7, rel=1e-6)
+
+
+def test_released_keeps_a_reference_hand_as_its_file_has_it(asset_path):
+    _, robot = carried("ref_panda_2f", "released")
+    original = read_urdf(asset_path / "grippers/panda_2f/panda_2f.urdf")
+    assert robot.links == original.links
+    for kept, given in zip(robot.element.findall("joint"), original.element.findall("joint"), strict=True):
+        assert [part.attrib for part in kept.iter()] == [part.attrib for part in given.iter()]
+    for kept, given in zip(robot.element.iter("inertial"), original.element.iter("inertial"), strict=True):
+        assert [part.attrib for part in kept.iter()] == [part.attrib for part in given.iter()]
+
+
+def test_released_gives_a_hand_without_a_carrier_the_links_of_the_reference():
+    _, robot = carried("panda", "released")
+    assert [joint.name for joint in robot.joints][:6] == [
+        "translationX",
+        "translationY",
+        "translationZ",
+        "rotationX",
+        "rotationY",
+        "rotationZ",
+    ]
+    assert robot.mass == pytest.approx(6.7)
+
+
+def test_the_shadows_carrier_is_held_harder(asset_path):
+    hand, _ = carried("ref_shadow", "released")
+    assert {joint.force for joint in hand.carrier} == {1000.0}
+
+
+def test_a_name_that_the_carrier_needs_is_refused(claw, edit):
+    for file in ("claw.urdf", "claw.toml"):
+        edit(claw.parent / file, "bend", "rotationX")
+    with pytest.raises(AssetError, match="uses the name 'rotationX', which the carrier needs"):
+        find_gripper(str(claw)).on_carrier("paper")

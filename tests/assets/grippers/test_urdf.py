@@ -1,0 +1,113 @@
+import os
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.grippers.gripper_file import read_gripper_file
+from qdgrasp_assets.grippers.urdf import read_robot_element, read_urdf
+from qdgrasp_protocol.errors import AssetError
+
+
+@pytest.fixture
+def robot(claw):
+    return read_urdf(claw.parent / "claw.urdf")
+
+
+def test_links_lie_where_origins_and_joints_put_them(robot):
+    frames = robot.forward({"bend": np.pi / 2})
+    assert robot.root == "mount"
+    assert frames["palm"][:3, 3] == pytest.approx([0, 0, 0.1])
+    assert frames["finger"][:3, 3] == pytest.approx([0, 0.02, 0.15])
+    assert frames["finger"][:3, 0] == pytest.approx([-1, 0, 0])  # yaw of 90 deg, then the joint's own
+
+
+def test_the_whole_robot_moves_with_its_base(robot):
+    base = np.eye(4)
+    base[:3, 3] = 1, 2, 3
+    moved, still = robot.forward({"bend": 0.4}, base), robot.forward({"bend": 0.4})
+    for link in robot.links:
+        assert moved[link] == pytest.approx(base @ still[link])
+
+
+def test_a_subtree_has_its_links_only(robot):
+    hand = robot.subtree("palm")
+    assert hand.root == "palm"
+    assert hand.links == ("palm", "finger")
+    assert [joint.name for joint in hand.joints] == ["bend"]
+    assert hand.mass == pytest.approx(0.6)
+    assert len(robot.element.findall("link")) == 3
+
+
+def test_a_link_without_a_mass_counts_as_bullet_has_it(robot):
+    assert robot.mass == pytest.approx(1.6)
+
+
+def test_the_bundle_keeps_all_but_visuals_and_mesh_paths(robot):
+    element, meshes = robot.bundled()
+    assert set(meshes) == {"0_palm.stl"}
+    assert not list(element.iter("visual"))
+    assert [limit.attrib for limit in element.iter("limit")] == [
+        limit.attrib for limit in robot.element.iter("limit")
+    ]
+    assert list(robot.element.iter("visual"))
+
+
+XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="a"/></robot>'
+
+
+def refused(path, content):
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(AssetError) as error:
+        read_robot_element(path)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_urdf_is_read(jaw_urdf):
+    assert len(read_robot_element(jaw_urdf).findall("link")) == 3
+
+
+@pytest.mark.parametrize(
+    "content",
+    ['<xacro:include filename="b.xacro"/>', '<link name="${side}_finger"/>', '<link name="$(arg x)"/>'],
+)
+def test_a_xacro_file_is_told_with_the_command_that_makes_a_urdf_of_it(tmp_path, content):
+    told = refused(tmp_path / "hand.urdf.xacro", XACRO.format(content))
+    assert "run `xacro hand.urdf.xacro > hand.urdf`" in told
+
+
+def test_a_xacro_file_is_told_by_what_is_in_it(tmp_path):
+    assert "> hand_plain.urdf`" in refused(tmp_path / "hand.urdf", '<robot><xacro:hand side="left"/></robot>')
+
+
+def test_what_xacro_left_behind_makes_no_xacro_file(tmp_path):
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(XACRO.format('<!-- <xacro:hand side="$(arg side)"/> -->'))
+    assert read_robot_element(urdf).tag == "robot"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("hand.urdf", "this is no XML", "is not XML"),
+        ("hand.stl", bytes(range(128, 256)), "is not XML but binary data"),
+        ("world.sdf", '<sdf version="1.6"/>', "is no URDF but an SDF file"),
+        ("hand.xml", '<mujoco model="hand"/>', "is no URDF but a MuJoCo file"),
+        ("hand.urdf", "<html/>", "whose root is <html>"),
+    ],
+)
+def test_what_is_no_urdf_is_told_for_what_it_is(tmp_path, name, content, sentence):
+    assert sentence in refused(tmp_path / name, content)
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(AssetError, match=r"No URDF can be read at '.*hand.urdf': it does not exist; name"):
+        read_robot_element(tmp_path / "hand.urdf")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "hand.urdf")
+    os.mkfifo(tmp_path / "hand.toml")
+    for read, name in ((read_robot_element, "hand.urdf"), (read_gripper_file, "hand.toml")):
+        with pytest.raises(AssetError, match=f"{name}': it is no ordinary file; name"):
+            read(tmp_path / name)

@@ -1,0 +1,158 @@
+"""Mesh files as objects: accepted, repaired, or refused in one sentence."""
+
+import logging
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from qdgrasp_assets.object_model import read_draft, read_object, read_solid
+from qdgrasp_protocol.errors import AssetError
+
+BLOCK = (0.02, 0.03, 0.05)
+
+
+def write(path: Path, mesh: trimesh.Trimesh | trimesh.Scene) -> Path:
+    mesh.export(path)
+    return path
+
+
+def block(*shift: float) -> trimesh.Trimesh:
+    return trimesh.creation.box(BLOCK).apply_translation(shift or (0, 0, 0))
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".off", ".glb", ".STL"])
+def test_a_solid_is_read_from_any_format(tmp_path, suffix):
+    mesh = read_solid(write(tmp_path / f"block{suffix}", block(0.1, 0, 0)))
+    assert mesh.volume == pytest.approx(np.prod(BLOCK), rel=1e-5)
+    assert mesh.extents == pytest.approx(BLOCK, rel=1e-5)
+    assert mesh.centre_of_mass == pytest.approx([0.1, 0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["my part.stl", "Müller-Gehäuse №1.stl", "部品.stl"])
+def test_a_file_may_have_any_name(tmp_path, name):
+    assert read_solid(write(tmp_path / name, block())).volume > 0
+
+
+def test_a_solid_that_nothing_is_wrong_with_stays_as_it_came(tmp_path):
+    """To the last bit and in its order: scenes of scans were recorded so."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    path = write(tmp_path / "ball.ply", ball)
+    as_came, draft = trimesh.load_mesh(path), read_draft(path)
+    assert draft.repairs == ()
+    assert np.array_equal(draft.mesh.vertices, as_came.vertices)
+    assert np.array_equal(draft.mesh.faces, as_came.faces)
+
+
+def test_a_scale_is_metres_to_a_unit(tmp_path):
+    path = write(tmp_path / "block.stl", block(0.1, 0, 0).apply_scale(1000))
+    mesh = read_solid(path, 0.001)
+    assert mesh.extents == pytest.approx(BLOCK)
+    assert mesh.centre_of_mass == pytest.approx([0.1, 0, 0])
+
+
+def test_several_bodies_are_one_object(tmp_path):
+    mesh = read_solid(write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)])))
+    assert mesh.volume == pytest.approx(2 * np.prod(BLOCK), rel=1e-4)
+
+
+def test_a_run_of_bodies_that_are_apart_says_so(tmp_path, caplog):
+    path = write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)]))
+    with caplog.at_level(logging.WARNING), pytest.raises(AssetError, match="has no mass"):
+        read_object(path, None)
+    assert "with about 0.08 m of air between them are moved as one rigid object" in caplog.text
+
+
+def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path):
+    scene = trimesh.Scene()
+    for x in (0.0, 0.1):
+        scene.add_geometry(block(), transform=trimesh.transformations.translation_matrix((x, 0, 0)))
+    draft = read_draft(write(tmp_path / "pair.glb", scene))
+    assert draft.geometries == 2
+    assert draft.mesh.extents == pytest.approx((0.12, 0.03, 0.05))
+
+
+def test_a_mesh_that_is_inside_out_is_turned_with_a_warning(tmp_path, caplog):
+    inverted = block()
+    inverted.invert()
+    with caplog.at_level(logging.WARNING):
+        mesh = read_solid(write(tmp_path / "block.stl", inverted))
+    assert mesh.volume > 0
+    assert "was repaired: its triangles turned: it was inside out" in caplog.text
+
+
+def test_the_seam_of_a_texture_is_closed(tmp_path):
+    corners = block().vertices[block().faces].reshape(-1, 3)
+    places = np.random.default_rng(0).random((len(corners), 2))
+    textured = trimesh.Trimesh(
+        corners,
+        np.arange(len(corners)).reshape(-1, 3),
+        process=False,
+        visual=trimesh.visual.TextureVisuals(uv=places),
+    )
+    draft = read_draft(write(tmp_path / "textured.glb", textured))
+    assert draft.faults == ()
+    assert draft.repairs == ("28 vertices merged with others",)
+
+
+def open_block() -> trimesh.Trimesh:
+    return trimesh.Trimesh(block().vertices, block().faces[1:], process=False)
+
+
+def sheet() -> trimesh.Trimesh:
+    corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)]
+    return trimesh.Trimesh(corners, [(0, 1, 2), (2, 1, 0)], process=False)
+
+
+def klein_bottle() -> trimesh.Trimesh:
+    """A torus of triangles whose last ring is joined to its first one turned round."""
+    n = 12
+    ring = np.arange(n)
+    rows = [i * n + ring for i in range(n)] + [(-ring) % n]
+    faces = []
+    for here, there in pairwise(rows):
+        for a in range(n):
+            b = (a + 1) % n
+            faces += [(here[a], here[b], there[b]), (here[a], there[b], there[a])]
+    around, along = np.meshgrid(np.arange(n), np.arange(n))
+    angle, turn = 2 * np.pi * around.ravel() / n, 2 * np.pi * along.ravel() / n
+    radius = 0.05 + 0.02 * np.cos(angle)
+    corners = np.stack([radius * np.cos(turn), radius * np.sin(turn), 0.02 * np.sin(angle)], axis=1)
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "sentence"),
+    [
+        (block().apply_scale(1000), r"is 20 x 30 x 50 m large, larger than .* millimetres: add --units mm"),
+        (block().apply_scale(0.001), r"is 2e-05 x 3e-05 x 5e-05 m large, smaller than .* with --scale"),
+        (
+            open_block(),
+            r"is not closed \(watertight\): 3 edges have only one triangle, around 1 hole 0\.0500 m wide at "
+            r"\(-0\.0100, 0\.0000, 0\.0000\); close it .* --fill-holes",
+        ),
+        (sheet(), "is flat: it encloses no volume; give it a thickness"),
+        (klein_bottle(), "wound both ways along .* cannot all face outward"),
+    ],
+)
+def test_a_mesh_that_is_no_solid_is_refused(tmp_path, mesh, sentence):
+    with pytest.raises(AssetError, match=sentence) as refused:
+        read_solid(write(tmp_path / "part.ply", mesh))
+    assert "\n" not in str(refused.value)
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path):
+    with pytest.raises(
+        AssetError, match=r"cannot be used: it is 20 x .* add --units mm; and it is not closed"
+    ):
+        read_solid(write(tmp_path / "part.ply", open_block().apply_scale(1000)))
+
+
+def test_a_mesh_of_millions_of_triangles_is_refused_before_anything_is_done_with_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("qdgrasp_assets.geometry.mesh_repair.MOST_TRIANGLES", 1000)
+    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
+    path = write(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=4, radius=0.03))
+    with pytest.raises(AssetError, match=r"has 5120 triangles, and at most 1000 are taken: simplify it"):
+        read_solid(path)

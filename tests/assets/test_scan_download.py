@@ -1,0 +1,357 @@
+import hashlib
+import io
+import re
+import tarfile
+
+import numpy as np
+import pytest
+import trimesh
+from tests.assets.file_server import claims, cut, served
+
+from qdgrasp_assets import asset_paths, scan_download, ycb
+from qdgrasp_assets import scan_download as archives
+from qdgrasp_assets.asset_check import check
+from qdgrasp_assets.geometry import collision_parts
+from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.object_model import read_solid
+from qdgrasp_assets.scan_download import ATTEMPTS
+from qdgrasp_assets.ycb import (
+    SCANS,
+    ArchivePin,
+    correct_mesh,
+    drop_folded,
+    fetched_mesh,
+    read_pin,
+    scan_differences,
+    write_pin,
+)
+from qdgrasp_protocol.errors import AssetError, UnknownName
+
+NAME = "ycb_rubiks_cube"
+ARCHIVE = SCANS[NAME].archive
+MEMBER = SCANS[NAME].member
+
+
+def bar() -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((0.06, 0.04, 0.02)).subdivide()
+    return mesh.apply_translation((0.01, -0.02, 0.03))
+
+
+def ply(mesh: trimesh.Trimesh) -> bytes:
+    return mesh.export(file_type="ply")
+
+
+def tgz(content: bytes, member: str = MEMBER, *others: tarfile.TarInfo) -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as tar:
+        for entry in others:
+            tar.addfile(entry, io.BytesIO(b"x" * entry.size))
+        entry = tarfile.TarInfo(member)
+        entry.size = len(content)
+        tar.addfile(entry, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def of(mesh: trimesh.Trimesh) -> dict:
+    """Entry of the catalog for a mesh."""
+    return {
+        "extents": tuple(mesh.extents),
+        "low": tuple(mesh.bounds[0]),
+        "volume": Mesh(mesh.vertices, mesh.faces).volume,
+        "faces": len(mesh.faces),
+    }
+
+
+@pytest.fixture
+def site(monkeypatch, tmp_path):
+    """The home of a scan that is a bar, and a user who has nothing yet."""
+    monkeypatch.setenv("no_proxy", "*")
+    monkeypatch.setenv("QDGRASP_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("QDGRASP_ASSET_PATH", raising=False)
+    monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(bar())))
+    with served() as running:
+        running.content = tgz(ply(bar()))
+        yield running
+
+
+def bring(site, name: str = NAME) -> scan_download.FetchedScan:
+    return scan_download.fetch_scan(name, site.address, lambda _here, _total: None)
+
+
+def is_clean() -> bool:
+    """True if a refused scan left nothing in the data folder or in the lock."""
+    return (
+        ycb.scan_source(NAME) == "absent"
+        and read_pin(ARCHIVE) == ArchivePin()
+        and not list(archived().glob("*.tgz"))
+    )
+
+
+def archived():
+    return asset_paths.data_folder() / "downloads"
+
+
+def test_a_scan_without_a_known_hash_is_accepted_on_its_geometry_and_the_user_is_told(site):
+    done = bring(site)
+    found = hashlib.sha256(site.content).hexdigest()
+    assert site.asked == [(f"/{ARCHIVE}", None)]
+    assert fetched_mesh(NAME).read_bytes() == ply(bar())
+    mesh_found = hashlib.sha256(ply(bar())).hexdigest()
+    assert read_pin(ARCHIVE) == ArchivePin(size=len(site.content), sha256=found, mesh_sha256=mesh_found)
+    assert "no hash of its archive was known" in done.sentence
+    assert found in done.sentence
+    assert str(ycb.users_lock()) in done.sentence
+    assert "CC BY 4.0" in fetched_mesh(NAME).with_name("ATTRIBUTION.txt").read_text()
+    assert list(archived().iterdir()) == []
+
+
+def test_a_scan_with_a_known_hash_is_said_to_be_the_known_one(site):
+    bring(site)
+    before = ycb.users_lock().read_bytes()
+    assert "is the one that is known" in bring(site).sentence
+    assert ycb.users_lock().read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "known",
+    [ArchivePin(sha256="0" * 64), ArchivePin(size=7), ArchivePin(mesh_sha256="0" * 64)],
+)
+def test_an_archive_that_is_not_the_known_one_is_refused(site, known):
+    write_pin(ARCHIVE, known)
+    with pytest.raises(
+        AssetError, match=r"thrown away: it is not the archive that is known: expected .*, got "
+    ):
+        bring(site)
+    assert ycb.scan_source(NAME) == "absent"
+    assert read_pin(ARCHIVE) == known
+
+
+def test_what_the_package_knows_counts_before_what_a_user_has(site, monkeypatch, tmp_path):
+    write_pin(ARCHIVE, ArchivePin(sha256=hashlib.sha256(site.content).hexdigest()))
+    monkeypatch.setattr(ycb, "BUILT_IN_LOCK", tmp_path / "ours.toml")
+    ycb.BUILT_IN_LOCK.write_text(f'["{ARCHIVE}"]\nsha256 = "{"1" * 64}"\n')
+    with pytest.raises(AssetError, match="expected sha256 1111"):
+        bring(site)
+
+
+def test_the_packages_lock_is_readable_and_invents_no_hash():
+    assert ycb._read_lock(ycb.BUILT_IN_LOCK) == {}
+
+
+def test_a_tampered_archive_leaves_the_scan_that_was_there(site):
+    bring(site)
+    site.content = tgz(ply(bar()) + b"\n")
+    with pytest.raises(AssetError, match="is not the archive that is known"):
+        bring(site)
+    assert fetched_mesh(NAME).read_bytes() == ply(bar())
+
+
+def other(change) -> trimesh.Trimesh:
+    mesh = bar()
+    change(mesh)
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [
+        (bar().apply_scale((1.01, 1, 1)), "m large instead of 0.0600 x 0.0400 x 0.0200 m"),
+        (bar().subdivide(), "192 triangles instead of 48"),
+        (trimesh.creation.icosphere(subdivisions=1, radius=0.03), "it encloses"),
+        (
+            other(lambda mesh: mesh.update_faces(np.arange(len(mesh.faces)) != 3)),
+            "47 triangles instead of 48",
+        ),
+    ],
+)
+def test_a_wrong_geometry_is_refused(site, mesh, words):
+    site.content = tgz(ply(mesh))
+    with pytest.raises(AssetError, match=f"thrown away: it is not that scan: .*{words}"):
+        bring(site)
+    assert is_clean()
+
+
+def test_what_measures_right_but_is_open_is_refused(site, monkeypatch):
+    holed = other(lambda mesh: mesh.update_faces(np.arange(len(mesh.faces)) != 3))
+    monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(holed)))
+    site.content = tgz(ply(holed))
+    with pytest.raises(AssetError, match=r"not closed \(watertight\): 3 edges have only one"):
+        bring(site)
+    assert is_clean()
+
+
+@pytest.mark.parametrize("bytes_there", [0, 100, -100])
+def test_a_truncated_archive_is_refused(site, bytes_there):
+    site.content = site.content[:bytes_there]
+    with pytest.raises(AssetError, match=r"is not a whole tar archive|There is no"):
+        bring(site)
+    assert is_clean()
+
+
+def test_an_interrupted_fetch_is_resumed_by_the_next_one(site):
+    site.behaviours = [cut(300), *[cut(0)] * ATTEMPTS]
+    with pytest.raises(AssetError, match="300 bytes are kept"):
+        bring(site)
+    assert is_clean()
+    bring(site)
+    assert site.ranges[-1] == "bytes=300-"
+    assert ycb.scan_source(NAME) == "fetched"
+
+
+def test_a_part_that_was_tampered_with_is_refused_and_thrown_away(site):
+    archived().mkdir(parents=True)
+    part = archived() / (ARCHIVE.rsplit("/", 1)[1] + ".part")
+    part.write_bytes(b"\0" * 200)
+    with pytest.raises(AssetError, match="is not a whole tar archive"):
+        bring(site)
+    assert is_clean()
+    assert "no hash of its archive was known" in bring(site).sentence
+
+
+def test_names_in_an_archive_are_never_paths(site, tmp_path):
+    others = [
+        tarfile.TarInfo("../../evil"),
+        tarfile.TarInfo(str(tmp_path / "evil")),
+        tarfile.TarInfo("other/mesh.ply"),
+    ]
+    for entry in others:
+        entry.size = 10
+    site.content = tgz(ply(bar()), MEMBER, *others)
+    bring(site)
+    written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert written == {"mesh.ply", "ATTRIBUTION.txt", "lock.toml"}
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.DIRTYPE, tarfile.FIFOTYPE])
+def test_a_mesh_that_is_no_file_is_refused(site, kind):
+    link = tarfile.TarInfo(MEMBER)
+    link.type, link.linkname = kind, "/etc/passwd"
+    site.content = tgz(ply(bar()), MEMBER, link)
+    with pytest.raises(AssetError, match="is not a file"):
+        bring(site)
+    assert is_clean()
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(site, monkeypatch):
+    monkeypatch.setattr(archives, "LARGEST_WHOLE", 100_000)
+    bomb = tarfile.TarInfo("bomb")
+    bomb.size = 200_000
+    site.content = tgz(ply(bar()), MEMBER, bomb)
+    with pytest.raises(AssetError, match="unpacks to more than 100000 bytes"):
+        bring(site)
+    monkeypatch.setattr(archives, "LARGEST_MEMBER", 100)
+    site.content = tgz(ply(bar()))
+    with pytest.raises(AssetError, match="too many for a scan"):
+        bring(site)
+    site.behaviours = [claims(1 << 40)]
+    with pytest.raises(AssetError, match="more than the"):
+        bring(site)
+    assert is_clean()
+
+
+def test_an_archive_without_the_mesh_is_refused(site):
+    site.content = tgz(ply(bar()), "077_rubiks_cube/google_64k/nontextured.ply")
+    with pytest.raises(AssetError, match=rf"There is no '{re.escape(MEMBER)}' in"):
+        bring(site)
+
+
+def test_a_scan_that_does_not_exist_is_an_unknown_name(site):
+    with pytest.raises(UnknownName, match=r"Unknown scan 'ycb_teapot'"):
+        bring(site, "ycb_teapot")
+
+
+def test_a_data_folder_that_cannot_be_written_is_named(site, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("QDGRASP_DATA", str(tmp_path / "file"))
+    with pytest.raises(AssetError, match=r"cannot be kept in .*QDGRASP_DATA"):
+        bring(site)
+
+
+def test_a_broken_lock_file_is_named(site):
+    ycb.users_lock().parent.mkdir(parents=True)
+    ycb.users_lock().write_text("[archive]\nsha265 = 1\n")
+    with pytest.raises(AssetError, match=r"lock file '.*lock.toml' cannot be read: .*sha265"):
+        bring(site)
+
+
+def spoilt(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The same surface in millimetres, inside out, elsewhere, corners not shared, and a fold."""
+    corners = mesh.vertices[mesh.faces[:, ::-1]].reshape(-1, 3) * 1000 + 25
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    fold = np.array([faces[0], faces[0][::-1], [0, 0, 1]])
+    return trimesh.Trimesh(corners, np.concatenate([faces, fold]), process=False)
+
+
+def test_units_frame_winding_and_folds_are_put_right(site):
+    site.content = tgz(ply(spoilt(bar())))
+    bring(site)
+    mesh, expected = ycb.read_scan(NAME, "paper").mesh, bar()
+    assert np.array(mesh.bounds) == pytest.approx(expected.bounds, abs=1e-8)
+    assert mesh.volume == pytest.approx(expected.volume)
+    assert (len(mesh.vertices), len(mesh.faces)) == (len(expected.vertices), len(expected.faces))
+
+
+def test_pairs_of_triangles_vanish_and_one_of_three_stays():
+    faces = np.array([[0, 1, 2], [2, 1, 0], [0, 1, 3], [1, 2, 3], [1, 2, 3], [2, 1, 3], [3, 3, 0]])
+    kept = drop_folded(Mesh(np.eye(4, 3), faces)).faces
+    assert kept.tolist() == [[0, 1, 3], [1, 2, 3]]
+
+
+def test_a_fetched_scan_has_the_constants_of_the_set_and_parts_of_its_own(site):
+    bring(site)
+    target = ycb.read_scan(NAME, "paper")
+    assert (target.source, target.collision_source, target.licence) == ("fetched", "own hull", ycb.LICENCE)
+    assert target.mass == 0.094
+    assert target.com_in_mesh == pytest.approx((-0.016184, -0.000449, 0.028548))
+
+
+def test_a_fetched_scan_that_is_not_convex_is_decomposed(site, monkeypatch):
+    ring = trimesh.creation.annulus(0.01, 0.02, 0.02)
+    monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(ring)))
+    site.content = tgz(ply(ring))
+    bring(site)
+    assert collision_parts.available_parts(ycb.read_fetched(NAME)) is None
+    assert any("not found yet" in fact for fact in check(NAME).facts)
+    target = ycb.read_scan(NAME, "paper")
+    assert target.collision_source == "coacd"
+    assert len(target.parts) > 3
+    assert any(f"{len(target.parts)} convex parts" in fact for fact in check(NAME).facts)
+
+
+def test_released_refuses_a_fetched_scan_with_one_sentence(site):
+    bring(site)
+    with pytest.raises(
+        AssetError, match=r"'released' needs the collision hulls .*'ycb_rubiks_cube' does not have"
+    ):
+        ycb.read_scan(NAME, "released")
+
+
+def test_the_reference_data_comes_before_a_fetched_scan(site, reference_data, monkeypatch):
+    bring(site)
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
+    assert ycb.read_scan(NAME, "released").source == "asset path"
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_the_catalog_keeps_what_the_scans_measure(reference_data, monkeypatch, name):
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
+    mesh = ycb.read_scan(name, "paper").mesh
+    assert correct_mesh(mesh, SCANS[name]) is not None
+    assert scan_differences(correct_mesh(mesh, SCANS[name]), SCANS[name]) == ()
+    assert scan_differences(mesh, SCANS[name]) == ()
+    assert check(name).faults == ()
+
+
+def test_a_real_scan_comes_out_of_its_archive_as_it_is_in_the_reference_data(
+    site, reference_data, monkeypatch
+):
+    name = "ycb_chips_can"
+    scan = SCANS[name]
+    reference = read_solid(reference_data / "objects/chips_can/mesh.obj")
+    raw = trimesh.Trimesh(reference.vertices, reference.faces[:, ::-1], process=False)
+    site.content = tgz(ply(raw), scan.member)
+    bring(site, name)
+    mesh = ycb.read_fetched(name)
+    assert mesh.bounds[0] == pytest.approx(reference.bounds[0], abs=1e-7)
+    assert mesh.volume == pytest.approx(reference.volume, rel=1e-5)

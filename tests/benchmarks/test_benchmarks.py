@@ -1,0 +1,263 @@
+"""What the benchmarks measure with; their figures are not tested."""
+
+import json
+
+import numpy as np
+import pytest
+from benchmarks import ablation, figure, limits, single_run
+from benchmarks.coordination import METHODS, Coordinator
+from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, Profile
+from benchmarks.measure import Figure, Ledger, Meter, Subject, in_turns, number, spread
+from benchmarks.scale.rig import (
+    JOB,
+    SHAPE,
+    VARIETY,
+    Answers,
+    Crowd,
+    ScaleFigure,
+    Several,
+    Watch,
+    assignment,
+    coordinate,
+    crowds,
+    resident,
+    router,
+    rows,
+)
+from benchmarks.scale.slow_clients import Timed, compared, monitors, take_turns
+from benchmarks.scale.throughput import BATCH, Prepared, Watched, spec
+from tests.common import own_endpoint
+from tests.coordinator.recorded_runs import random_rows
+from tests.coordinator.search.synthetic_scene import plain
+
+from qdgrasp_assets.catalog import gripper_names, object_names
+from qdgrasp_coordinator.local.node_benchmark import PlatformSink
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
+from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, successes
+from qdgrasp_coordinator.scheduler.batch_queue import read_result
+from qdgrasp_coordinator.search.registry import METHODS as KNOWN
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.messages import Result
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_worker.platform import probe_scene, probes
+
+VALUES = {"gripper": "panda", "evaluations": 60, "overlaps": "redraw", "protocol": "paper"}
+
+
+def measured(path, names):
+    return ablation.measure(["tennis_ball"], [0], names, False, ablation.Finished(path), **VALUES)
+
+
+@pytest.mark.parametrize("name", ablation.VARIANTS)
+def test_a_search_without_a_part_still_finds_grasps(name, tmp_path):
+    (run,) = measured(tmp_path / "runs", [name])
+    assert run["evaluations"] == [60]
+    assert run["successes"] > 0
+
+
+def test_what_is_in_is_not_carried_out_again(tmp_path, monkeypatch):
+    once = measured(tmp_path / "runs", ["aimed"])
+    monkeypatch.setattr(single_run, "run", None)
+    assert json.dumps(measured(tmp_path / "runs", ["aimed"])) == json.dumps(once)  # NaN equals itself in text
+    with pytest.raises(TypeError):
+        measured(tmp_path / "runs", ["aimed", "no gate"])
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    found = Profile()
+    with Evaluator(probe_scene()) as evaluator, found.watching(len(probes())):
+        evaluator.evaluate("approach", probes(), np.zeros(len(probes()), np.uint16))
+    return found
+
+
+def test_the_stages_of_an_evaluation_add_up_to_it(profile: Profile) -> None:
+    stages = profile.stages(1000.0)
+    assert sum(stages.values()) == pytest.approx(1000.0)
+    assert {name.removesuffix(STEPS) for name in stages} <= set(ORDER)
+    assert {"decode", "overlap filter", "place, overlap", "closing", "shake z", REST} <= set(stages)
+
+
+def test_the_steps_of_a_stage_are_told_from_the_rest_of_it(profile: Profile) -> None:
+    stages = profile.stages(1.0)
+    assert stages[f"closing{STEPS}"] + stages[f"shake z{STEPS}"] <= profile.step_share < 1.0
+    assert 0 < profile.steps_each < 509
+
+
+def test_nothing_is_watched_afterwards(profile: Profile) -> None:
+    assert not any(hasattr(getattr(owner, name), "__wrapped__") for owner, name, _ in STAGES)
+
+
+def test_of_what_is_within_something_else_the_inner_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 1.0, 4.0, 4.5, 7.0, 7.5])
+    monkeypatch.setattr("benchmarks.measure.time.process_time", lambda: next(clock))
+    ledger = Ledger()
+    with ledger.within("outer"):
+        with ledger.within("inner"):
+            assert ledger.inmost == "inner"
+        with ledger.within("inner"):
+            pass
+    assert ledger.seconds == {"outer": 1.0 + 0.5 + 0.5, "inner": 3.0 + 2.5}
+    assert ledger.total == 7.5
+
+
+class Steady:
+    """Takes the same time for so many things."""
+
+    remark = ""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.stages = {"all": 1.0}
+
+    def __call__(self, meter: Meter) -> float:
+        meter.seconds += 0.25
+        return self.count
+
+
+def test_what_is_compared_has_its_turns_and_its_ratios_are_those_of_each_round() -> None:
+    first, second = in_turns([Subject("one", Steady(10)), Subject("two", Steady(30))], 5.0, rounds=5)
+    assert first.rates == (40.0,) * 5
+    assert second.ratios(first) == (3.0,) * 5
+    assert (second.count, second.seconds) == (600, 5.0)
+    assert second.ratios(Figure("once", 30, 2.0)) == (8.0,)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [((1234567.0,), "1,230,000"), ((0.01234, 0.01234), "0.0123 [0.0123, 0.0123]"), ((99.96,), "100")],
+)
+def test_numbers_are_given_to_three_figures(values: tuple[float, ...], words: str) -> None:
+    assert spread(values) == words
+    assert number(values[0]) == words.split()[0]
+
+
+def test_every_pair_is_measured_once_and_the_built_in_ones_are_there() -> None:
+    pairs = [pair[:2] for pair in BUILT_IN + REFERENCE]
+    assert len(set(pairs)) == len(pairs)
+    assert {pair.hand for pair in BUILT_IN} <= set(gripper_names())
+    assert {pair.object for pair in BUILT_IN} <= set(object_names())
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_coordinator_alone_gets_on_with_every_method_that_is_measured(name: str) -> None:
+    assert name in KNOWN
+    coordinator, meter = Coordinator(name), Meter()
+    assert sum(coordinator(meter) for _ in range(3)) > 0
+    assert set(coordinator.stages) == {"ask", "tell", "pipeline", "dispatch", "messages"}
+
+
+def test_the_figure_has_a_bar_for_each_regime_of_each_pair(tmp_path) -> None:
+    stages = {"decode": 10.0, f"closing{STEPS}": 60.0, "closing": 5.0, "rest": 25.0}
+    figures = [
+        Figure(f"{pair}, {regime}", 1, 1e-4, stages=stages)
+        for pair in ("panda on mug", "shadow on mug")
+        for regime in ("anywhere", "near grasps")
+    ]
+    sheet = figure.draw(figures)
+    assert len(sheet.figure.axes) == 2
+    for axes in sheet.figure.axes:
+        widths = [bar.get_width() for bar in axes.patches]
+        assert sum(widths) == pytest.approx(2.0)
+        assert {text.get_text() for text in axes.texts} >= {"100 µs"}
+    assert [path.suffix for path in sheet.write(tmp_path / figure.NAME)] == [".png", ".svg"]
+
+
+def test_every_counted_evaluation_has_one_fate() -> None:
+    rows = random_rows(200, seed=3)
+    known = np.unique(cells(rows["descriptor"][:, :3]), axis=0)[::2]
+    reference = ReferenceSet("block", known, np.full(len(known), 2, np.uint8))
+    told = list(limits.shares(rows, reference, evaluation_mask(rows, "count")))
+    assert [share.until for share in told] == [40, 80, 120, 160, 200]
+    for share in told:
+        fates = (share.unseated, share.lost, share.known, share.elsewhere, share.new)
+        assert sum(fates) == pytest.approx(100)
+    found = {tuple(cell) for cell in cells(successes(rows)["descriptor"][:, :3]).tolist()}
+    left = [cell for cell in known.tolist() if tuple(cell) not in found]
+    assert limits.rest(rows, reference).cells == pytest.approx(100 * len(left) / len(known))
+    assert sum(share.new for share in told) * 40 / 100 == pytest.approx(len(known) - len(left))
+
+
+WID = "0" * 32
+
+
+def test_a_prepared_result_answers_the_batch_that_it_is_filled_in_for() -> None:
+    answers = Answers(3, WID, epoch=2, run="run", n=5, seconds=0.5)
+    results = [
+        messages.decode(answers.to(number, bytes([number]) * 16, number + 1), Result)
+        for number in range(VARIETY)
+    ]
+    assert [(each.generation, each.batch[0], each.attempt) for each in results] == [
+        (number, number, number + 1) for number in range(VARIETY)
+    ]
+    assert all((each.epoch, each.wid, each.n, each.failures) == (2, WID, 5, []) for each in results)
+    read = [read_result(each, SHAPE)[1] for each in results]
+    assert len({found["descriptor"].tobytes() for found in read}) == VARIETY
+
+
+def test_prepared_rows_are_of_every_kind_that_random_poses_are_of() -> None:
+    found = rows(1000, np.random.default_rng(0))
+    assert set(np.unique(found["outcome"])) == {Outcome.OVERLAP, Outcome.MISSED, Outcome.HELD}
+    np.testing.assert_array_equal(found["fitness"] == 2, found["outcome"] == Outcome.HELD)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
+def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None:
+    runs = [assignment("run", spec("contact_rand", 4 * BATCH), Prepared(4 * BATCH), 2)]
+    with router() as (endpoint, pid), crowds([Crowd(endpoint, JOB, 2, seconds=seconds)]) as crew:
+        watch = Watch(crew, runs, 0.0, 1.0)
+        memory: list[int] = []
+        watch.at_join = lambda: memory.append(resident(pid))
+        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
+    found = watch.window
+    assert found.batches > 0
+    assert found.rows <= runs[0].pipeline.tally.rows
+    assert found.cpu_seconds > 0
+    assert memory[0] > 0
+
+
+def test_a_coordinator_is_compared_with_itself_beside_monitors() -> None:
+    endpoint = own_endpoint()
+    with monitors(endpoint, 2, stopped=1) as company:
+        (pair,) = take_turns(lambda: Timed.router(endpoint), endpoint, company, 1, 1.5)
+    assert pair.alone.per_batch > 0
+    assert pair.beside.shown > 0
+    figures = list(compared([pair], "them"))
+    assert figures[0].value == pair.beside.per_batch / pair.alone.per_batch
+
+
+def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:
+    asked = spec("contact_me_scs", 500)
+    search = Watched(method(asked.method).build(asked, plain(SHAPE.genes)))
+    for generation in range(3):
+        told = rows(500, np.random.default_rng(generation))
+        told["genome"] = search.ask(generation)
+        search.tell(generation, told)
+    assert search.rows == 3 * 500
+    assert 0 < search.ribs.seconds < search.whole.seconds
+
+
+def test_a_run_that_is_put_back_is_the_next_one() -> None:
+    asked = spec("contact_rand", 20)
+    built = [assignment(name, asked, method(asked.method).build(asked, plain(SHAPE.genes))) for name in "ab"]
+    programme = Several(built)
+    assert programme.next() is built[0]
+    programme.put_back("a")
+    assert [programme.next() for _ in range(3)] == [*built, None]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "is_met"),
+    [
+        ({}, None),
+        ({"least": 1.0}, True),
+        ({"least": 3.0}, False),
+        ({"most": 3.0}, True),
+        ({"most": 1.0}, False),
+    ],
+)
+def test_a_figure_is_met_within_what_is_wanted(bounds: dict[str, float], is_met: bool | None) -> None:
+    assert ScaleFigure("a", 2.0, "s", **bounds).is_met is is_met

@@ -1,0 +1,96 @@
+"""A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes.
+
+Where CHAOS_DEEDS names a folder it also fails in every way, once in each and never twice on the same row.
+The way is decided by the genome, and noted in that folder.
+"""
+
+import hashlib
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation, Evaluator
+from qdgrasp_worker.runtime.simulator_main import load_scene, main
+
+PACE = "CHAOS_PACE"
+DEEDS = "CHAOS_DEEDS"
+ONE_IN = 4
+"""One row in so many may fail."""
+
+
+def hang() -> None:
+    """Never come back; what ends it is the limit on the time of a row."""
+    while True:
+        pass
+
+
+def take_all_memory() -> None:
+    """Ask for memory until there is none; what ends it is the limit on memory."""
+    held = []
+    while True:
+        held.append(bytearray(b"x" * 50_000_000))
+
+
+def be_killed() -> None:
+    """End as a process does that the kernel picks when memory is short."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+WAYS: dict[str, Callable[[], None]] = {
+    "abort": os.abort,
+    "hang": hang,
+    "take-all-memory": take_all_memory,
+    "be-killed": be_killed,
+}
+
+
+class Slow:
+    """An evaluator whose results come later."""
+
+    at_once = ROWS_AT_ONCE
+
+    def __init__(self, evaluator: Evaluator, pace: float) -> None:
+        self._evaluator = evaluator
+        self._pace = pace
+
+    def shape(self, prior: str) -> RowShape:
+        return self._evaluator.shape(prior)
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        time.sleep(self._pace * len(genomes))
+        return self._evaluator.evaluate(prior, genomes, trials)
+
+    def close(self) -> None:
+        self._evaluator.close()
+
+
+class Failing(Slow):
+    """An evaluator that fails where a genome wants it and has not had it yet."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        for genome in genomes:
+            fail_once(genome.tobytes())
+        return super().evaluate(prior, genomes, trials)
+
+
+def fail_once(genome: bytes) -> None:
+    """Fail as a genome wants it, unless somebody has failed that way before."""
+    mark = hashlib.sha256(genome).digest()
+    if mark[0] % ONE_IN:
+        return
+    name = list(WAYS)[mark[1] % len(WAYS)]
+    try:
+        (Path(os.environ[DEEDS]) / name).touch(exist_ok=False)
+    except FileExistsError:
+        return
+    WAYS[name]()
+
+
+if __name__ == "__main__":
+    kind = Failing if DEEDS in os.environ else Slow
+    main(load=lambda bundle: kind(load_scene(bundle), float(os.environ[PACE])))

@@ -1,0 +1,289 @@
+"""Check the conventions of the source tree: names, sizes, first lines, terms (CONTRIBUTING.md).
+
+`python -m tests.conventions` prints each violation as `file:line: sentence` and ends with 1 if there is one;
+`python -m tests.conventions --counts` prints the size of every room instead.
+"""
+
+import argparse
+import ast
+import re
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("protocol", "assets", "worker", "coordinator")
+
+MOST_MODULES = 230
+MOST_LINES = 43_500
+MOST_TEST_FILES = 260
+MOST_TEST_LINES = 48_000
+MOST_SCRIPTS = 24
+MOST_IN_FOLDER = 16
+MOST_IN_MODULE = 500
+MOST_IN_FIRST_LINE = 90
+LEAST_OF_ONE_NEIGHBOUR = 100
+"""Lines: a shorter module whose only importer stands in the same folder belongs into that importer."""
+
+QUESTION_WORDS = ("what", "which", "who", "whose", "whoever", "whom", "how", "where", "whether", "why")
+RIDDLES = (r"\bis none\b", r"\bare none\b", r"\bnobody\b", r"\bsomebody\b", r"\bwhoever\b", r"^hear\b")
+ALLEGORY = frozenset((
+    "agenda", "appointment", "belt", "board", "books", "chronicle", "crew", "desk", "docket", "doors",
+    "errand", "errands", "exhibit", "exhibits", "eye", "film", "gate", "holding", "lane", "lanes",
+    "ledger", "legend", "librarian", "lot", "lots", "mate", "moment", "opener", "orders", "reception",
+    "register", "roster", "rota", "scenery", "scribe", "skin", "slot", "spare", "stage", "stretch",
+    "swath", "tally", "ticket", "told", "turn", "upshot", "vitals", "witness", "workshop"
+))  # fmt: skip
+"""Words of a place of work that must be imagined; not to be in the name of a module or a class."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One departure from the conventions.
+
+    Attributes
+    ----------
+    path
+        The file, from the root of the repository.
+    line
+        The line in it; 1 for the file as a whole.
+    sentence
+        The rule that is broken, and by how much.
+    """
+
+    path: str
+    line: int
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}: {self.sentence}"
+
+
+class Module:
+    """One Python file of the repository, parsed."""
+
+    def __init__(self, root: Path, path: str) -> None:
+        self.path = path
+        self.text = (root / path).read_text()
+        self.lines = self.text.count("\n")
+        name = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        room, _, rest = name.partition(".")
+        self.name = rest if room in ROOMS else name
+        self.folder = path.rpartition("/")[0]
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The syntax tree."""
+        return ast.parse(self.text)
+
+    @property
+    def is_source(self) -> bool:
+        """Whether it is part of the package, not a test or an example."""
+        return self.path.split("/")[0] in ROOMS
+
+    @property
+    def is_init(self) -> bool:
+        """Whether it stands for its folder."""
+        return self.path.endswith("__init__.py")
+
+    @property
+    def is_main(self) -> bool:
+        """Whether `python -m` starts its folder with it; it may call an entry point of a neighbour."""
+        return self.path.endswith("__main__.py")
+
+    @property
+    def is_started(self) -> bool:
+        """Whether a process starts with it."""
+        return '__name__ == "__main__"' in self.text or self.is_main
+
+    def imported(self) -> Iterator[str]:
+        """Name every module that may be imported here, functions included."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield node.module
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            elif isinstance(node, ast.Import):
+                yield from (alias.name for alias in node.names)
+
+
+class Repository:
+    """The files of the repository that git knows or that are new and not ignored."""
+
+    def __init__(self, root: Path = ROOT) -> None:
+        self.root = root
+        listed = subprocess.run(
+            ["git", "ls-files", "--cached", "--others", "--exclude-standard"],  # noqa: S607
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        self.files = [file for file in sorted(set(listed.splitlines())) if (root / file).is_file()]
+        self.modules = [Module(root, file) for file in self.files if file.endswith(".py")]
+        self.source = [module for module in self.modules if module.is_source]
+        self.tests = [module for module in self.modules if module.path.startswith("tests/")]
+        self.scripts = [
+            file
+            for file in self.files
+            if file.endswith(".js") and file.startswith(ROOMS) and "/vendor/" not in file
+        ]
+
+
+def counts(repository: Repository) -> list[tuple[str, int, int]]:
+    """Return files and lines of every room and of the tests.
+
+    Returns
+    -------
+    list of (name, files, lines)
+    """
+    rows = []
+    for room in ROOMS:
+        modules = [module for module in repository.source if module.path.startswith(f"{room}/")]
+        rows.append((room, len(modules), sum(module.lines for module in modules)))
+    source, tests = repository.source, repository.tests
+    rows.append(("rooms", len(source), sum(module.lines for module in source)))
+    rows.append(("tests", len(tests), sum(module.lines for module in tests)))
+    helpers = [module for module in tests if not Path(module.path).name.startswith("test_")]
+    rows.append(("of them helpers", len(helpers), sum(module.lines for module in helpers)))
+    lines = sum((repository.root / file).read_text().count("\n") for file in repository.scripts)
+    rows.append(("JavaScript", len(repository.scripts), lines))
+    return rows
+
+
+def too_many(repository: Repository) -> Iterator[Violation]:
+    """Find rooms, tests and folders that hold more than they may."""
+    limits = {
+        "rooms": (MOST_MODULES, MOST_LINES),
+        "tests": (MOST_TEST_FILES, MOST_TEST_LINES),
+        "JavaScript": (MOST_SCRIPTS, sys.maxsize),
+    }
+    for name, files, lines in counts(repository):
+        most_files, most_lines = limits.get(name, (sys.maxsize, sys.maxsize))
+        if files > most_files:
+            yield Violation(".", 1, f"{name}: {files} files; at most {most_files}")
+        if lines > most_lines:
+            yield Violation(".", 1, f"{name}: {lines} lines; at most {most_lines}")
+    for folder, number in Counter(module.folder for module in repository.modules).items():
+        if number > MOST_IN_FOLDER:
+            yield Violation(folder, 1, f"{number} modules in one folder; at most {MOST_IN_FOLDER}")
+
+
+def too_long(repository: Repository) -> Iterator[Violation]:
+    """Find modules that are too long, and short ones that one neighbour alone imports."""
+    importers: dict[str, set[str]] = defaultdict(set)
+    source = {module.name: module for module in repository.source}
+    for module in repository.source:
+        for name in module.imported():
+            if name in source and name != module.name:
+                importers[name].add(module.name)
+    for module in repository.source:
+        if module.lines > MOST_IN_MODULE:
+            yield Violation(module.path, 1, f"{module.lines} lines; at most {MOST_IN_MODULE}")
+        if module.is_init or module.lines > LEAST_OF_ONE_NEIGHBOUR or module.is_started:
+            continue
+        if len(importers[module.name]) == 1:
+            (only,) = importers[module.name]
+            if source[only].folder == module.folder and not (source[only].is_init or source[only].is_main):
+                sentence = f"only {only} imports it, and it has {module.lines} lines: it belongs in there"
+                yield Violation(module.path, 1, sentence)
+
+
+def repeated_names(repository: Repository) -> Iterator[Violation]:
+    """Find class names that stand for two classes, and file names that occur twice in a room."""
+    first: dict[str, str] = {}
+    for module in repository.source:
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                if node.name in first:
+                    sentence = f"class {node.name} is also defined in {first[node.name]}"
+                    yield Violation(module.path, node.lineno, sentence)
+                first.setdefault(node.name, module.path)
+    seen: dict[tuple[str, str], str] = {}
+    for module in repository.source:
+        key = module.name.split(".")[0], Path(module.path).name
+        if module.is_init or key[1] == "__main__.py":
+            continue
+        if key in seen:
+            yield Violation(module.path, 1, f"there is {seen[key]} already: one file name once in a room")
+        seen.setdefault(key, module.path)
+
+
+def riddles(repository: Repository) -> Iterator[Violation]:
+    """Find docstrings whose first line does not plainly say what something is or does."""
+    for module in repository.source:
+        for node in ast.walk(module.tree):
+            if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            line = (ast.get_docstring(node) or "").split("\n")[0]
+            at = getattr(node, "lineno", 1)
+            if len(line) > MOST_IN_FIRST_LINE:
+                sentence = f"first line of {len(line)} characters; at most {MOST_IN_FIRST_LINE}"
+                yield Violation(module.path, at, sentence)
+            words = re.findall(r"[a-z']+", line.lower())
+            if words and words[0] in QUESTION_WORDS:
+                yield Violation(module.path, at, f"the first line begins with a question word: {line!r}")
+            if any(re.search(riddle, line.lower()) for riddle in RIDDLES):
+                yield Violation(module.path, at, f"the first line is a riddle: {line!r}")
+
+
+def unknown_terms(repository: Repository) -> Iterator[Violation]:
+    """Find words in names of modules and classes that neither glossary nor the list of plain words has."""
+    glossary = (repository.root / "docs" / "glossary.md").read_text().lower()
+    plain = (repository.root / "tests" / "plain_words.txt").read_text().split()
+    known = set(re.findall(r"[a-z0-9]+", glossary)) | set(plain)
+    for module in repository.source:
+        names = [(1, Path(module.path).stem)] if not module.is_init else [(1, Path(module.folder).name)]
+        names += [
+            (node.lineno, node.name) for node in ast.walk(module.tree) if isinstance(node, ast.ClassDef)
+        ]
+        for line, name in names:
+            for word in _words(name):
+                if word in ALLEGORY:
+                    yield Violation(module.path, line, f"'{word}' in {name} is a metaphor (docs/glossary.md)")
+                elif not _forms(word) & known:
+                    sentence = f"'{word}' in {name} is in neither docs/glossary.md nor tests/plain_words.txt"
+                    yield Violation(module.path, line, sentence)
+
+
+def _words(name: str) -> list[str]:
+    """Split a name in snake or camel case into lower-case words."""
+    return [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
+
+
+def _forms(word: str) -> set[str]:
+    """Return a word as it is and in the singular."""
+    forms = {word, word.removesuffix("s"), word.removesuffix("es")}
+    return forms | {word.removesuffix("ies") + "y"} if word.endswith("ies") else forms
+
+
+CHECKS = (too_many, too_long, repeated_names, riddles, unknown_terms)
+
+
+def violations(repository: Repository) -> Iterable[Violation]:
+    """Apply every check."""
+    for check in CHECKS:
+        yield from check(repository)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print violations, or the counts; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--counts", action="store_true", help="print files and lines of every room")
+    options = parser.parse_args(arguments)
+    repository = Repository()
+    if options.counts:
+        for name, files, lines in counts(repository):
+            sys.stdout.write(f"{name:16} {files:4} files {lines:6} lines\n")
+        return 0
+    found = list(violations(repository))
+    last = f"{len(found)} violations of the conventions" if found else "The conventions are kept."
+    sys.stdout.write("\n".join([*map(str, found), last, ""]))
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

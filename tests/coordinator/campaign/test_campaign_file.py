@@ -1,0 +1,324 @@
+"""Many runs from one file: what is asked for, and how the runs are called."""
+
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from qdgrasp_assets import ycb
+from qdgrasp_coordinator.campaign.campaign_file import (
+    MassRule,
+    campaign_of_meshes,
+    check_meshes,
+    is_campaign,
+    make_campaign,
+    read_campaign,
+    run_name,
+)
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_protocol.errors import (
+    ImpossibleValue,
+    InputError,
+    JawNeeded,
+    UnknownKey,
+    UnknownName,
+    UnusableMeshes,
+)
+from qdgrasp_protocol.keys import NAME
+
+SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
+CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
+
+
+def names(source: dict[str, object]) -> list[str]:
+    return list(make_campaign(source, "c.toml").runs)
+
+
+def named(**values: object) -> str:
+    whole = {"gripper": "panda", "object": "mug", **values}
+    return run_name(full_spec(whole), whole)
+
+
+class TestCrossing:
+    def test_lists_are_crossed_and_the_last_changes_fastest(self) -> None:
+        found = names({"cross": [CROSS]})
+        assert len(found) == 8
+        assert found[:3] == ["panda-mug-contact_rand-s0", "panda-mug-contact_rand-s1", "panda-mug-me_scs-s0"]
+
+    def test_defaults_are_of_every_run_and_crossings_overrule_them(self) -> None:
+        source = {
+            "defaults": {"evaluations": 300, "seed": 5},
+            "cross": [CROSS, CROSS | {"object": "banana", "seed": 7}],
+        }
+        runs = make_campaign(source, "c.toml").runs
+        assert {spec.evaluations for spec in runs.values()} == {300}
+        assert "panda-banana-me_scs-s7" in runs
+
+    def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(
+            """[defaults]
+gripper = "panda"
+successes = 5
+[[cross]]
+object = "mug"
+[[cross]]
+object = "bowl"
+successes = 7
+"""
+        )
+        as_written = read_campaign(file)
+        asked = read_campaign(file, goals={"successes": 9, "no_new_cell": None})
+        assert [spec.successes for spec in as_written.runs.values()] == [5, 7]
+        assert [spec.successes for spec in asked.runs.values()] == [9, 7]
+        assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
+        file.write_text(asked.toml)
+        assert read_campaign(file).runs == asked.runs
+
+    def test_a_run_that_is_asked_for_twice_is_one(self) -> None:
+        assert names({"cross": [CROSS, CROSS]}) == names({"cross": [CROSS]})
+
+    def test_a_run_with_two_budgets_is_refused(self) -> None:
+        with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
+            names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
+
+    def test_without_a_method_a_run_has_the_default_and_one_generation_in_flight(self) -> None:
+        (spec,) = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml").runs.values()
+        assert (spec.method, spec.overlaps, spec.population) == ("aimed", "redraw", 50)
+        assert spec.generations_in_flight == 1
+
+    def test_the_file_may_ask_for_more_generations_in_flight(self) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug", "generations_in_flight": [1, 2]}]}
+        runs = make_campaign(source, "c.toml").runs
+        assert {name: spec.generations_in_flight for name, spec in runs.items()} == {
+            "panda-mug-aimed-s0": 1,
+            "panda-mug-aimed-s0-flight2": 2,
+        }
+
+    def test_the_folders_file_says_what_was_taken_for_granted(self) -> None:
+        found = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
+        assert 'method = "aimed"' in found.toml
+        assert "generations_in_flight = 1" in found.toml
+
+    def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
+        runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
+        assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
+
+
+class TestNames:
+    def test_a_name_says_what_is_not_the_default(self) -> None:
+        assert named() == "panda-mug-aimed-s0"
+        assert named(mutation_sigma=0.05, protocol="released") == "panda-mug-aimed-s0-sigma0_05-released"
+
+    @pytest.mark.parametrize(
+        ("method", "usual"),
+        [
+            ("aimed", {"overlaps": "redraw", "population": 50}),
+            ("me_scs", {"overlaps": "count", "population": 500}),
+        ],
+    )
+    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, usual) -> None:
+        assert named(method=method, **usual) == named(method=method)
+        other = named(method=method, overlaps="redraw" if method == "me_scs" else "count")
+        assert other != named(method=method)
+
+    def test_a_second_generation_in_flight_is_told_of(self) -> None:
+        assert named(generations_in_flight=1) == named()
+        assert named(generations_in_flight=2) == "panda-mug-aimed-s0-flight2"
+
+    def test_a_budget_is_no_part_of_a_name(self) -> None:
+        assert named(evaluations=7) == named()
+
+    def test_a_long_name_is_cut_and_still_its_own(self) -> None:
+        long = {
+            "gripper": "ref_robotiq_2f",
+            "object": "bleach_cleanser",
+            "method": "antipodal_cma_mae",
+            "population": 60,
+        }
+        one, other = named(**long, surface_seed=1), named(**long, surface_seed=2)
+        assert one != other
+        assert all(NAME.fullmatch(name) for name in (one, other))
+
+
+class TestScans:
+    @pytest.fixture(autouse=True)
+    def one_scan(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(ycb, "scan_source", lambda name: "fetched" if name == "ycb_mug" else "absent")
+        monkeypatch.setattr(ycb, "check_there", lambda name: None)
+
+    def test_scans_are_taken_where_they_are_found_and_stand_ins_are_told_of(self) -> None:
+        found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
+        assert {spec.object for spec in found.runs.values()} == {"ycb_mug", "bowl"}
+        assert (found.scans, found.stand_ins) == (("mug",), ("bowl",))
+        assert "no scan found of bowl" in found.words
+
+    def test_stand_ins_stay_where_they_are_asked_for(self) -> None:
+        assert "panda-mug-me_scs-s0" in names({"cross": [CROSS]})
+
+    def test_the_folders_file_means_the_same_without_the_scans(self, tmp_path: Path) -> None:
+        found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
+        file = tmp_path / "campaign.toml"
+        file.write_text(found.toml)
+        assert read_campaign(file).runs == found.runs
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("source", "error", "words"),
+        [
+            ({}, InputError, "asks for no run"),
+            ({"cross": []}, InputError, "asks for no run"),
+            ({"cross": [CROSS], "defualts": {}}, UnknownKey, "defualts"),
+            ({"cross": [CROSS], "defaults": 3}, ImpossibleValue, "defaults must be a table"),
+            ({"cross": [CROSS], "prefer_scans": "yes"}, ImpossibleValue, "true or false"),
+            ({"cross": [CROSS, CROSS | {"object": []}]}, ImpossibleValue, "object must be one value, or"),
+            ({"cross": [CROSS | {"sede": 3}]}, UnknownKey, "sede"),
+            ({"cross": [CROSS | {"method": "best"}]}, UnknownName, "best"),
+            ({"cross": [CROSS | {"seed": [-1]}]}, ImpossibleValue, "at least 0"),
+            ({"cross": [CROSS | {"gripper": "pandaa"}]}, UnknownName, "pandaa"),
+            ({"cross": [CROSS | {"object": "mugg"}]}, UnknownName, "mugg"),
+            (
+                {"cross": [CROSS | {"gripper": "shadow", "method": "antipodal_rand"}]},
+                JawNeeded,
+                "'shadow' has no",
+            ),
+            ({"cross": [{"object": "mug"}]}, InputError, "'gripper' is missing"),
+        ],
+    )
+    def test_a_campaign_that_cannot_be_is_one_sentence(self, source, error, words) -> None:
+        with pytest.raises(error, match=words):
+            make_campaign(source, "c.toml")
+
+    def test_a_file_is_a_campaigns_or_a_runs(self, tmp_path: Path) -> None:
+        one, other = tmp_path / "run.toml", tmp_path / "campaign.toml"
+        one.write_text('gripper = "panda"\nobject = "mug"\n')
+        other.write_text('[[cross]]\ngripper = "panda"\nobject = "mug"\n')
+        assert (is_campaign(one), is_campaign(other)) == (False, True)
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_every_campaign_that_we_ship_can_be_carried_out_on_stand_ins(file, monkeypatch) -> None:
+    monkeypatch.setattr(ycb, "scan_source", lambda name: "absent")
+    found = read_campaign(file)
+    assert found.runs
+    assert not found.scans
+    assert all(NAME.fullmatch(name) for name in found.runs)
+
+
+BLOCK = (0.02, 0.03, 0.05)
+SAID = {"gripper": ["panda"], "method": None, "evaluations": 50}
+WATER = MassRule(density=1000.0)
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> Path:
+    """A folder with two meshes in millimetres, and other files."""
+    folder = tmp_path / "my parts"
+    folder.mkdir()
+    for name in ("lever arm.stl", "Bügel.ply"):
+        trimesh.creation.box(BLOCK).apply_scale(1000).export(folder / name)
+    (folder / "README.txt").write_text("mine")
+    (folder / "part.mtl").write_text("newmtl none")
+    return folder
+
+
+def table(folder: Path, *lines: str) -> None:
+    (folder / "masses.csv").write_text("\n".join(("file,mass", *lines)), encoding="utf-8")
+
+
+def test_every_mesh_has_its_run_with_the_mass_that_the_table_or_its_volume_gives_it(parts):
+    table(parts, "lever arm.stl, 0.2")
+    runs = campaign_of_meshes(parts, WATER, 0.001, SAID).runs
+    assert {name: (Path(spec.object).name, spec.mass, spec.scale) for name, spec in runs.items()} == {
+        "panda-b-gel-aimed-s0": ("Bügel.ply", pytest.approx(0.03), 0.001),
+        "panda-lever-arm-aimed-s0": ("lever arm.stl", 0.2, 0.001),
+    }
+    assert all(Path(spec.object).is_absolute() and spec.evaluations == 50 for spec in runs.values())
+
+
+def test_the_campaigns_file_asks_for_the_same_runs(parts, tmp_path):
+    asked = campaign_of_meshes(parts, MassRule(mass=0.4), 0.001, SAID)
+    file = tmp_path / "campaign.toml"
+    file.write_text(asked.toml, encoding="utf-8")
+    assert read_campaign(file).runs == asked.runs
+
+
+def test_all_that_is_wrong_is_named_at_once(parts):
+    block = trimesh.creation.box(BLOCK)
+    trimesh.Trimesh(block.vertices, block.faces[1:], process=False).apply_scale(1000).export(
+        parts / "open.ply"
+    )
+    (parts / "empty.stl").touch()
+    block.apply_scale(1000).export(parts / "lever-arm.obj")
+    table(parts, "lever arm.stl,0", "lost.stl,1")
+    with pytest.raises(UnusableMeshes) as refused:
+        campaign_of_meshes(parts, MassRule(), 0.001, SAID)
+    first, *others = str(refused.value).split("\n")
+    assert first.startswith("6 of 6 meshes cannot be used as they are, and nothing was begun; ")
+    told = dict(line.strip().split(": ", 1) for line in others)
+    assert told["open.ply"].startswith("it is not closed")
+    assert "is empty: the file has no bytes" in told["empty.stl"]
+    assert told["lever arm.stl"] == "its mass must be more than 0 and at most 1000 kg, got 0"
+    assert told["lever-arm.obj"].startswith("its runs would be called as those of 'lever arm.stl'")
+    assert told["Bügel.ply"].startswith("it has no mass: say what it weighs with --mass or --density")
+    assert told["lost.stl"] == "masses.csv names it, and there is no such mesh"
+
+
+def test_meshes_in_millimetres_are_told_with_the_flag_that_helps(parts):
+    with pytest.raises(UnusableMeshes, match=r"2 of 2 .*\n  .*add --units mm\n  .*add --units mm"):
+        campaign_of_meshes(parts, WATER, None, SAID)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "name,kg\n", "file,mass\nlever arm.stl\n", "file,mass\nlever arm.stl,heavy\n"]
+)
+def test_a_table_that_is_none_is_described(parts, text):
+    (parts / "masses.csv").write_text(text)
+    with pytest.raises(InputError, match=r"is no table of masses: it begins with the line `file,mass`"):
+        campaign_of_meshes(parts, WATER, 0.001, SAID)
+
+
+def test_a_folder_without_a_mesh_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"There is no mesh in .*: name a folder of files such as \.stl"):
+        campaign_of_meshes(tmp_path, WATER, None, SAID)
+    with pytest.raises(InputError, match=r"There is no folder of meshes at '.*nowhere'"):
+        campaign_of_meshes(tmp_path / "nowhere", WATER, None, SAID)
+
+
+def cross(**objects: dict[str, object]) -> dict[str, object]:
+    return {"cross": [{"gripper": "panda", "object": ["mug", "bowl"]}], "objects": objects}
+
+
+def test_what_is_known_of_an_object_is_no_part_of_a_runs_name_and_comes_before_the_defaults():
+    source = cross(mug={"mass": 0.3, "friction": 0.7}) | {"defaults": {"mass": 0.1}}
+    runs = make_campaign(source, "c.toml").runs
+    assert {name: (spec.mass, spec.friction) for name, spec in runs.items()} == {
+        "panda-mug-aimed-s0": (0.3, 0.7),
+        "panda-bowl-aimed-s0-mass0_1": (0.1, None),
+    }
+
+
+def test_what_a_crossing_says_comes_before_what_is_known():
+    source = cross(mug={"mass": 0.3})
+    source["cross"][0]["mass"] = [0.1, 0.2]  # type: ignore[index]
+    assert [spec.mass for spec in make_campaign(source, "c.toml").runs.values()] == [0.1, 0.2, 0.1, 0.2]
+
+
+def test_what_is_known_of_no_object_is_refused():
+    with pytest.raises(InputError, match=r"says what is known of 'mugg', which no run grasps"):
+        make_campaign(cross(mugg={"mass": 0.3}), "c.toml")
+    with pytest.raises(UnknownKey, match=r"objects\.'mug': unknown key 'weight'.* friction, mass, scale"):
+        make_campaign(cross(mug={"weight": 0.3}), "c.toml")
+
+
+def test_the_meshes_of_any_campaign_are_read_before_it_is_begun(parts):
+    whole = {"gripper": "panda", "object": [str(file) for file in sorted(parts.glob("*.[sp][tl]*"))]}
+    good = make_campaign(
+        {"cross": [whole | {"scale": 0.001, "mass": 0.1}, {"gripper": "panda", "object": "mug"}]}, "c"
+    )
+    check_meshes(good.runs.values())
+    with pytest.raises(UnusableMeshes, match=r"^2 of 2 meshes"):
+        check_meshes(make_campaign({"cross": [whole | {"mass": 0.1}]}, "c").runs.values())
+    with pytest.raises(UnusableMeshes, match="has no mass"):
+        check_meshes(make_campaign({"cross": [whole | {"scale": 0.001}]}, "c").runs.values())

@@ -1,0 +1,211 @@
+"""Budgets that a run may be given after its beginning, and folders of campaigns."""
+
+import re
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
+
+from qdgrasp_coordinator.campaign import campaign_folder
+from qdgrasp_coordinator.campaign.campaign_file import Campaign, make_campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import (
+    begin_campaign,
+    extend_run,
+    finished_totals,
+    open_campaign,
+)
+from qdgrasp_coordinator.campaign.merge_prune import prune_run
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import EndsTooSoon, FolderError, ImpossibleValue
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=7, joints=2)
+
+
+def begun(path: Path, spec: RunSpec, rows: Rows) -> RunFolder:
+    """A run that has recorded these rows."""
+    folder = RunFolder.create(path / "run", spec, None)
+    with JournalWriter.create(folder.path, JournalIdentity("run", to_toml(spec), "0" * 64, SHAPE)) as journal:
+        journal.append(JournalSlice(0, rows), 1, 0.0)
+    return folder
+
+
+def generation(size: int) -> Rows:
+    """Nominal rows with a success at the beginning, and its hundred trials."""
+    rows = SHAPE.empty(size + 100)
+    rows["index"][:size], rows["trial"][size:] = np.arange(size), np.arange(1, 101)
+    rows["outcome"] = Outcome.MISSED
+    rows["outcome"][0] = Outcome.HELD
+    return rows
+
+
+def test_a_budget_is_raised_and_not_taken_back_below_what_is_recorded(tmp_path: Path) -> None:
+    spec = RunSpec(gripper="hand", object="thing", evaluations=10, population=8)
+    folder = begun(tmp_path, spec, generation(6)[:6])
+    extend_run(folder, evaluations=30)
+    assert folder.spec.evaluations == 30
+    with pytest.raises(ImpossibleValue, match="at least 6, which are recorded"):
+        extend_run(folder, evaluations=5)
+    assert folder.spec.evaluations == 30
+
+
+def test_a_run_whose_trials_end_a_generation_early_keeps_its_budget(tmp_path: Path) -> None:
+    spec = RunSpec(gripper="hand", object="thing", protocol="robust", evaluations=6, population=8)
+    folder = begun(tmp_path, spec, generation(6))
+    extend_run(folder, evaluations=6)
+    with pytest.raises(ImpossibleValue, match="only whole generations can be extended"):
+        extend_run(folder, evaluations=7)
+    assert folder.spec.evaluations == 6
+
+
+def test_a_run_with_trials_is_extended_from_a_whole_generation(tmp_path: Path) -> None:
+    spec = RunSpec(gripper="hand", object="thing", protocol="robust", evaluations=8, population=8)
+    folder = begun(tmp_path, spec, generation(8))
+    extend_run(folder, evaluations=100)
+    assert folder.spec.evaluations == 100
+
+
+def test_there_are_no_more_evaluations_than_poses(tmp_path: Path) -> None:
+    poses = ((0.0,) * 7,) * 8
+    spec = RunSpec(gripper="hand", object="thing", method="given", poses=poses, evaluations=8, population=8)
+    folder = begun(tmp_path, spec, generation(8)[:8])
+    with pytest.raises(ImpossibleValue, match="at most 8, one for each pose"):
+        extend_run(folder, evaluations=9)
+
+
+N = 100
+
+
+@pytest.fixture
+def run(tmp_path: Path, make_scene: SceneMaker) -> RunFolder:
+    return record(tmp_path / "run", make_scene(), random_rows(N), evaluations=N, overlaps="count")
+
+
+def no_reading(*_: object) -> None:
+    raise AssertionError("its journal was read")
+
+
+def test_a_finished_run_is_read_once(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = finished_totals(run.path, run.spec)
+    assert first is not None
+    assert first.evaluations == N
+    monkeypatch.setattr(campaign_folder, "count_within_budget", no_reading)
+    assert finished_totals(run.path, run.spec) == first
+
+
+def test_another_end_or_other_rows_are_counted_anew(run: RunFolder) -> None:
+    known = finished_totals(run.path, run.spec)
+    assert campaign_folder.read_cached_totals(run, run.spec) == known
+    longer = msgspec.structs.replace(run.spec, evaluations=N + 1)
+    assert campaign_folder.read_cached_totals(run, longer) is None
+    assert finished_totals(run.path, longer) is None
+    with closing(sqlite3.connect(run.path / "run.sqlite")) as journal, journal:
+        journal.execute("UPDATE blocks SET crc = crc + 1")
+    assert campaign_folder.read_cached_totals(run, run.spec) is None
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"mark": 1}'])
+def test_what_cannot_be_read_is_counted_anew(run: RunFolder, content: str) -> None:
+    known = finished_totals(run.path, run.spec)
+    (run.path / campaign_folder.TOTALS_FILE).write_text(content)
+    assert finished_totals(run.path, run.spec) == known
+
+
+def test_an_unfinished_run_leaves_nothing(tmp_path: Path, make_scene: SceneMaker) -> None:
+    run = record(tmp_path / "half", make_scene(), random_rows(N), evaluations=N + 1, overlaps="count")
+    assert finished_totals(run.path, run.spec) is None
+    assert not (run.path / campaign_folder.TOTALS_FILE).exists()
+
+
+def test_a_pruned_run_is_finished_with_what_it_had_and_cannot_be_extended(run: RunFolder) -> None:
+    known = finished_totals(run.path, run.spec)
+    prune_run(run)
+    assert finished_totals(run.path, run.spec) == known
+    with pytest.raises(FolderError, match="was pruned"):
+        finished_totals(run.path, msgspec.structs.replace(run.spec, evaluations=N + 1))
+
+
+def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:
+    said = (
+        f"{re.escape(str(run.path))} cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
+    )
+    with pytest.raises(EndsTooSoon, match=said):
+        finished_totals(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
+
+
+def asked(**values: Any) -> Campaign:
+    cross = {"gripper": "panda", "object": "mug", "method": "contact_rand", "seed": [0, 1], **values}
+    return make_campaign({"cross": [cross]}, "c.toml")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    begin_campaign(tmp_path / "many", asked())
+    return tmp_path / "many"
+
+
+def test_a_new_folder_holds_the_campaign_and_no_run_is_done(tmp_path: Path) -> None:
+    extent = begin_campaign(tmp_path / "many", asked())
+    assert (extent.runs, extent.runs_done, extent.evaluations) == (2, 0, 20_000)
+    assert read_campaign(tmp_path / "many" / CAMPAIGN).runs == asked().runs
+    assert JobFolder.open(tmp_path / "many").name == "many"
+
+
+def test_a_campaign_may_grow_by_runs_and_evaluations(path: Path) -> None:
+    more = asked(seed=[0, 1, 2], evaluations=20_000)
+    assert begin_campaign(path, more).runs == 3
+    assert read_campaign(path / CAMPAIGN).runs == more.runs
+
+
+def test_a_campaign_that_lost_a_run_is_refused_and_its_folder_left_as_it_was(path: Path) -> None:
+    with pytest.raises(FolderError, match=r"1 run that is not asked for any more, such as '.*-s1'"):
+        begin_campaign(path, asked(seed=0))
+    assert read_campaign(path / CAMPAIGN).runs == asked().runs
+
+
+def test_a_run_that_is_asked_for_otherwise_is_refused_and_the_folder_left_as_it_was(path: Path) -> None:
+    name, spec = next(iter(asked().runs.items()))
+    RunFolder.add(JobFolder(path), name, msgspec.structs.replace(spec, mass=0.3), None)
+    with pytest.raises(FolderError, match=r"another spec \(mass\)"):
+        begin_campaign(path, asked(seed=[0, 1, 2]))
+    assert read_campaign(path / CAMPAIGN).runs == asked().runs
+
+
+def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
+    name, spec = next(iter(asked().runs.items()))
+    run = RunFolder.add(JobFolder(path), name, spec, None)
+    (run.path / FILE).write_bytes(b"no journal")
+    assert begin_campaign(path, asked()).runs_done == 0
+
+
+def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:
+    begin_campaign(path, asked(), "many")
+    with pytest.raises(FolderError, match="is of job 'many', not 'few'"):
+        begin_campaign(path, asked(), "few")
+
+
+def test_a_name_that_the_bus_cannot_carry_begins_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ImpossibleValue, match="job must be 1 to 64 of the characters"):
+        begin_campaign(tmp_path / "many", asked(), "a/b c")
+    with pytest.raises(ImpossibleValue, match="job must be"):
+        RunFolder.create(tmp_path / "one", next(iter(asked().runs.values())), None, job="")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_single_run_is_no_campaign(tmp_path: Path) -> None:
+    RunFolder.create(tmp_path / "one", next(iter(asked().runs.values())), None)
+    for act in (open_campaign, lambda one: begin_campaign(one, asked())):
+        with pytest.raises(FolderError, match="holds a single run, no campaign"):
+            act(tmp_path / "one")

@@ -1,0 +1,145 @@
+"""Choice of the grasps that are scored again, and their ranks."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qdgrasp_coordinator.campaign.ranking import (
+    best_of_kinds,
+    is_reranking,
+    rank_poses,
+    read_run_grasps,
+    write_ranking,
+    write_source,
+)
+from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, niches
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=7, joints=2)
+TRIALS = 100
+Record = Callable[[str, RunSpec, Rows], RunFolder]
+
+
+def spec(protocol: str = "paper", population: int = 50) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", protocol=protocol, population=population)  # type: ignore[arg-type]
+
+
+def rows(*outcomes: Outcome) -> Rows:
+    made = SHAPE.empty(len(outcomes))
+    made["index"], made["outcome"] = np.arange(len(outcomes)), outcomes
+    made["fitness"] = np.maximum(np.array(outcomes, np.float32) - Outcome.DROPPED, 0)
+    made["descriptor"][:, 0] = np.arange(len(outcomes)) / 100  # a cell each
+    return made
+
+
+def trials_of(row: np.void, total: int) -> Rows:
+    """A hundred trials of a row that survive `total` shakes."""
+    made = np.repeat(row, TRIALS)
+    made["trial"] = np.arange(1, TRIALS + 1)
+    made["fitness"] = np.where(np.arange(TRIALS) < total // 2, 2, 0)
+    made["fitness"][-1] = total % 2
+    return made
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Record:
+    def make(name: str, spec: RunSpec, rows: Rows) -> RunFolder:
+        folder = RunFolder.create(tmp_path / name, spec, None)
+        with JournalWriter.create(
+            folder.path, JournalIdentity("run", to_toml(spec), "0" * 64, SHAPE)
+        ) as journal:
+            journal.append(JournalSlice(0, rows), 1, 0.0)
+        return folder
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("column", "better", "worse"), [("fitness", 2, 1), ("penetration", 0.001, 0.002), ("contacts", 3, 2)]
+)
+def test_grasps_are_ordered_by_fitness_then_penetration_then_contacts(column: str, better, worse) -> None:
+    found = rows(Outcome.HELD, Outcome.HELD)
+    others = ["fitness", "penetration", "contacts"]
+    for later in others[others.index(column) + 1 :]:
+        found[later] = [1, 0] if later == "penetration" else [0, 1]  # all that comes after speaks against it
+    found[column] = [better, worse]
+    assert best_of_kinds(found, 2)["index"].tolist() == [0, 1]
+    found[column] = [worse, better]
+    assert best_of_kinds(found, 2)["index"].tolist() == [1, 0]
+
+
+def test_of_equal_grasps_the_earlier_one_is_better() -> None:
+    found = rows(*[Outcome.HELD] * 4)
+    found["generation"], found["index"] = [1, 1, 0, 0], [1, 0, 3, 2]
+    assert best_of_kinds(found, 4)[["generation", "index"]].tolist() == [(0, 2), (0, 3), (1, 0), (1, 1)]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 60))
+def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, most: int) -> None:
+    random = np.random.default_rng(seed)
+    found = rows(*[Outcome.HELD] * 60)
+    found["descriptor"] = random.integers(0, 3, (60, 3)) / 100
+    for column, high in (("fitness", 3), ("penetration", 2), ("contacts", 3)):
+        found[column] = random.integers(0, high, 60)
+    chosen = best_of_kinds(found, most)
+    assert best_of_kinds(random.permutation(found), most).tobytes() == chosen.tobytes()
+    places = cell_keys(cells(chosen["descriptor"]))
+    assert len(set(places)) == len(chosen) == min(most, len(set(cell_keys(cells(found["descriptor"])))))
+    for place, row in zip(places, chosen, strict=True):
+        assert row["fitness"] == found["fitness"][cell_keys(cells(found["descriptor"])) == place].max()
+
+
+def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
+    found = rows(*[Outcome.HELD] * 4)
+    found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0, 1]]
+    found["penetration"] = [0.002, 0.001, 0.001, 0.002]
+    assert best_of_kinds(found, 4)["index"].tolist() == [1]
+    assert best_of_kinds(found, 4, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
+
+
+def test_only_grasps_are_scored_again(record: Record) -> None:
+    every = rows(*Outcome)
+    assert read_run_grasps(record("run", spec(), every))["outcome"].tolist() == [Outcome.SHAKEN, Outcome.HELD]
+
+
+def test_grasps_of_a_run_with_trials_go_by_their_sum(record: Record) -> None:
+    nominal = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
+    journal = np.concatenate([nominal, trials_of(nominal[0], 7), trials_of(nominal[1], 190)])
+    found = read_run_grasps(record("run", spec("robust"), journal))
+    assert found[["index", "fitness"]].tolist() == [(0, 7), (1, 190)]  # the third has no trials yet
+    assert best_of_kinds(found, 1)["index"] == 1
+
+
+def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(record: Record, tmp_path: Path) -> None:
+    source = rows(*[Outcome.HELD] * 4)
+    source["generation"], source["index"] = 7, [11, 3, 5, 2]
+    again = rows(Outcome.HELD, Outcome.HELD, Outcome.MISSED, Outcome.SHAKEN)
+    sums = (20, 150, None, 150)
+    trials = [trials_of(row, total) for row, total in zip(again, sums, strict=True) if total is not None]
+    folder = record("again", spec("robust"), np.concatenate([again, *trials]))
+    assert not is_reranking(folder)
+    write_source(folder, RunFolder(tmp_path / "first"), source)
+    assert is_reranking(folder)
+    assert [(line[1], *line[2:6]) for line in rank_poses(folder)] == [
+        (0.75, 2, 7, 3, 2),
+        (0.75, 1, 7, 2, 2),
+        (0.1, 2, 7, 11, 2),
+        (0.0, 0, 7, 5, 2),
+    ]
+    assert "4 grasps ranked" in write_ranking(folder)
+    with (folder.path / "ranking.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert [line["rank"] for line in lines] == ["1", "2", "3", "4"]
+    assert [line["source_index"] for line in lines] == ["3", "2", "11", "5"]
+    assert [line["cell_x"] for line in lines] == ["1", "3", "0", "2"]

@@ -1,0 +1,115 @@
+"""`qdgrasp rerank`, `prune`, `jobs` and orders to a job: what they print and refuse."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.coordinator.monitor.sample_jobs import values, views
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
+from typer.testing import CliRunner, Result
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.cli import job_commands
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.cli.run_commands import rerank_spec
+from qdgrasp_coordinator.search.registry import check_spec
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_protocol.messages import Order, OrderReply
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> RunFolder:
+    """A run that has recorded a success, and no grasp."""
+    scene = build_scene(SPEC)
+    bundle = pack_scene(scene)
+    folder = RunFolder.create(tmp_path / "source", SPEC, bundle)
+    shape = RowShape(len(layout(scene, "contact")), len(scene.gripper.joints))
+    rows = shape.empty(3)
+    rows["index"], rows["outcome"] = np.arange(3), [Outcome.OVERLAP, Outcome.DROPPED, Outcome.MISSED]
+    rows["base_to_object"][:, 6] = 1
+    with JournalWriter.create(
+        folder.path, JournalIdentity("run", to_toml(SPEC), bundle.digest, shape)
+    ) as journal:
+        journal.append(JournalSlice(0, rows), 1, 0.0)
+    return folder
+
+
+def rerank(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["rerank", *map(str, arguments)])
+
+
+def test_a_run_without_a_grasp_has_nothing_to_score_again(source: RunFolder, tmp_path: Path) -> None:
+    refused = rerank(source.path, "--out", tmp_path / "again").exception
+    assert isinstance(refused, InputError)
+    assert "has found no grasp (fitness 1 or more)" in str(refused)
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> None:
+    refused = rerank(source.path, "--out", source.path).exception
+    assert isinstance(refused, FolderError)
+    assert "holds a run already" in str(refused)
+
+
+def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
+    with source.journal() as journal:
+        chosen: Rows = journal.rows(0, 3)
+    spec = rerank_spec(source, "robust", chosen)
+    check_spec(spec)
+    assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
+    assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
+    assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
+
+
+@pytest.mark.parametrize(("rows", "words"), [(60, "Hardly any room is free; "), (6000, " MB are free; ")])
+def test_room_is_told_where_there_is_some(
+    tmp_path: Path, make_scene: SceneMaker, rows: int, words: str
+) -> None:
+    folder = record(tmp_path / "run", make_scene(), random_rows(rows), evaluations=rows)
+    done = CliRunner().invoke(app, ["prune", str(folder.path)])
+    assert done.exit_code == 0, done.output
+    assert f"{words}{folder.path} keeps successes alone." in done.stdout
+    assert "0.0" not in done.stdout
+
+
+EVIL = "\x1b[2J"
+
+
+@contextmanager
+def session(*_: object) -> Iterator[SimpleNamespace]:
+    """A session at a coordinator whose words are no good ones."""
+    yield SimpleNamespace(ask=lambda *_: messages.encode(OrderReply(words=f"Done. {EVIL}")))
+
+
+def test_what_a_coordinator_says_of_its_job_is_escaped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(job_commands, "open_session", session)
+    monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values(trouble=EVIL)))
+    job_commands.jobs("tcp/127.0.0.1:1", None)
+    said = capsys.readouterr().out
+    assert r"paused: \x1b[2J" in said
+    assert EVIL not in said
+
+
+def test_what_it_answers_to_an_order_is_escaped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(job_commands, "open_session", session)
+    job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
+    assert capsys.readouterr().out == "Done. \\x1b[2J\n"

@@ -1,0 +1,255 @@
+"""`qdgrasp import`: files of ours and of others as poses."""
+
+import json
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from tests.coordinator.export.conftest import COM as ORIGIN
+from tests.coordinator.export.conftest import MakeRun
+from tests.coordinator.export.foreign_files import (
+    COM,
+    ISAAC,
+    POSITION,
+    acronym,
+    check_pose,
+    check_refusal,
+    matrix,
+)
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.export import importer
+from qdgrasp_coordinator.export.exporter import export_run
+from qdgrasp_coordinator.export.grasp_set import read_run
+from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
+from qdgrasp_coordinator.export.importer import ObjectFrame
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import Outcome
+
+
+def test_grasps_of_other_tools_in_isaac_yaml_are_read(panda, tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    found = panda(tmp_path / "f.yaml")
+    check_pose(found)
+    assert found.arrays["confidence"].tolist() == [0.7]
+    assert found.arrays["name"].tolist() == ["grasp 0"]
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("_frame_link", "_frame"),
+        ("object_frame_link: /World/mug\ngripper_frame_link: /World/panda_hand\n", ""),
+        ("format_version: 1.0", 'format_version: "1.0"'),
+        ("    confidence: 0.7\n", ""),
+        ("0.1, -0.2", "1e-1, -2.0e-01"),
+    ],
+    ids=["Isaac ROS", "no frames", "a version in quotes", "no confidence", "exponents"],
+)
+def test_spellings_of_other_writers_are_read(panda, tmp_path: Path, old: str, new: str) -> None:
+    assert old in ISAAC
+    (tmp_path / "f.yaml").write_text(ISAAC.replace(old, new))
+    check_pose(panda(tmp_path / "f.yaml"))
+
+
+def test_grasps_of_other_tools_in_acronym_files_are_read(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "f.h5", [matrix()])
+    check_pose(panda(tmp_path / "f.h5"))
+
+
+def test_flat_json_is_read(panda, tmp_path: Path) -> None:
+    told = {
+        "object": "mug.obj",
+        "object_scale": 1.0,
+        "transforms": [matrix().tolist()],
+        "quality_flex_object_in_gripper": [1],
+    }
+    (tmp_path / "f.json").write_text(json.dumps(told))
+    check_pose(panda(tmp_path / "f.json"))
+
+
+def test_graspgen_json_is_read(panda, tmp_path: Path) -> None:
+    grasps = {"transforms": [matrix().tolist()], "object_in_gripper": [True]}
+    (tmp_path / "f.json").write_text(json.dumps({"object": {"file": "a", "scale": 1.0}, "grasps": grasps}))
+    check_pose(panda(tmp_path / "f.json"))
+
+
+def test_poses_may_be_told_at_the_centre_of_mass(panda, tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    check_pose(panda(tmp_path / "f.yaml", frame="com"), POSITION)
+
+
+def test_another_scale_is_pointed_out(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "f.h5", [matrix()])
+    with h5py.File(tmp_path / "f.h5", "a") as file:
+        file["object/scale"][()] = 0.5
+    (note,) = panda(tmp_path / "f.h5").notes
+    assert note == (
+        "The file scales its mesh by 0.5, and here it is scaled by 1: "
+        "if it is the same mesh, add --scale 0.5."
+    )
+
+
+def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, tmp_path: Path) -> None:
+    export_run(run, tmp_path / "f", "parquet")
+    assert panda(tmp_path / "f").notes == (
+        "The file tells poses of link 'palm' of gripper 'jaw'; they are taken for those of link "
+        "'panda_hand' of gripper 'panda'.",
+        "The file names joints that gripper 'panda' does not have: left, right; they are left aside.",
+        "The object 'block' of the file has its centre of mass elsewhere in its mesh, so it is not the same "
+        "object.",
+    )
+    hand = run.scene().gripper
+    found = importer.import_poses(tmp_path / "f", hand, ObjectFrame(COM, 1.0))
+    assert [note[:39] for note in found.notes] == ["The object 'block' of the file has its "]
+
+
+def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere(
+    run: RunFolder, scene: Scene, tmp_path: Path
+) -> None:
+    grasps = read_run(run)
+    export_run(run, tmp_path / "f", "parquet", min_fitness=0)
+    found = importer.import_poses(tmp_path / "f", scene.gripper, ObjectFrame(COM, 1.0))
+    np.testing.assert_allclose(found.arrays["base_position"], grasps.poses("mesh")[:, :3] - COM, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["parquet", "isaac", "acronym", "graspgen"])
+def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(
+    run: RunFolder, tmp_path: Path, name: str
+) -> None:
+    out = tmp_path / "f"
+    export_run(run, out, name)
+    file = out / "grasp_data" / "block.json" if out.is_dir() else out
+    hand, thing = run.scene().gripper, ObjectFrame(COM, 1.0)
+    plain, named = (importer.import_poses(file, hand, thing, frame) for frame in (None, "mesh"))
+    np.testing.assert_array_equal(named.arrays["base_position"], plain.arrays["base_position"])
+    with pytest.raises(
+        UnreadableGrasps, match="poses are told in the object's mesh frame; leave --frame out"
+    ):
+        importer.import_poses(file, hand, thing, "com")
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"com_in_mesh": ["nan", 0, 0]}, "com_in_mesh in it must be finite"),
+        ({"com_in_mesh": [0, 1e300, 0]}, "com_in_mesh in it must be finite, and not more than 1000 m away"),
+        ({"object_mass": -3}, "object_mass in it must be a number greater than 0, and is -3"),
+        ({"object_mass": "nan"}, "object_mass in it must be a number greater than 0, and is nan"),
+        ({"object_scale": 0}, "scale in it must be a number greater than 0, and is 0"),
+        ({"object_friction": -0.5}, "object_friction in it must not be negative, and is -0.5"),
+        ({"runs": [{"run": "a", "digest": "", "spec": "own?"}]}, "the spec of run 'a' in it cannot be read"),
+    ],
+)
+def test_impossible_numbers_in_what_a_file_of_ours_says_are_refused(
+    run: RunFolder, panda, tmp_path: Path, changed: dict[str, object], why: str
+) -> None:
+    export_run(run, tmp_path / "f", "isaac")
+    told = yaml.safe_load((tmp_path / "f").read_text())
+    told["qdgrasp"] |= changed
+    (tmp_path / "f").write_text(yaml.safe_dump(told))
+    check_refusal(panda, tmp_path / "f", why)
+
+
+def test_joints_that_the_hand_does_not_have_are_left_aside_with_a_note(panda, tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_finger_joint1", "finger_joint"))
+    found = panda(tmp_path / "f.yaml")
+    check_pose(found)
+    assert found.notes == (
+        "The file names joints that gripper 'panda' does not have: finger_joint; they are left aside.",
+    )
+
+
+def test_a_file_of_another_gripper_is_pointed_out(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "f.h5", [matrix()], gripper__type="robotiq")
+    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_hand", "palm"))
+    taken = "; they are taken for those of link 'panda_hand' of gripper 'panda'."
+    assert panda(tmp_path / "f.h5").notes == (f"The file tells poses of gripper 'robotiq'{taken}",)
+    assert panda(tmp_path / "f.yaml").notes == (f"The file tells poses of link 'palm'{taken}",)
+
+
+def test_a_graspgen_file_of_a_scaled_object_is_of_that_scale(make_run: MakeRun, tmp_path: Path) -> None:
+    run = make_run(Outcome.HELD, scale=0.001)
+    export_run(run, tmp_path / "out", "graspgen")
+    file, hand = tmp_path / "out" / "grasp_data" / "block.json", run.scene().gripper
+    assert importer.import_poses(file, hand, ObjectFrame(np.array(ORIGIN), 0.001)).notes == ()
+
+
+@pytest.mark.parametrize("name", ["acronym", "parquet"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_what_was_cut_off_is_refused(run: RunFolder, panda, tmp_path: Path, name: str, share: float) -> None:
+    export_run(run, tmp_path / "whole", name)
+    whole = (tmp_path / "whole").read_bytes()
+    (tmp_path / "cut").write_bytes(whole[: int(len(whole) * share)])
+    check_refusal(panda, tmp_path / "cut", "it is a damaged")
+
+
+@pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])
+def test_what_was_damaged_anywhere_is_read_or_refused(run: RunFolder, tmp_path: Path, name: str) -> None:
+    export_run(run, tmp_path / "whole", name)
+    file = tmp_path / "whole" / "grasp_data" / "block.json" if name == "graspgen" else tmp_path / "whole"
+    hand, random = run.scene().gripper, np.random.default_rng(0)
+    sentences = []
+    for _ in range(60):
+        (tmp_path / "damaged").write_bytes(damaged(file.read_bytes(), random))
+        try:
+            importer.import_poses(tmp_path / "damaged", hand, ObjectFrame(COM, 1.0))
+        except InputError as error:
+            sentences.append(str(error))
+    assert len(sentences) > 5
+    assert "\n" not in "".join(sentences)
+
+
+def damaged(content: bytes, random: np.random.Generator) -> bytes:
+    """With a byte or some that are others, gone, or too many."""
+    first = int(random.integers(len(content)))
+    gone, come = random.integers(0, 30, 2)
+    return content[:first] + random.bytes(int(come)) + content[first + int(gone) :]
+
+
+BAD_FILES = {
+    "empty": (b"", "it is empty"),
+    "blank": (b" \n", "it is empty"),
+    "binary": (b"\0\1\2\3", "it is of none of the formats that are read: ACRONYM"),
+    "no JSON": (b"{", "it is not JSON with grasps"),
+    "another JSON": (b'{"a": 1}', "it is not JSON with grasps"),
+    "a ragged list": (b'{"transforms": [[[1, 0], [0]]]}', "its transforms must be of shape (n, 4, 4)"),
+    "no transforms": (b'{"transforms": []}', "there is none in it"),
+    "too few bits": (
+        b'{"transforms": [[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]], "quality_flex_object_in_gripper": []}',
+        "its quality must be of shape (1)",
+    ),
+    "a scale of zero": (
+        b'{"transforms": [[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]], "object_scale": 0}',
+        "the object's scale in it must be a number greater than 0, and is 0",
+    ),
+    "deep JSON": (b'{"grasps": ' + b"[" * 100_000, "it is not JSON with grasps"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\0\0", "it is of none of the formats"),
+}
+
+
+@pytest.mark.parametrize(("content", "why"), BAD_FILES.values(), ids=BAD_FILES)
+def test_a_file_of_none_of_the_formats_is_refused(panda, tmp_path: Path, content: bytes, why: str) -> None:
+    (tmp_path / "f").write_bytes(content)
+    check_refusal(panda, tmp_path / "f", why)
+
+
+def test_a_file_that_is_not_there_is_refused(panda, tmp_path: Path) -> None:
+    check_refusal(panda, tmp_path / "none", "no such file or directory")
+    check_refusal(panda, tmp_path, "it is a folder; of one that is for GraspGen name the JSON in grasp_data")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(panda, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "f")
+    check_refusal(panda, tmp_path / "f", "it is no ordinary file")
+
+
+@pytest.mark.parametrize("name", ["csv", "moveit"])
+def test_what_is_only_written_is_told_by_its_name(run: RunFolder, panda, tmp_path: Path, name: str) -> None:
+    export_run(run, tmp_path / "f", name)
+    check_refusal(panda, tmp_path / "f", "which is not read back; export parquet instead")

@@ -1,0 +1,116 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.geometry.rotation import Floats, dot, multiply, unit
+from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES, best_per_cell, cell_keys, cells, orientations
+
+
+def test_a_cell_reaches_half_a_centimetre_to_both_sides() -> None:
+    found = cells([[0.0049, -0.0049, 0.0051], [0.1449, 0.1451, -0.3]])
+    assert found.tolist() == [[0, 0, 1], [14, 15, -30]]
+
+
+def test_cells_are_the_rounding_of_the_reference_set() -> None:
+    positions = np.random.default_rng(0).uniform(-0.4, 0.4, (10_000, 3))
+    assert np.array_equal(cells(positions) / 100, np.around(positions, 2))
+
+
+def test_halves_go_to_the_even_cell() -> None:
+    assert cells([[0.005, 0.015, 0.025], [-0.005, -0.015, -0.025]]).tolist() == [[0, 2, 2], [0, -2, -2]]
+
+
+def test_float32_positions_are_widened_before_they_are_rounded() -> None:
+    position = np.float32(0.165)
+    assert float(position) > 0.165
+    assert position * np.float32(100) == 16.5
+    assert cells(np.array([[position] * 3])).tolist() == [[17, 17, 17]]
+
+
+def test_keys_are_equal_for_equal_cells_only() -> None:
+    grid = np.stack(np.meshgrid(*[np.arange(-12, 13)] * 3), axis=-1).reshape(-1, 3)
+    assert len(np.unique(cell_keys(grid))) == len(grid)
+    assert np.array_equal(cell_keys(grid), cell_keys(grid.copy()))
+
+
+@pytest.mark.parametrize("far", [-(1 << 20), (1 << 20) - 1])
+def test_keys_hold_for_far_cells(far: int) -> None:
+    grid = np.array([[far, 0, 0], [0, far, 0], [0, 0, far], [0, 0, 0], [far, far, far]])
+    assert len(np.unique(cell_keys(grid))) == len(grid)
+
+
+def test_the_best_of_each_cell_is_its_greatest_value_and_cells_are_in_order() -> None:
+    random = np.random.default_rng(1)
+    found, values = random.integers(-3, 4, (500, 3)), random.integers(0, 3, 500)
+    distinct, greatest = best_per_cell(found, values)
+    expected: dict[tuple[int, ...], int] = {}
+    for cell, value in zip(map(tuple, found.tolist()), values.tolist(), strict=True):
+        expected[cell] = max(value, expected.get(cell, 0))
+    assert [(tuple(cell), value) for cell, value in zip(distinct.tolist(), greatest, strict=True)] == sorted(
+        expected.items()
+    )
+
+
+RANDOM = np.random.default_rng(3)
+
+
+def uniform(n: int) -> Floats:
+    return unit(RANDOM.standard_normal((n, 4)))
+
+
+def angles(one: Floats, other: Floats) -> Floats:
+    """Between rotations (..., 4) [deg]."""
+    cosines = np.abs((one * other).sum(axis=-1))
+    return np.degrees(2 * np.arccos(np.minimum(cosines, 1.0)))
+
+
+def square() -> Floats:
+    """The 24 rotations that take axes to axes, and their negatives."""
+    ways = [np.array(way, float) for way in itertools.product((-1, 0, 1), repeat=4) if any(way)]
+    return unit(np.array([way for way in ways if np.count_nonzero(way) != 3]))
+
+
+def test_every_middle_is_in_its_own_bin() -> None:
+    assert orientations(MIDDLES).tolist() == list(range(BINS))
+
+
+def test_a_quaternion_and_its_negative_are_one_orientation() -> None:
+    found = uniform(1000)
+    assert np.array_equal(orientations(found), orientations(-found))
+
+
+def test_every_middle_has_twelve_neighbours_at_72_degrees() -> None:
+    between = angles(MIDDLES[:, None], MIDDLES[None])
+    nearest = np.sort(between, axis=1)[:, 1:14]
+    assert nearest[:, :12] == pytest.approx(72.0)
+    assert nearest[:, 12] == pytest.approx(120.0)
+
+
+def test_uniform_rotations_fill_all_bins_alike() -> None:
+    counts = np.bincount(orientations(uniform(60_000)), minlength=BINS)
+    assert counts.min() > 850  # 1000 expected, standard deviation 31
+    assert counts.max() < 1150
+
+
+def test_no_rotation_is_farther_than_45_degrees_from_the_middle_of_its_bin() -> None:
+    found = uniform(20_000)
+    assert angles(found, MIDDLES[orientations(found)]).max() < 44.5
+
+
+def test_a_hand_that_stands_square_to_the_object_keeps_its_bin_when_it_is_nudged() -> None:
+    for hand in square():
+        nudge = unit(
+            np.concatenate([0.15 * unit(RANDOM.standard_normal((200, 3))), np.ones((200, 1))], axis=1)
+        )
+        nudged = multiply(nudge, np.broadcast_to(hand, nudge.shape))
+        assert angles(nudged, hand).min() > 17
+        assert set(orientations(nudged)) == set(orientations(hand[None]))
+
+
+def test_middles_are_unit_quaternions() -> None:
+    assert dot(MIDDLES[:, :3], MIDDLES[:, :3]) + MIDDLES[:, 3] ** 2 == pytest.approx(1.0)
+
+
+def test_no_rotations_have_no_orientations() -> None:
+    assert orientations(np.zeros((0, 4), np.float32)).shape == (0,)

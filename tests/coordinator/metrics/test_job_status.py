@@ -1,0 +1,107 @@
+"""Published status, as it travels."""
+
+import re
+from pathlib import Path
+
+import pytest
+from msgspec import Struct
+from tests.coordinator.monitor.sample_jobs import event, figures, run, team, worker
+
+from qdgrasp_coordinator.metrics.job_status import (
+    GREATEST_COUNT,
+    JobEvent,
+    JobEvents,
+    JobMeta,
+    JobStatus,
+    RunListing,
+    RunListings,
+    RunStatus,
+    WorkersPage,
+    WorkerStatus,
+    from_json,
+    meanings,
+    to_json,
+)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunTotals
+from qdgrasp_coordinator.storage.success_pages import SUCCESS_COLUMNS
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Heartbeat, SuccessPage
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        figures(evaluations=GREATEST_COUNT),
+        run("a", seed=GREATEST_COUNT - 1),
+        event(1),
+        *team(worker(1), worker(2)),
+    ],
+)
+def test_what_is_shown_arrives_as_it_was(shown) -> None:
+    assert from_json(to_json(shown), type(shown)) == shown
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        figures(evaluations=-1),
+        figures(seconds=1e20),
+        figures(rate=-0.5),
+        run("a", outcomes={"held": -1}),
+        *team(worker(1), worker(2, seen=-1.0)),
+    ],
+)
+def test_numbers_that_are_no_counts_are_refused(shown) -> None:
+    with pytest.raises(MessageError, match="negative, or beyond"):
+        from_json(to_json(shown), type(shown))
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-300, 5e-324])
+def test_a_job_that_hardly_goes_on_has_no_time_left_in_words(rate: float) -> None:
+    assert figures(rate=rate).left == "time left unknown"
+
+
+def test_a_job_that_nobody_works_at_yet_says_so_and_no_zeros() -> None:
+    waiting = figures(evaluations=0, budget=3, remaining=3, runs=1, rate=0.0, workers=0, state="running")
+    assert waiting.words == "0 of 3 evaluations, no worker yet"
+
+
+def test_one_of_a_thing_is_told_in_the_singular() -> None:
+    one = figures(evaluations=1, budget=1, runs=1, rate=1.0, workers=1, successes=1, cells=1, trials=1)
+    assert one.words.startswith("1 of 1 evaluation, 1/s, 1 success in 1 cell, ")
+    assert one.words.endswith("1 trial, 1 worker")
+
+
+def test_what_is_no_json_is_refused() -> None:
+    for payload in (b"", b"\xff", b"[" * 100_000, b'{"job": 1}', b'{"rate": NaN}'):
+        with pytest.raises(MessageError, match="not figures"):
+            from_json(payload, JobStatus)
+
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "bus.md").read_text()
+SHOWN = (
+    *(RunTotals, JobStatus, RunListing, RunStatus, WorkersPage, WorkerStatus, JobMeta),
+    *(JobEvent, JobEvents, GrowthCurve, RunListings, SuccessPage, Heartbeat),
+)
+
+
+def own(kind: type[Struct]) -> list[str]:
+    """The fields that a struct does not have from another one."""
+    inherited = getattr(kind.__base__, "__struct_fields__", ())
+    return [name for name in kind.__struct_fields__ if name not in inherited]
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_the_page_says_of_each_figure_what_the_source_does(kind: type[Struct]) -> None:
+    section = PAGE.partition(f"### `{kind.__name__}`\n")[2].partition("\n###")[0]
+    described = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", section, re.MULTILINE))
+    assert described == {name: meanings(kind)[name] for name in own(kind)}
+
+
+def test_the_page_has_no_other_figures() -> None:
+    assert set(re.findall(r"^### `(\w+)`$", PAGE, re.MULTILINE)) == {kind.__name__ for kind in SHOWN}
+
+
+def test_the_page_names_every_column_of_finds() -> None:
+    described = re.findall(r"^- `(\w+)`, (\S+) x (\w+): (.*)$", PAGE, re.MULTILINE)
+    assert described == [(one.name, one.item, one.width, one.meaning) for one in SUCCESS_COLUMNS]

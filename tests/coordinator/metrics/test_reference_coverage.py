@@ -1,0 +1,373 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.reference_coverage import (
+    ReferenceLookup,
+    ReferenceOrigin,
+    ReferenceSet,
+    ReleasedArchive,
+    coverage,
+    is_stand_in,
+    read_reference,
+    released_archive,
+)
+from qdgrasp_coordinator.report.reference_builder import build_reference_sets
+from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+
+
+def written(path: Path, **arrays: object) -> Path:
+    np.savez(path, **{key.replace("__", "."): value for key, value in arrays.items()})
+    return path
+
+
+CM = np.array([[1, 2, 3], [-1, 2, 3]], dtype=np.int16)
+
+
+def test_a_set_is_read_as_it_was_written(tmp_path: Path) -> None:
+    path = written(tmp_path / "set.npz", mug__cm=CM, mug__fitness=np.array([0, 2], np.uint8))
+    mug = read_reference(path, "mug")
+    assert mug.cells.tolist() == CM.tolist()
+    assert mug.robust.cells.tolist() == [[-1, 2, 3]]
+    assert (len(mug), len(mug.robust)) == (2, 1)
+
+
+def test_an_empty_set_is_a_set(tmp_path: Path) -> None:
+    path = written(tmp_path / "set.npz", mug__cm=CM[:0], mug__fitness=np.zeros(0, np.uint8))
+    assert len(read_reference(path, "mug")) == 0
+
+
+def test_an_object_that_the_set_lacks_is_refused_and_those_it_has_are_named(tmp_path: Path) -> None:
+    fitness = np.zeros(2, np.uint8)
+    path = written(tmp_path / "set.npz", mug__cm=CM, mug__fitness=fitness, bowl__cm=CM, bowl__fitness=fitness)
+    with pytest.raises(UnknownName, match=r"'ycb_mug'.*Known: bowl, mug"):
+        read_reference(path, "ycb_mug")
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"No reference set can be read at .*no\.npz.*No such file"):
+        read_reference(tmp_path / "no.npz", "mug")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"hello", b"PK\x03\x04 broken", b"\x93NUMPY\x01\x00", b"\x80\x04N."]
+)
+def test_what_is_not_an_npz_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "set.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
+        read_reference(path, "mug")
+
+
+def test_one_array_in_npy_form_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "set.npy"
+    np.save(path, CM)
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
+        read_reference(path, "mug")
+
+
+def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
+    path = written(tmp_path / "set.npz", mug__cm=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
+        read_reference(path, "mug")
+
+
+def test_an_archive_of_other_arrays_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "poses.npz", base_position=np.zeros((2, 3)))
+    with pytest.raises(AssetError, match=r"holds no reference set.*found base_position"):
+        read_reference(path, "mug")
+
+
+@pytest.mark.parametrize(
+    ("cm", "fitness", "reason"),
+    [
+        (CM / 100, np.zeros(2), r"whole numbers \(n, 3\), got float64 \(2, 3\)"),
+        (CM[0], np.zeros(2), "whole numbers"),
+        (CM, np.zeros(3), r"must be \(2,\), got float64 \(3,\)"),
+        (CM[[0, 0]], np.zeros(2), "more than once"),
+    ],
+)
+def test_arrays_of_another_form_are_refused(
+    tmp_path: Path, cm: np.ndarray, fitness: np.ndarray, reason: str
+) -> None:
+    path = written(tmp_path / "set.npz", mug__cm=cm, mug__fitness=fitness)
+    with pytest.raises(AssetError, match=reason):
+        read_reference(path, "mug")
+
+
+def test_a_set_without_fitness_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match=r"got nothing"):
+        read_reference(written(tmp_path / "set.npz", mug__cm=CM), "mug")
+
+
+def mug(origin: ReferenceOrigin | None) -> ReferenceSet:
+    return ReferenceSet("mug", CM.astype(np.int64), np.zeros(2, np.uint8), origin)
+
+
+def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
+    for origin in (None, ReferenceOrigin("panda", "ycb_mug", "scan", ("paper",))):
+        assert not is_stand_in("ycb_mug", "another scan", mug(origin))
+        assert is_stand_in("mug", "stand-in", mug(origin))
+        with pytest.raises(
+            InputError, match=r"'ycb_mug' or on the stand-in 'mug', but this run is on 'ycb_bowl'"
+        ):
+            is_stand_in("ycb_bowl", "bowl", mug(origin))
+
+
+def test_a_set_of_our_own_compares_with_the_object_that_it_was_built_from_and_no_other() -> None:
+    own = mug(ReferenceOrigin("panda", "part.stl", "part", ("paper",)))
+    assert not is_stand_in("moved/elsewhere/part.stl", "part", own)
+    for name in ("part.stl", "mug", "ycb_mug"):
+        with pytest.raises(InputError, match=rf"built from runs on 'part.stl', but this run is on '{name}'"):
+            is_stand_in(name, "another", own)
+
+
+CUBE = ReleasedArchive(np.full(3, -0.145), 0.2931)
+
+
+def replayed(archive: ReleasedArchive, positions: np.ndarray, fitness: np.ndarray) -> set[int]:
+    """The elites, by inserting one success after the other."""
+    held: dict[int, int] = {}
+    for place, key in enumerate(archive.keys(positions).tolist()):
+        if key not in held or fitness[place] > fitness[held[key]]:
+            held[key] = place
+    return set(held.values())
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_elites_are_those_that_inserting_one_by_one_leaves(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions, fitness = random.uniform(-0.03, 0.03, (500, 3)), random.integers(0, 3, 500)
+    elites = CUBE.elites(positions, fitness)
+    assert set(elites.tolist()) == replayed(CUBE, positions, fitness)
+    assert len(elites) < 400
+
+
+def test_of_equals_the_elder_stays() -> None:
+    positions = np.zeros((4, 3))
+    assert CUBE.elites(positions, np.array([0, 1, 1, 0])).tolist() == [1]
+
+
+def test_a_position_below_the_cube_falls_into_a_foreign_cell() -> None:
+    outside, inside = [-0.146, 0.0, 0.0], [0.1475, -0.01, 0.0]
+    keys = CUBE.keys(np.array([outside, inside]))
+    assert CUBE.bins == 29
+    assert keys[0] == keys[1]
+
+
+def test_a_position_above_the_cube_is_clipped_into_the_last_bin() -> None:
+    keys = CUBE.keys(np.array([[0.4, 0.0, 0.0], [0.1475, 0.0, 0.0]]))
+    assert keys[0] == keys[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "bins", "percent"),
+    [
+        ("rubiks_cube", 29, 4.2),
+        ("mug", 33, 2.6),
+        ("power_drill", 40, 5.5),
+        ("bleach_cleanser", 46, 13.7),
+        ("tennis_ball", 28, 8.5),
+        ("bowl", 37, 5.6),
+    ],
+)
+def test_the_share_of_the_set_outside_the_cube_is_that_of_the_released_code(
+    reference_data: Path, make_scene: Callable[..., Scene], name: str, bins: int, percent: float
+) -> None:
+    """Shares that were counted in the authors' code for the Panda hand."""
+    hulls = (reference_data / "objects" / name / "collision_vhacd.obj").read_bytes()
+    archive = released_archive(make_scene("ref_panda_2f", hulls))
+    assert archive is not None
+    positions = np.load(reference_data / "reference" / "S_G_panda_2f.npz")[f"{name}.cm"] / 100
+    high = archive.low + archive.side
+    outside = ((positions < archive.low) | (positions >= high)).any(axis=1).mean()
+    assert archive.bins == bins
+    assert round(100 * outside, 1) == percent
+
+
+def test_a_hand_that_the_released_code_lacks_has_no_archive(make_scene: Callable[..., Scene]) -> None:
+    assert released_archive(make_scene("hand_of_mine")) is None
+    for own in ("panda", "barrett", "allegro", "shadow", "robotiq_2f"):
+        assert released_archive(make_scene(own)) is not None
+
+
+@pytest.fixture
+def published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An asset path with sets of one hand: of `block`, and an empty one of `mug`."""
+    file = tmp_path / "assets/reference/S_G_bh280.npz"
+    file.parent.mkdir(parents=True)
+    cells = np.array([[0, 0, 1], [0, 0, 2]], np.int16)
+    np.savez(
+        file,
+        **{"block.cm": cells, "block.fitness": np.array([0, 2], np.uint8)},
+        **{"mug.cm": cells[:0], "mug.fitness": np.zeros(0, np.uint8)},
+    )
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path / "assets"))
+    return file
+
+
+def on(scene: Scene, name: str) -> Scene:
+    return msgspec.structs.replace(scene, object=msgspec.structs.replace(scene.object, name=name))
+
+
+@pytest.mark.parametrize("hand", ["bh280", "ref_bh280", "barrett"])
+@pytest.mark.parametrize(("name", "stand_in"), [("block", True), ("ycb_block", False)])
+def test_the_published_set_of_a_hand_serves_its_models_and_stand_ins_are_marked(
+    published: Path, make_scene: SceneMaker, hand: str, name: str, stand_in: bool
+) -> None:
+    found = ReferenceLookup().of(on(make_scene(hand), name), name)
+    assert (found.size, found.stand_in, found.why) == (2, stand_in, "")
+
+
+def test_why_there_is_no_set_is_said(published: Path, make_scene: SceneMaker) -> None:
+    scene = make_scene("barrett")
+    assert ReferenceLookup().of(on(scene, "ycb_mug"), "ycb_mug").why == "S_G of bh280 and mug is empty"
+    assert ReferenceLookup().of(on(scene, "ycb_bowl"), "ycb_bowl").why == "no S_G of bh280 and bowl"
+    assert ReferenceLookup().of(make_scene("jaw"), "block").why == "no S_G of jaw and block"
+
+
+def test_another_object_of_the_same_name_is_not_compared(published: Path, make_scene: SceneMaker) -> None:
+    assert ReferenceLookup().of(on(make_scene("barrett"), "block"), "my/block.stl").size == 0
+
+
+def test_a_set_of_one_s_own_goes_before_the_published_ones(
+    published: Path, tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    folder = record(tmp_path / "run", make_scene("barrett"), random_rows(200), gripper="barrett")
+    own = tmp_path / "own.npz"
+    size = len(build_reference_sets([folder], own)["block"])
+    assert size > 2
+    found = ReferenceLookup([own]).of(folder.scene(), folder.spec.object)
+    assert (found.size, found.stand_in) == (size, False)
+    assert ReferenceLookup([own]).of(make_scene("jaw"), "block.stl").size == 0
+
+
+def test_a_file_without_origin_says_its_hand_by_its_name(
+    published: Path, tmp_path: Path, make_scene: SceneMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("QDGRASP_ASSET_PATH")
+    scene = on(make_scene("barrett"), "ycb_block")
+    assert ReferenceLookup().of(scene, "ycb_block").size == 0
+    assert ReferenceLookup([published]).of(scene, "ycb_block").size == 2
+
+
+SHIFTED = ReleasedArchive(np.full(3, -0.14), 0.291)
+"""29 bins of 10.03 mm; edges at 0.48 and 10.52 mm."""
+
+
+def reference(cells: list[tuple[int, int, int]], fitness: list[int]) -> ReferenceSet:
+    return ReferenceSet(
+        "cube", np.array(cells, dtype=np.int64).reshape(-1, 3), np.array(fitness, dtype=np.uint8)
+    )
+
+
+FOUR = reference([(1, 0, 0), (2, 0, 0), (3, 0, 0), (-4, 5, 6)], [0, 1, 2, 2])
+
+
+def at(*centimetres: tuple[float, float, float]) -> np.ndarray:
+    return np.array(centimetres, dtype=np.float32).reshape(-1, 3) / 100
+
+
+def test_a_position_counts_once_however_often_it_was_reached() -> None:
+    found = coverage(
+        at((1.0, 0, 0), (1.2, 0.3, -0.4), (0.8, 0, 0), (3.1, 0, 0)), np.array([0, 2, 1, 1]), FOUR
+    )
+    assert (found.found, found.size, found.coverage) == (2, 4, 0.5)
+
+
+def test_positions_that_are_not_in_the_set_count_as_outside() -> None:
+    found = coverage(at((9.0, 0, 0), (9.1, 0, 0), (0, 9.0, 0), (2, 0, 0)), np.zeros(4), FOUR)
+    assert (found.found, found.outside) == (1, 2)
+
+
+def test_mirrored_positions_are_told_apart() -> None:
+    found = coverage(at((4, 5, 6), (-4, -5, 6), (5, -4, 6)), np.zeros(3), FOUR)
+    assert (found.found, found.outside) == (0, 3)
+    assert coverage(at((-4, 5, 6)), np.zeros(1), FOUR).found == 1
+
+
+def test_halves_round_to_even_as_the_set_was_rounded() -> None:
+    edge = np.array([[0.125, 0.0, 0.0], [0.375, 0.0, 0.0]])
+    twelve_and_38 = reference([(12, 0, 0), (38, 0, 0)], [2, 2])
+    assert coverage(edge, np.zeros(2), twelve_and_38).coverage == 1.0
+
+
+def test_the_robust_share_asks_for_fitness_2_on_both_sides() -> None:
+    held_where_only_one_shake_is_known, held, dropped = (2, 0, 0), (3, 0, 0), (-4, 5, 6)
+    found = coverage(at(held_where_only_one_shake_is_known, held, dropped), np.array([2, 2, 1]), FOUR)
+    assert (found.robust_found, found.robust_size, found.robust) == (1, 2, 0.5)
+
+
+def test_no_success_covers_nothing() -> None:
+    found = coverage(np.zeros((0, 3), np.float32), np.zeros(0), FOUR, SHIFTED)
+    assert (found.coverage, found.robust, found.released, found.outside) == (0.0, 0.0, 0.0, 0)
+
+
+def test_an_empty_set_has_no_coverage_and_says_so() -> None:
+    found = coverage(at((1, 0, 0)), np.array([2]), reference([], []), SHIFTED)
+    assert (found.coverage, found.robust, found.released, found.released_robust) == (None,) * 4
+    assert "is empty" in found.sentence
+    assert b'"coverage":null' in msgspec.json.encode(found)
+
+
+def test_a_set_without_robust_entries_has_no_robust_share() -> None:
+    assert coverage(at((1, 0, 0)), np.array([2]), reference([(1, 0, 0)], [1])).robust is None
+
+
+def test_finding_the_whole_set_covers_it() -> None:
+    found = coverage(FOUR.cells / 100, np.full(4, 2), FOUR)
+    assert (found.coverage, found.robust, found.outside) == (1.0, 1.0, 0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_more_successes_never_cover_less(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions, fitness = random.uniform(-0.04, 0.04, (300, 3)), random.integers(0, 3, 300)
+    cells = np.unique(random.integers(-4, 5, (90, 3)), axis=0)
+    known = ReferenceSet("cube", cells, random.integers(0, 3, len(cells)).astype(np.uint8))
+    shares = [coverage(positions[:n], fitness[:n], known).coverage for n in range(0, 301, 30)]
+    assert shares == sorted(shares)
+    assert shares[-1] > 0
+
+
+def test_the_released_count_takes_two_elites_that_round_to_one_position() -> None:
+    """Its bins are a little wider than 1 cm and not aligned with the rounding."""
+    left, right = (0.8, 0, 0), (1.2, 0, 0)
+    found = coverage(at(left, right), np.zeros(2), FOUR, SHIFTED)
+    assert (found.found, found.released_found) == (1, 2)
+
+
+def test_the_released_count_can_lose_what_it_had() -> None:
+    known_cell, better_beside_it = (1, 0.1, 0), (1, 0.9, 0)
+    first = coverage(at(known_cell), np.array([1]), FOUR, SHIFTED)
+    both = coverage(at(known_cell, better_beside_it), np.array([1, 2]), FOUR, SHIFTED)
+    assert (first.found, first.released_found) == (1, 1)
+    assert (both.found, both.released_found) == (1, 0)
+
+
+def test_without_an_archive_of_the_released_code_its_figures_are_left_out() -> None:
+    found = coverage(at((1, 0, 0)), np.array([2]), FOUR)
+    assert (found.released, found.released_robust, found.released_found) == (None, None, None)
+
+
+def test_on_a_set_of_ones_own_the_released_code_has_no_count() -> None:
+    own = replace(FOUR, origin=ReferenceOrigin("panda", "part.stl", "part", ("paper",)))
+    found = coverage(at((1, 0, 0)), np.array([2]), own, SHIFTED)
+    assert (found.found, found.released, found.released_robust, found.released_found) == (1, None, None, None)
+    assert "released" not in found.sentence
+
+
+def test_the_sentence_says_what_the_figures_say() -> None:
+    found = coverage(at((1, 0, 0), (3, 0, 0), (9, 0, 0)), np.array([1, 2, 0]), FOUR, SHIFTED)
+    assert found.sentence == (
+        "2 of the 4 cells of 'cube' were found (50.00%), and 1 cell that is not in the set. "
+        "With fitness 2 were found 1 of the 2 that have it in the set (50.00%). "
+        "The released code counts 2 of the 4 (50.00%)."
+    )

@@ -1,0 +1,212 @@
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows
+from tests.coordinator.scheduler.search_plans import Plan, evaluate
+
+from qdgrasp_coordinator.metrics.run_stats import (
+    BARREN,
+    BARREN_GENOMES,
+    CURVE_POINTS,
+    NO_TOTALS,
+    CurvePoint,
+    CurveRecorder,
+    RunCounter,
+    count_rows,
+    evaluation_mask,
+)
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec
+
+SHAPE = RowShape(genes=2, joints=1)
+
+
+def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
+    made = SHAPE.empty(len(outcomes))
+    made["generation"], made["index"] = generation, np.arange(len(outcomes))
+    made["outcome"] = outcomes
+    made["proposals"] = 3
+    return made
+
+
+def test_count_takes_every_nominal_row_and_redraw_the_simulated_ones() -> None:
+    every = rows(*Outcome)
+    assert evaluation_mask(every, "count").all()
+    assert [Outcome(value) for value in every["outcome"][evaluation_mask(every, "redraw")]] == [
+        outcome for outcome in Outcome if outcome.is_simulated
+    ]
+
+
+@pytest.mark.parametrize("overlaps", ["count", "redraw"])
+def test_randomised_trials_never_count(overlaps) -> None:
+    trials = rows(Outcome.HELD, Outcome.HELD, Outcome.HELD)
+    trials["trial"] = [0, 1, 100]
+    assert evaluation_mask(trials, overlaps).tolist() == [True, False, False]
+    total = RunCounter(10, overlaps)
+    total.count(trials)
+    assert (total.rows, total.evaluations, total.successes, total.proposals) == (3, 1, 1, 3)
+
+
+def test_every_outcome_is_counted_where_it_belongs() -> None:
+    total = RunCounter(100, "redraw")
+    total.count(rows(*Outcome))
+    total.count(rows(*Outcome, generation=1))
+    figures = (total.errors, total.dead_ends, total.overlaps, total.simulated, total.successes)
+    assert figures == (2, 2, 2, 10, 6)
+    assert (total.grasps, total.robust, total.rows, total.evaluations) == (4, 2, 16, 10)
+    assert total.proposals == 48
+
+
+def test_cells_are_those_of_successes_each_once() -> None:
+    found = rows(Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.BRUSHED)
+    found["descriptor"] = [[0.1, 0, 0], [0.104, 0, 0], [0.1, 0.01, 0], [0.2, 0, 0]]
+    total = RunCounter(100, "count")
+    total.count(found)
+    total.count(found)
+    assert total.cells == 2
+
+
+def test_a_run_is_over_when_its_budget_is_spent() -> None:
+    total = RunCounter(3, "redraw")
+    total.count(rows(Outcome.HELD, Outcome.OVERLAP, Outcome.MISSED))
+    assert (total.left, total.finished) == (1, None)
+    total.count(rows(Outcome.MISSED))
+    assert total.finished == "the budget of 3 evaluations is spent"
+
+
+def blocks(*generations: Rows, size: int) -> list[Rows]:
+    journal = np.concatenate(generations)
+    return [journal[first : first + size] for first in range(0, len(journal), size)]
+
+
+def redrawn(population: int) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", population=population, overlaps="redraw")
+
+
+def barren(population: int, generations: int, first: int = 0) -> list[Rows]:
+    """Generations of which nothing was simulated."""
+    return [rows(*[Outcome.OVERLAP] * population, generation=first + number) for number in range(generations)]
+
+
+@pytest.mark.parametrize("size", [7, 50, 10_000])
+@pytest.mark.parametrize(
+    ("population", "generations"), [(500, BARREN), (50, BARREN), (40, BARREN_GENOMES // 40)]
+)
+def test_a_journal_tells_that_the_last_generations_counted_nothing(
+    size: int, population: int, generations: int
+) -> None:
+    good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * (population - 1))
+    bad = barren(population, generations, first=1)
+    words = f"the last {population * generations} genomes, {generations} generations, counted no evaluation"
+    assert count_rows(redrawn(population), blocks(good, *bad, size=size)).finished == words
+    assert count_rows(redrawn(population), blocks(good, *bad[:-1], size=size)).finished is None
+
+
+@pytest.mark.parametrize("population", [1, 5])
+def test_a_search_that_asks_few_at_a_time_may_have_bad_luck_for_as_many_genomes(population: int) -> None:
+    bad = barren(population, BARREN_GENOMES // population)
+    assert count_rows(redrawn(population), blocks(*bad[:-1], size=100)).finished is None
+    assert count_rows(redrawn(population), blocks(*bad, size=100)).finished is not None
+
+
+def test_a_success_between_them_begins_the_count_anew() -> None:
+    good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * 49, generation=15)
+    found = count_rows(redrawn(50), blocks(*barren(50, 15), good, *barren(50, 15, first=16), size=4))
+    assert found.finished is None
+
+
+def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
+    bad = barren(50, BARREN)
+    assert count_rows(redrawn(50), blocks(*bad, size=5)).finished is not None
+    assert count_rows(redrawn(50), blocks(*bad[:-1], bad[-1][:49], size=5)).finished is None
+
+
+def robust_journal() -> Rows:
+    """Two generations of two rows, a success with a hundred trials in each."""
+    parts = []
+    for number in range(2):
+        nominal = rows(Outcome.HELD, Outcome.MISSED, generation=number)
+        trials = rows(*[Outcome.SHAKEN] * 100, generation=number)
+        trials["index"], trials["trial"] = 0, np.arange(1, 101)
+        parts += [nominal, trials]
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("size", [1, 3, 101, 1000])
+def test_a_journal_with_trials_is_complete_when_the_last_trial_is_recorded(size: int) -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=2, evaluations=4, protocol="robust")
+    journal = robust_journal()
+    total = count_rows(spec, blocks(journal[:-1], size=size))
+    assert (total.evaluations, total.successes, total.trials, total.finished) == (4, 2, 199, None)
+    total = count_rows(spec, blocks(journal, size=size))
+    assert total.finished == "the budget of 4 evaluations is spent"
+
+
+def test_many_trials_in_many_blocks_are_no_barren_generations() -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=1, protocol="robust")
+    found = rows(*[Outcome.HELD] * 101)
+    found["index"], found["trial"] = 0, np.arange(101)
+    assert count_rows(spec, blocks(found, size=2)).finished is None
+
+
+def test_a_simulator_that_fails_in_a_trial_is_counted_among_the_errors_alone() -> None:
+    found = rows(Outcome.HELD, Outcome.ERROR)
+    found["index"], found["trial"] = 0, [0, 1]
+    total = RunCounter(10, "count", trials=1)
+    total.count(found)
+    assert (total.errors, total.successes, total.evaluations, total.dead_ends) == (1, 1, 1, 0)
+
+
+def test_totals_are_the_sums_of_what_tallies_count() -> None:
+    found = NO_TOTALS
+    for seed in (0, 1):
+        rows = random_rows(50, seed)
+        rows["outcome"][:5], rows["proposals"] = Outcome.DEAD_END, 3
+        tally = RunCounter(100, "redraw")
+        tally.count(rows)
+        found += tally.totals
+    assert (found.proposals, found.dead_ends, found.trials) == (300, 10, 0)
+    assert found.evaluations == found.simulated == 90 - found.overlaps
+    assert found.cells <= found.successes < found.simulated
+    assert found + NO_TOTALS == found
+    assert found.overlaps > 0
+
+
+def recorded(generations: int) -> list[int]:
+    recorder = CurveRecorder()
+    for generation in range(1, generations + 1):
+        recorder.record(CurvePoint(generation, 0, 0, 0, 0))
+    return [point.evaluations for point in recorder.points]
+
+
+@pytest.mark.parametrize(
+    "generations", [0, 1, CURVE_POINTS, CURVE_POINTS + 1, CURVE_POINTS + 2, 3 * CURVE_POINTS, 10_000]
+)
+def test_a_curve_has_evenly_spaced_points_from_the_first_to_the_last_or_nearly(generations: int) -> None:
+    points = recorded(generations)
+    steps = {after - before for before, after in zip([0, *points], points, strict=False)}
+    assert len(steps) <= 1
+    assert len(points) == min(generations, len(points)) <= CURVE_POINTS
+    assert generations - (points or [0])[-1] < max(steps, default=1)
+
+
+def test_thinning_keeps_at_least_half_of_the_points() -> None:
+    assert all(
+        len(recorded(generations)) >= CURVE_POINTS // 2
+        for generations in range(CURVE_POINTS, 3 * CURVE_POINTS, 7)
+    )
+
+
+def test_a_run_that_is_replayed_has_the_same_curve_whatever_pieces_it_comes_in() -> None:
+    plan = Plan(population=8, evaluations=100)
+    pipeline = plan.pipeline()
+    journal = []
+    while (asked := pipeline.ask()) is not None:
+        rows = plan.task.shape.empty(len(asked.indices))
+        rows["generation"], rows["index"], rows["genome"] = asked.number, asked.indices, asked.genomes
+        journal += [pipeline.settle(part).rows for part in np.array_split(evaluate(rows), 3)]
+    again = plan.pipeline()
+    for part in np.array_split(np.concatenate(journal), 7):
+        again.replay(part)
+    curve = pipeline.tally.curve("run")
+    assert again.tally.curve("run") == curve
+    assert curve.points[-1].evaluations == 100

@@ -1,0 +1,215 @@
+import math
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.metrics.cells import MIDDLES
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader
+from qdgrasp_coordinator.metrics.success_metrics import (
+    NU_SUMMARY_BINS,
+    SuccessMetrics,
+    archive_growth,
+    diversity,
+)
+from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
+
+SHAPE = RowShape(genes=2, joints=1)
+
+
+def rows(*outcomes: Outcome) -> Rows:
+    made = SHAPE.empty(len(outcomes))
+    made["outcome"] = outcomes
+    made["fitness"] = np.maximum(np.array(outcomes, np.float32) - Outcome.DROPPED, 0)
+    made["surface_point"] = 0.01
+    return made
+
+
+def counted(*blocks: Rows) -> SuccessMetrics:
+    metrics = SuccessMetrics()
+    for block in blocks:
+        metrics.count(block)
+    return metrics
+
+
+def random_rows(n: int) -> Rows:
+    random = np.random.default_rng(7)
+    made = rows(*(Outcome(value) for value in random.integers(0, 8, n)))
+    made["descriptor"] = random.uniform(-0.03, 0.03, (n, 3))
+    made["nu"] = random.uniform(0, math.pi, n)
+    return made
+
+
+def test_the_qd_score_takes_the_best_fitness_of_each_cell_once() -> None:
+    found = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.SHAKEN, Outcome.DROPPED, Outcome.HELD)
+    found["descriptor"][:, 0] = [0.1, 0.101, 0.2, 0.3, 0.099]
+    assert counted(found).qd_score == 2 + 1 + 0
+    assert counted(found, found[::-1]).qd_score == 3
+
+
+def test_what_is_no_success_is_worth_nothing() -> None:
+    found = rows(Outcome.BRUSHED, Outcome.OVERLAP)
+    found["fitness"] = 2
+    metrics = counted(found, SHAPE.empty(0))
+    assert (metrics.qd_score, metrics.mean_fitness, metrics.nu.below_quarter_pi) == (0.0, None, None)
+    assert metrics.nu.bins == (0,) * NU_SUMMARY_BINS
+
+
+def test_randomised_trials_are_left_out() -> None:
+    found = rows(Outcome.SHAKEN, Outcome.HELD)
+    found["trial"] = [0, 1]
+    metrics = counted(found)
+    assert (metrics.successes, metrics.qd_score, metrics.mean_fitness) == (1, 1.0, 1.0)
+
+
+def test_the_mean_fitness_is_of_all_successes() -> None:
+    found = rows(Outcome.DROPPED, Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.MISSED)
+    assert counted(found).mean_fitness == 5 / 4
+
+
+def test_nu_from_0_to_pi_falls_into_18_bins_with_both_ends() -> None:
+    found = rows(*[Outcome.DROPPED] * 4)
+    found["nu"] = [0.0, math.pi, math.pi / 4 - 1e-3, math.pi / 4 + 1e-3]  # float32 pi is beyond pi
+    lean = counted(found).nu
+    assert (lean.bins[0], lean.bins[4], lean.bins[17], sum(lean.bins)) == (1, 2, 1, 4)
+    assert lean.below_quarter_pi == 0.5
+
+
+def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
+    found = rows(Outcome.HELD, Outcome.HELD)
+    found["surface_point"][0] = 0
+    found["nu"] = [0, 2]
+    lean = counted(found).nu
+    assert (sum(lean.bins), lean.below_quarter_pi) == (1, 0.0)
+
+
+@pytest.mark.parametrize("size", [1, 7, 100])
+def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
+    every = random_rows(400)
+    whole, parts = counted(every), SuccessMetrics()
+    passed = list(parts.counting(every[first : first + size] for first in range(0, 400, size)))
+    assert np.concatenate(passed).tobytes() == every.tobytes()
+    assert (parts.qd_score, parts.mean_fitness, parts.nu) == (whole.qd_score, whole.mean_fitness, whole.nu)
+    assert whole.qd_score > 50
+
+
+def with_trials(*sums: int, trials: int = 10) -> Rows:
+    """A generation of successes whose trials survive so many shakes in sum."""
+    nominal = rows(*[Outcome.HELD] * len(sums))
+    nominal["index"] = np.arange(len(sums))
+    nominal["descriptor"][:, 0] = np.arange(len(sums)) // 2 / 100  # two to a cell
+    again = np.repeat(nominal, trials)
+    again["trial"] = np.tile(np.arange(1, trials + 1), len(sums))
+    again["fitness"] = [
+        2.0 * (k < total // 2) + (k == total // 2) * (total % 2) for total in sums for k in range(trials)
+    ]
+    return np.concatenate([nominal, again])
+
+
+def test_with_trials_fitness_is_the_sum_over_them() -> None:
+    metrics = SuccessMetrics(trials=10)
+    metrics.count(with_trials(0, 7, 20, 13))
+    assert metrics.qd_score == 7 + 20
+    assert metrics.mean_fitness == 10
+    assert metrics.eta is not None
+    assert (metrics.eta.successes, metrics.eta.mean, metrics.eta.best) == (4, 0.5, 1.0)
+    assert metrics.eta.at_least_half == 0.5
+
+
+def test_a_success_counts_once_its_trials_are_recorded() -> None:
+    metrics = SuccessMetrics(trials=10)
+    journal = with_trials(4, 16)
+    metrics.count(journal[:15])
+    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 4, 4)
+    metrics.count(journal[15:])
+    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 10, 16)
+
+
+def test_without_trials_there_is_no_eta() -> None:
+    assert counted(rows(Outcome.HELD)).eta is None
+    nothing = SuccessMetrics(trials=10).eta
+    assert nothing is not None
+    assert (nothing.successes, nothing.mean, nothing.best, nothing.words) == (0, None, None, "none")
+
+
+NARROW_SHAPE = RowShape(genes=1, joints=1)
+TWO = SynergyReader(Layout("contact", (Gene("synergy", 0.0, 1.0),)))
+
+
+def closed_rows(*cells: int) -> Rows:
+    made = NARROW_SHAPE.empty(len(cells))
+    made["outcome"], made["base_to_object"][:, 3:] = Outcome.DROPPED, MIDDLES[0]
+    made["descriptor"][:, 0] = np.array(cells) / 100
+    return made
+
+
+def archive(found: Rows, synergies: SynergyReader = TWO) -> NicheArchive:
+    made = NicheArchive(synergies)
+    made.insert(found)
+    return made
+
+
+def test_orientations_and_synergies_are_counted_in_the_cells_with_a_success() -> None:
+    found = closed_rows(0, 0, 0, 0, 1)
+    found["base_to_object"][1:3, 3:] = MIDDLES[[4, 5]]
+    found["genome"][2:4, 0] = 1.0
+    said = diversity(archive(found))
+    assert said.niches == 5
+    assert said.orientations == (3 + 1) / 2
+    assert said.synergies == (2 + 1) / 2
+
+
+def test_a_niche_counts_by_the_best_in_it() -> None:
+    found = closed_rows(0, 0, 1, 1, 2)
+    found["outcome"] = [Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED, Outcome.DROPPED]
+    said = diversity(archive(found, UNKNOWN_SYNERGIES))
+    assert (said.niches, said.grasp_niches, said.robust_niches) == (3, 2, 1)
+
+
+def test_without_a_success_there_is_no_mean() -> None:
+    said = diversity(archive(closed_rows()))
+    assert (said.niches, said.orientations, said.synergies, said.words) == (0, None, None, "none")
+
+
+def test_the_words_hold_all_figures() -> None:
+    found = closed_rows(0, 0, 1)
+    found["base_to_object"][1, 3:] = MIDDLES[4]
+    found["outcome"] = Outcome.HELD
+    said = diversity(archive(found)).words
+    assert said == "3 niches, 3 with a grasp, 3 robust; 1.50 orientations and 1.00 synergies in a cell"
+
+
+@pytest.mark.parametrize("n", [0, 300])
+def test_niches_are_never_fewer_than_cells_and_never_more_than_successes(n: int) -> None:
+    random = np.random.default_rng(2)
+    found = closed_rows(*random.integers(0, 20, n).tolist())
+    found["base_to_object"][:, 3:] = MIDDLES[random.integers(0, 60, n)]
+    said = diversity(archive(found))
+    assert len(np.unique(found["descriptor"][:, 0])) <= said.niches <= n
+
+
+def test_successes_and_their_cells_are_counted_along_the_nominal_rows() -> None:
+    rows = RowShape(7, 2).empty(6)
+    rows["outcome"] = [
+        Outcome.MISSED,
+        Outcome.HELD,
+        Outcome.DROPPED,
+        Outcome.HELD,
+        Outcome.OVERLAP,
+        Outcome.HELD,
+    ]
+    rows["descriptor"][:, 0] = [0.05, 0.01, 0.012, 0.03, 0.07, 0.09]
+    rows["trial"] = [0, 0, 0, 0, 0, 1]
+    found = archive_growth(rows)
+    assert found.evaluations.tolist() == [0, 1, 2, 3, 4, 5, 5]
+    assert found.successes.tolist() == [0, 0, 1, 2, 3, 3, 3]
+    assert found.cells.tolist() == [0, 0, 1, 1, 2, 2, 2]
+
+
+def test_overlaps_are_no_evaluations_where_they_are_redrawn() -> None:
+    rows = RowShape(7, 2).empty(3)
+    rows["outcome"] = [Outcome.OVERLAP, Outcome.MISSED, Outcome.OVERLAP]
+    assert archive_growth(rows, "redraw").evaluations.tolist() == [0, 0, 1, 1]
+
+
+def test_nothing_grows_from_nothing() -> None:
+    assert archive_growth(RowShape(7, 2).empty(0)).cells.tolist() == [0]

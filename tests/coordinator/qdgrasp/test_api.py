@@ -1,0 +1,187 @@
+"""What `import qdgrasp` gives, and when it is loaded."""
+
+import ast
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
+from tests.worker.runtime import evaluators
+
+import qdgrasp
+from qdgrasp.evaluator_worker import evaluator_name
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.rows import RowShape
+
+SOURCE = ast.parse(Path(qdgrasp.__file__).read_text())
+
+
+def loaded_by(code: str) -> list[str]:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    return done.stdout.split()
+
+
+def test_nothing_is_loaded_before_it_is_used() -> None:
+    loaded = loaded_by(
+        "import sys; before = set(sys.modules); import qdgrasp; print(*(set(sys.modules) - before))"
+    )
+    assert {name.partition(".")[0] for name in loaded} <= {"qdgrasp", *sys.stdlib_module_names}
+    assert "qdgrasp.evaluations" not in loaded
+
+
+def test_a_run_is_read_without_a_bus_or_a_simulator() -> None:
+    loaded = loaded_by("import sys, qdgrasp; qdgrasp.open; print(*sys.modules)")
+    assert "numpy" in loaded
+    assert not {"zenoh", "pybullet"} & set(loaded)
+
+
+def test_what_a_type_checker_sees_is_what_there_is() -> None:
+    seen = {
+        alias.name: node.module
+        for block in SOURCE.body
+        if isinstance(block, ast.If)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == qdgrasp.HOMES
+    assert set(qdgrasp.__all__) == {*seen, "__version__"}
+
+
+@pytest.mark.parametrize("name", sorted(qdgrasp.HOMES))
+def test_every_name_is_there_with_a_word_about_it(name: str) -> None:
+    found = getattr(qdgrasp, name)
+    assert found is getattr(qdgrasp, name)
+    if callable(found) and getattr(found, "__module__", "").startswith("qdgrasp"):
+        assert found.__doc__
+
+
+def test_the_version_is_the_packages() -> None:
+    assert qdgrasp.__version__ == version("qdgrasp")
+
+
+def test_a_name_that_is_not_there_is_answered_with_those_that_are() -> None:
+    with pytest.raises(AttributeError, match=r"has no attribute 'grasp'; it has Evaluations, .*optimise"):
+        qdgrasp.grasp  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_an_evaluator_in_a_package_goes_by_the_name_of_its_module() -> None:
+    assert evaluator_name(evaluators.Height) == "tests.worker.runtime.evaluators:Height"
+
+
+def test_an_evaluator_in_a_script_goes_by_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluators, "__name__", "__main__")
+    assert evaluator_name(evaluators.Height) == f"{evaluators.__file__}:Height"
+
+
+@pytest.mark.parametrize("evaluator", [evaluators.nested(), lambda scene: evaluators.Height(scene), 3])
+def test_an_evaluator_that_no_other_process_finds_is_refused(evaluator: object) -> None:
+    with pytest.raises(InputError, match="at the top of a module"):
+        evaluator_name(evaluator)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ({"workers": -1}, "serve: workers must be a whole number, at least 1, got -1"),
+        ({"workers": 1.5}, "serve: workers must be a whole number"),
+        ({"connect": 7447}, "serve: connect must be text"),
+        ({"connect": "here"}, "'here' is not an endpoint"),
+        ({"job": 3}, "serve: job must be text"),
+        ({"security": 3}, "serve: security must be a path"),
+        ({"row_seconds": 0}, "serve: row_seconds must be seconds, at least 0.1, got 0"),
+        ({"wait": "long"}, "serve: wait must be seconds, at least 0"),
+        ({"wait": float("nan")}, "serve: wait must be seconds"),
+    ],
+)
+def test_how_it_cannot_be_served_is_refused(said: dict[str, Any], why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        qdgrasp.serve(evaluators.Height, **said)
+
+
+GIVEN = RowShape(genes=7, joints=2)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> qdgrasp.Run:
+    path = tmp_path_factory.mktemp("runs") / "mine"
+    few = random_rows(300)
+    rows = GIVEN.empty(len(few))
+    for name in few.dtype.names:
+        if name != "genome":
+            rows[name] = few[name]
+    rows["genome"] = rows["base_to_object"]
+    poses = tuple(tuple(map(float, pose)) for pose in rows["genome"][:1])
+    record(path, made_scene(), rows, method="given", poses=poses, evaluations=1)
+    return qdgrasp.open(path)
+
+
+def test_a_run_says_what_was_asked_for(run: qdgrasp.Run) -> None:
+    assert run.spec.gripper == "jaw"
+    assert run.scene.object.name == "block"
+    assert run.layout.names == ("x", "y", "z", "qx", "qy", "qz", "qw")
+    assert run.summary.rows == 300
+
+
+def test_grasps_are_those_that_survived_a_shake(run: qdgrasp.Run) -> None:
+    rows, grasps = run.rows(), run.grasps()
+    assert len(rows) == 300
+    assert grasps.numbers.tolist() == np.flatnonzero(rows["outcome"] >= qdgrasp.Outcome.SHAKEN).tolist()
+    assert [grasp.number for grasp in grasps] == grasps.numbers.tolist()
+    assert grasps.poses("com")[:, :3] == pytest.approx(rows["base_to_object"][grasps.numbers][:, :3])
+    assert grasps.matrices().shape == (len(grasps), 4, 4)
+
+
+def test_the_best_and_the_well_spread_are_some_of_them(run: qdgrasp.Run) -> None:
+    robust = run.grasps(min_fitness=2)
+    assert (robust.fitness == 2).all()
+    assert len(run.grasps(top=7)) == 7
+    assert (run.grasps(top=7).fitness == 2).all()
+    assert set(run.grasps(min_fitness=2, diverse=5).numbers) < set(robust.numbers)
+
+
+@pytest.mark.parametrize(
+    "asked", [{"top": -5}, {"diverse": -5}, {"top": 2.5}, {"min_fitness": "a"}, {"min_fitness": float("nan")}]
+)
+def test_what_cannot_be_asked_for_is_refused(run: qdgrasp.Run, asked: dict[str, Any]) -> None:
+    with pytest.raises(ImpossibleValue, match="not less than 0"):
+        run.grasps(**asked)
+
+
+def test_a_frame_that_is_none_is_refused(run: qdgrasp.Run) -> None:
+    with pytest.raises(UnknownName, match=r"Unknown frame 'world'\. Known: com, mesh\."):
+        run.grasps().poses("world")  # type: ignore[arg-type]
+
+
+def test_blocks_are_the_rows_piece_by_piece(run: qdgrasp.Run) -> None:
+    assert np.concatenate(list(run.blocks())).tobytes() == run.rows().tobytes()
+
+
+def test_a_run_is_shown_as_it_was_opened(run: qdgrasp.Run) -> None:
+    assert repr(run) == f"qdgrasp.open('{run.path}')"
+
+
+def test_grasps_are_shown_in_a_few_words(run: qdgrasp.Run) -> None:
+    assert repr(run.grasps(top=7)) == "<7 grasps of jaw on block>"
+
+
+def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
+    empty = record(tmp_path / "empty", made_scene(), GIVEN.empty(0), method="given", evaluations=1)
+    assert len(qdgrasp.open(empty.path).rows()) == 0
+    assert len(qdgrasp.open(str(empty.path)).grasps()) == 0
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds no run"):
+        qdgrasp.open(tmp_path)
+
+
+@pytest.mark.parametrize("path", [3, None])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(ImpossibleValue, match="path must be a path"):
+        qdgrasp.open(path)

@@ -1,0 +1,222 @@
+"""Genomes, poses and places of a program are looked at before anything is started."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.monitor.sample_jobs import figures
+from tests.coordinator.scenes import jaw, made_scene
+
+import qdgrasp
+from qdgrasp.arguments import check_fixed_poses, check_genomes, layout_of
+from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
+from qdgrasp_assets.scene import Synergy
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError, UnknownName
+from qdgrasp_protocol.rows import Gene, Layout
+from qdgrasp_protocol.session import Role
+
+TWO = Layout("contact", (Gene("nu", 0.0, 1.0), Gene("d", 0.0, 0.1)))
+POSE = Layout("given", (Gene("x", -1.0, 1.0), Gene("y", -1.0, 1.0)))
+
+
+def test_genomes_become_single_floats_of_their_own() -> None:
+    given = np.array([[1, -1], [0, 1]], order="F")
+    genomes = check_genomes(given, TWO)
+    assert genomes.dtype == np.float32
+    assert genomes.flags.c_contiguous
+    assert genomes.tolist() == given.tolist()
+    genomes[:] = 0
+    assert given.any()
+
+
+@pytest.mark.parametrize("given", [[0.0, 0.0], [[0.0]], np.zeros((2, 3))])
+def test_genomes_of_another_shape_are_answered_with_the_genes(given: object) -> None:
+    with pytest.raises(ImpossibleValue, match=r"shape \(n, 2\): nu, d, got \("):
+        check_genomes(given, TWO)  # type: ignore[arg-type]
+
+
+def test_what_is_no_array_of_numbers_is_no_genome() -> None:
+    with pytest.raises(InputError, match="nu, d"):
+        check_genomes([["a", "b"]], TWO)  # type: ignore[list-item]
+
+
+def test_a_gene_outside_its_interval_is_named() -> None:
+    with pytest.raises(ImpossibleValue, match=r"in \[-1, 1\] \(1 numbers are not\), got 1.5"):
+        check_genomes([[0.0, 1.5], [0.0, 0.0]], TWO)
+
+
+def test_poses_may_lie_anywhere_but_nowhere() -> None:
+    assert check_genomes([[0.0, 2.5]], POSE).tolist() == [[0.0, 2.5]]
+    with pytest.raises(ImpossibleValue, match="finite"):
+        check_genomes([[0.0, np.nan]], POSE)
+
+
+@pytest.mark.parametrize(
+    ("pose", "wanted"),
+    [
+        ([0, 0, 0, 0, 0, 0, 0], "length zero"),
+        ([1e9, 0, 0, 0, 0, 0, 1], "x y z"),
+        ([0, 0, 0, 0, 0, 0, 1, 2], "synergy.* 0 to 1 for this hand, got 2"),
+        ([0, 0, 0, 0, 0, 0, 1, 0.5], "synergy"),
+    ],
+)
+def test_what_no_hand_can_take_is_no_pose(pose: list[float], wanted: str) -> None:
+    synergies = tuple(Synergy(name=name, joints=("finger",)) for name in "ab")
+    hand = msgspec.structs.replace(jaw("jaw"), synergies=synergies if len(pose) > 7 else ())
+    with pytest.raises(InputError, match=wanted):
+        check_fixed_poses(np.array([pose], np.float32), hand)
+
+
+def test_no_genomes_are_genomes() -> None:
+    assert check_genomes(np.zeros((0, 2)), TWO).shape == (0, 2)
+
+
+def test_a_prior_that_is_unknown_is_answered_with_those_that_are() -> None:
+    with pytest.raises(UnknownName, match="Did you mean 'approach'"):
+        layout_of(made_scene(), "aproach")
+
+
+ABOVE, DOWN = [[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]]
+BAD = {
+    "a ragged list": ({"positions": [[0, 0, 1], [1]]}, "positions must be numbers of shape"),
+    "a word": ({"positions": "abc"}, "positions must be numbers of shape"),
+    "words": ({"spreads": [["a"]]}, "spreads must be numbers of shape"),
+    "half a label": ({"synergies": [0.5]}, "synergies must be integers, got 0.5"),
+    "a number that is not real": ({"positions": [[0j, 0, 1]]}, "its type is complex128"),
+    "a place that is far": ({"positions": [[0, 0, 1e30]]}, "positions must be no more than 1000 m away"),
+    "no pose": ({"positions": [[]] * 0}, "positions must be numbers of shape"),
+    "another keyword": ({"colour": 3}, "Unknown keyword 'colour'"),
+    "no object": ({"object": None}, "'object' is missing; say object=... with a name or a file"),
+    "nobody who evaluates": ({"place": qdgrasp.Place(workers=0)}, "has nobody who evaluates"),
+}
+
+
+@pytest.mark.parametrize(("changed", "why"), BAD.values(), ids=BAD)
+def test_what_cannot_be_scored_is_refused(changed: dict[str, Any], why: str) -> None:
+    asked = {"positions": ABOVE, "quaternions_xyzw": DOWN, "gripper": "panda", "object": "mug"} | changed
+    with pytest.raises(InputError, match=why):
+        qdgrasp.evaluate(**asked)
+
+
+def test_keywords_that_are_known_are_those_of_the_scenery() -> None:
+    with pytest.raises(InputError) as refused:
+        qdgrasp.Evaluations(gripper="panda", object="mug", colour=3)  # type: ignore[call-arg]
+    assert "evaluations" not in str(refused.value)
+    assert "surface_seed" in str(refused.value)
+
+
+def test_a_synergy_of_a_hand_that_has_none_is_refused() -> None:
+    place = qdgrasp.Place(workers=0)
+    with pytest.raises(InputError, match="synergies must be -1, for the hand has none, got 5"):
+        qdgrasp.evaluate(ABOVE, DOWN, synergies=[5], place=place, gripper="panda", object="tennis_ball")
+
+
+def test_a_free_joint_of_a_hand_that_has_none_is_refused() -> None:
+    place = qdgrasp.Place(workers=0)
+    with pytest.raises(InputError, match="spreads must be NaN, for the hand has no free joints"):
+        qdgrasp.evaluate(ABOVE, DOWN, spreads=[[0.3]], place=place, gripper="panda", object="tennis_ball")
+
+
+def test_time_that_is_over_is_said_in_words() -> None:
+    place = qdgrasp.Place(workers=0)
+    with (
+        qdgrasp.Evaluations(prior="given", place=place, gripper="panda", object="tennis_ball") as evaluations,
+        pytest.raises(TimeoutError, match="After 0 s there are not all rows of 1 genome"),
+    ):
+        evaluations.evaluate([[*ABOVE[0], *DOWN[0]]], timeout=0.0)
+
+
+class Narrow:
+    """Asks for genomes that have too few genes."""
+
+    def __init__(self, layout: qdgrasp.Layout) -> None:
+        pass
+
+    def ask(self, generation: int) -> Any:
+        return [[0.0]]
+
+    def tell(self, generation: int, rows: qdgrasp.Rows) -> None:
+        pass
+
+
+def test_after_a_search_that_asked_wrongly_it_is_said_how_to_go_on(tmp_path: Path) -> None:
+    def attempt() -> str:
+        place = qdgrasp.Place(workers=1)
+        with pytest.raises(InputError) as refused:
+            qdgrasp.optimise(
+                Narrow, tmp_path / "out", evaluations=10, place=place, gripper="panda", object="tennis_ball"
+            )
+        return str(refused.value)
+
+    assert "genomes must be" in attempt()
+    assert "resume=True goes on with it" in attempt()
+
+
+LOCAL = ["127.0.0.1"]
+ENCRYPTED = "tls/127.0.0.1:7447"
+
+
+def test_a_place_of_all_cores_has_as_many_workers_and_one_at_a_router_none() -> None:
+    assert qdgrasp.Place().hands >= 1
+    assert qdgrasp.Place(connect=ENCRYPTED).hands == 0
+    assert qdgrasp.Place(connect=ENCRYPTED, workers=3).hands == 3
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ({"workers": -3}, "Place: workers must be a whole number, at least 0, got -3"),
+        ({"workers": True}, "workers must be a whole number"),
+        ({"workers": "two"}, "workers must be a whole number"),
+        ({"batch_size": 0}, "Place: batch_size must be a whole number, from 1 to 4096, got 0"),
+        ({"batch_size": 5000}, "from 1 to 4096"),
+        ({"job": 3}, "Place: job must be text, got 3"),
+        ({"job": "Not so"}, "1 to 64 of the characters"),
+        ({"connect": 7447}, "Place: connect must be text"),
+        ({"connect": ""}, "Place: connect must be text"),
+        ({"connect": "here"}, "'here' is not an endpoint"),
+        ({"connect": ENCRYPTED, "security": 3}, "Place: security must be a path, got 3"),
+    ],
+)
+def test_what_is_no_place_is_refused(said: dict[str, Any], why: str) -> None:
+    with pytest.raises(qdgrasp.InputError, match=why):
+        qdgrasp.Place(**said)
+
+
+def test_what_is_no_place_at_all_is_refused(tmp_path: Path) -> None:
+    words: dict[str, Any] = {"gripper": "panda", "object": "tennis_ball", "place": "here"}
+    with pytest.raises(qdgrasp.InputError, match=r"place must be a qdgrasp\.Place"):
+        qdgrasp.Evaluations(**words)
+    with pytest.raises(qdgrasp.InputError, match=r"place must be a qdgrasp\.Place"):
+        qdgrasp.optimise(print, tmp_path / "run", evaluations=9, **words)  # type: ignore[arg-type]  # not looked at
+
+
+def test_that_nobody_comes_is_said_once_and_not_at_first() -> None:
+    quiet = SilentProgress()
+    said: list[str] = []
+    quiet.say = said.append  # type: ignore[method-assign]  # what it says is heard
+    for seconds, workers in (
+        (1.0, 0),
+        (2 * ROUTER_SECONDS, 2),
+        (3 * ROUTER_SECONDS, 0),
+        (4 * ROUTER_SECONDS, 0),
+    ):
+        quiet.show(figures(seconds=seconds, workers=workers, rate=0.0))
+    assert said == ["job 'mugs' waits: no worker has come to it yet"]
+
+
+def test_certificates_without_a_router_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(qdgrasp.InputError, match="name it with connect="):
+        qdgrasp.Place(security=tmp_path)
+
+
+def test_an_encrypted_router_needs_the_certificates_of_a_coordinator(tmp_path: Path) -> None:
+    with pytest.raises(EndpointError, match="needs certificates"):
+        qdgrasp.Place(connect=ENCRYPTED).meet()
+    lab = SecurityFolder.create(tmp_path / "lab", hosts=LOCAL, days=1)
+    worker = lab.add(Role.WORKER, "node", hosts=LOCAL, days=1)
+    with pytest.raises(SecurityError, match=r"lacks coordinator.pem and coordinator.key"):
+        qdgrasp.Place(connect=ENCRYPTED, security=worker).meet()

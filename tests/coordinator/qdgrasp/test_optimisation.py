@@ -1,0 +1,87 @@
+"""What a program searches with is looked at before there is a folder."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.common import own_endpoint
+
+import qdgrasp
+from qdgrasp import backend
+from qdgrasp.optimisation import SearchFactory
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+
+SCENE: dict[str, Any] = {"gripper": "panda", "object": "tennis_ball"}
+
+
+class Uniform:
+    """A search of which nothing is asked here."""
+
+    def __init__(self, layout: qdgrasp.Layout) -> None:
+        self.layout = layout
+
+    def ask(self, generation: int) -> Any:
+        raise NotImplementedError
+
+    def tell(self, generation: int, rows: qdgrasp.Rows) -> None:
+        raise NotImplementedError
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "no function": ({"make": 3}, "make must be a class or function that is called with the genes, got 3"),
+    "no search": ({"make": len}, "What make makes, 7, has no ask and no tell"),
+    "a search that hears nothing": ({"make": lambda genes: iter(genes.names)}, "has no ask and no tell"),
+    "no path": ({"out": 3}, "out must be a path, got 3"),
+    "no prior": ({"prior": ["contact"]}, "Unknown prior"),
+    "no budget": (
+        {"evaluations": 0},
+        "evaluations must be a whole number at least 1 and at most 1000000000, got 0",
+    ),
+    "no gripper": ({"gripper": None}, "'gripper' is missing; say gripper=... with a name or a file"),
+    "nobody": (
+        {"place": qdgrasp.Place(workers=0)},
+        "has nobody who evaluates: start workers, or name a router",
+    ),
+    "a hand that has no jaw": ({"gripper": "allegro", "prior": "antipodal"}, "is for two-finger hands"),
+}
+
+
+@pytest.mark.parametrize(("changed", "why"), BAD.values(), ids=BAD)
+def test_what_cannot_be_searched_with_is_refused_and_leaves_no_folder(
+    changed: dict[str, Any], why: str, tmp_path: Path
+) -> None:
+    given = {"make": Uniform, "out": tmp_path / "run", "evaluations": 10} | SCENE | changed
+    with pytest.raises(qdgrasp.InputError, match=why):
+        qdgrasp.optimise(given.pop("make"), given.pop("out"), **given)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_program_raises_itself_goes_through_and_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        qdgrasp.optimise(lambda genes: 1 / 0, tmp_path / "run", evaluations=10, **SCENE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_router_that_does_not_answer_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend, "ROUTER_SECONDS", 0.0)
+    place = qdgrasp.Place(connect=own_endpoint())
+    with pytest.raises(qdgrasp.InputError, match="Nothing answers at"):
+        qdgrasp.optimise(Uniform, tmp_path / "run", evaluations=10, place=place, **SCENE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_begins_again_has_a_search_that_nothing_was_asked_of() -> None:
+    made: list[Uniform] = []
+
+    def make(genes: qdgrasp.Layout) -> Uniform:
+        made.append(Uniform(genes))
+        return made[-1]
+
+    scene = build_scene(qdgrasp.RunSpec(**SCENE))
+    searches = SearchFactory(make, layout(scene, "contact"))
+    assert len(made) == 1
+    assert searches.next() is not searches.next()
+    assert len(made) == 2

@@ -1,0 +1,160 @@
+"""A coordinator as a recorder sees it, and recorders to be seen by it."""
+
+import hashlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import numpy as np
+from msgspec import structs
+from tests.common import PATIENCE
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.recorder.recorder_service import RecorderService
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_from_message, slice_to_message
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import NoReply
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Recordable, Recorded
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=7, joints=2)
+SPEC = RunSpec(gripper="panda", object="mug", evaluations=1000)
+SCENE = b"a scene" * 200_000
+BUNDLE = Bundle(SCENE, hashlib.sha256(SCENE).hexdigest())
+JOB = "mugs"
+
+
+def make_rows(n: int) -> Rows:
+    rows = SHAPE.empty(n)
+    random = np.random.default_rng(0)
+    rows["index"], rows["outcome"] = np.arange(n), random.integers(Outcome.ERROR, Outcome.HELD, n)
+    rows["genome"] = random.uniform(-1, 1, rows["genome"].shape)
+    return rows
+
+
+def anonymous(opened: Opened) -> Opened:
+    """The answer without the job's identity, which is random."""
+    return structs.replace(opened, identity="")
+
+
+class FakeCoordinator:
+    """A coordinator as a recorder sees it."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._keys = Keys(JOB)
+        self._reports: SimpleQueue[Recorded] = SimpleQueue()
+        self._recorder = threading.Event()
+        self.epoch = 0
+        bus.watch(
+            self._keys.recorder_token(), lambda _, alive: (self._recorder.clear, self._recorder.set)[alive]()
+        )
+        bus.subscribe(self._keys.recorded, lambda s: self._reports.put(messages.decode(s.payload, Recorded)))
+
+    def open(self, toml: str = to_toml(SPEC), job: str = JOB, **changes: object) -> Opened:
+        """Open the run as soon as a recorder is there."""
+        question = messages.encode(Open(job=job, runs=[self.question(toml, **changes)]))
+        opened = messages.decode(self.ask(self._keys.open, question), Opened)
+        self.epoch = opened.epoch
+        return opened
+
+    def open_runs(self, *runs: str, epoch: int = 0, **changes: object) -> Opened:
+        """Open runs of a campaign as soon as a recorder is there."""
+        questions = [self.question(run=run, **changes) for run in runs]
+        opened = messages.decode(
+            self.ask(self._keys.open, messages.encode(Open(job=JOB, runs=questions, epoch=epoch))), Opened
+        )
+        self.epoch = opened.epoch
+        return opened
+
+    def question(self, toml: str = to_toml(SPEC), **changes: object) -> OpenRun:
+        """The query that opens the run."""
+        values: dict[str, object] = {"run": "run", "spec": toml.encode(), "scene": BUNDLE.digest}
+        values |= {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
+        return OpenRun(**(values | changes))  # type: ignore[arg-type]
+
+    def meet(self) -> None:
+        """Wait until a recorder is there."""
+        assert self._recorder.wait(PATIENCE), "no recorder came"
+
+    def ask(self, key: str, payload: bytes) -> bytes:
+        """Ask the recorder; one that is killed may still seem to be there for a moment."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            self.meet()
+            try:
+                return self._bus.ask(key, payload)
+            except NoReply:
+                assert time.monotonic() < deadline, "no recorder answered"
+
+    def send(
+        self, rows: Rows, first: int, stop: int, *, run: str = "run", epoch: int = 0, **beside: object
+    ) -> None:
+        stretch = JournalSlice(first, rows[first:stop], **beside)  # type: ignore[arg-type]
+        self.put(slice_to_message(stretch, run, epoch or self.epoch, SHAPE))
+
+    def put(self, message: Message) -> None:
+        key, kind = self._keys.outcome(self.epoch), type(message)
+        self._bus.put(key, messages.encode(message), encoding=messages.encoding(kind))
+
+    def page(self, first: int, limit: int, run: str = "run") -> JournalSlice:
+        answer = self.ask(self._keys.log, messages.encode(Log(run=run, first=first, limit=limit)))
+        return slice_from_message(messages.decode(answer, Recordable), SHAPE)
+
+    def hears(self, condition: Callable[[Recorded], bool]) -> Recorded:
+        """The next report of which the condition holds."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                report = self._reports.get(timeout=max(0.0, deadline - time.monotonic()))
+            except Empty:
+                raise AssertionError("no such report was heard") from None
+            if condition(report):
+                return report
+
+    def hears_durable(self, number: int, run: str = "run") -> Recorded:
+        return self.hears(
+            lambda report: (report.run, report.durable, report.epoch) == (run, number, self.epoch)
+        )
+
+
+class RunningRecorder:
+    """A recorder that runs in a thread."""
+
+    def __init__(self, bus: Bus, path: Path, disk_wait: float) -> None:
+        self.stop = Stop()
+        self.error: Exception | None = None
+        self._service = RecorderService(bus, self.stop, job=JOB, path=path, disk_wait=disk_wait)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._service.run()
+        except Exception as error:  # noqa: BLE001 - the test looks at it
+            self.error = error
+
+    def ends(self) -> None:
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def recording(network: MemoryNetwork, path: Path, disk_wait: float = 60.0) -> Iterator[RunningRecorder]:
+    """A recorder until the context ends, by SIGTERM."""
+    with network.session() as bus:
+        running = RunningRecorder(bus, path, disk_wait)
+        try:
+            yield running
+        finally:
+            running.stop.set(signal.SIGTERM)
+            running.ends()

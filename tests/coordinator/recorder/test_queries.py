@@ -1,0 +1,288 @@
+"""The register reads journals that changed, and no others."""
+
+import os
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import asdict
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorder.fakes import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
+
+from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
+from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.recorder import queries
+from qdgrasp_coordinator.recorder.queries import RunIndex, has_rested
+from qdgrasp_coordinator.storage import success_pages
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol.errors import Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import SuccessPage
+
+
+@pytest.fixture
+def folder(tmp_path: Path, make_scene) -> RunFolder:
+    """A run whose journal was written long ago."""
+    made = record(tmp_path / "mug", make_scene(), random_rows(300))
+    touch(made, 1e9)
+    return made
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, make_scene) -> Path:
+    """The folder of a job with two runs: one that is over, and one that is not."""
+    job = JobFolder.create(tmp_path / "job", "mugs")
+    for name, budget in {"a": 300, "b": 1000}.items():
+        alone = record(tmp_path / name, make_scene(), random_rows(300), evaluations=budget)
+        alone.path.rename(job.run_path(name))
+        (job.run_path(name) / "job.json").unlink()
+    return job.path
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Folders whose journals were opened."""
+    seen: list[Path] = []
+    open_journal = Journal.open
+
+    def noting(path: Path) -> Journal:
+        seen.append(path)
+        return open_journal(path)
+
+    monkeypatch.setattr(Journal, "open", noting)
+    return seen
+
+
+def touch(folder: RunFolder, at: float) -> None:
+    for file in folder.path.glob("run.sqlite*"):
+        os.utime(file, (at, at))
+
+
+def test_a_journal_that_rests_is_opened_once_for_all_answers(folder: RunFolder, opened: list[Path]) -> None:
+    counted = RunIndex(folder.path)
+    told = [counted.page(0) for _ in range(5)]
+    assert told == told[:1] * 5
+    assert told[0].runs[0].rows == 300
+    assert len(opened) == 1
+
+
+def test_a_journal_that_changed_is_opened_again(folder: RunFolder, opened: list[Path]) -> None:
+    counted = RunIndex(folder.path)
+    counted.page(0)
+    touch(folder, 1e9 + 1)
+    counted.page(0)
+    assert len(opened) == 2
+
+
+def test_a_journal_that_changed_a_moment_ago_may_change_unseen(folder: RunFolder, opened: list[Path]) -> None:
+    counted = RunIndex(folder.path)
+    touch(folder, 4e9)
+    for _ in range(3):
+        counted.page(0)
+    assert len(opened) == 3
+    assert has_rested(((1, 1, 10**9),), 3.1)
+    assert not has_rested(((1, 1, 10**9),), 2.9)
+
+
+def test_what_is_counted_in_part_is_counted_on(
+    folder: RunFolder, opened: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
+    counted = RunIndex(folder.path)
+    assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
+    assert len(opened) == 3
+
+
+def test_one_run_is_told_of_without_a_look_at_the_others(campaign: Path, opened: list[Path]) -> None:
+    told = RunIndex(campaign).one("b")
+    assert ([one.budget for one in told.runs], told.next) == ([1000], 0)
+    assert opened == [campaign / "runs" / "b"]
+
+
+def test_of_a_run_that_is_not_there_nothing_is_told(campaign: Path) -> None:
+    told = RunIndex(campaign).one("c")
+    assert (told.runs, told.uncounted, told.curve) == ([], 0, None)
+
+
+@pytest.mark.parametrize("run", ["a", "b"])
+def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(
+    campaign: Path, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 120)
+    counted = RunIndex(campaign)
+    ends = []
+    for _ in range(4):
+        curve = counted.one(run).curve
+        assert curve is not None
+        ends.append([point.evaluations for point in curve.points])
+    assert ends == [list(range(10, stop + 1, 10)) for stop in (120, 240, 300, 300)]
+
+
+KEYS = Keys(JOB)
+ROWS = make_rows(400)
+FOUND = np.flatnonzero(success_mask(ROWS))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "job"
+
+
+def entries(network: MemoryNetwork) -> RunListings:
+    with network.session() as bus:
+        return from_json(bus.ask(KEYS.entries), RunListings)
+
+
+def all_finds(network: MemoryNetwork, run: str = "run") -> tuple[list[int], int]:
+    """The numbers of all finds, and in how many answers they came."""
+    numbers: list[int] = []
+    first = answers = 0
+    with network.session() as bus:
+        while True:
+            answer = messages.decode(bus.ask(KEYS.finds, parameters=f"run={run}&from={first}"), SuccessPage)
+            answers += 1
+            numbers += success_pages.page_from_message(answer)["number"].tolist()
+            if answer.next >= answer.rows:
+                return numbers, answers
+            assert answer.next > first
+            first = answer.next
+
+
+def test_every_success_is_shown_once_and_by_its_number(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(success_pages, "ROWS_SCANNED", 70)
+    with recording(network, path):
+        coordinator.open()
+        assert all_finds(network) == ([], 1)
+        coordinator.send(ROWS, 0, 400)
+        coordinator.hears_durable(400)
+        assert all_finds(network) == (FOUND.tolist(), 6)
+
+
+def test_a_page_has_no_more_finds_than_an_answer_may_have(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(success_pages, "MOST_SUCCESSES", 7)
+    with recording(network, path):
+        coordinator.open()
+        coordinator.send(ROWS, 0, 400)
+        coordinator.hears_durable(400)
+        numbers, answers = all_finds(network)
+    assert numbers == FOUND.tolist()
+    assert answers == len(FOUND) // 7 + 1
+
+
+def test_finds_hold_what_the_journal_holds(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open()
+        coordinator.send(ROWS, 0, 400)
+        coordinator.hears_durable(400)
+        with network.session() as bus:
+            answer = messages.decode(bus.ask(KEYS.finds, parameters="run=run;from=0"), SuccessPage)
+    shown = success_pages.page_from_message(answer)
+    for column in ("outcome", "fitness", "descriptor", "base_to_object", "joints"):
+        assert np.array_equal(shown[column], ROWS[column][FOUND])
+
+
+def test_entries_count_what_is_recorded_of_each_run(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        coordinator.send(ROWS, 0, 300, run="a")
+        coordinator.hears_durable(300, "a")
+        one, other = entries(network).runs
+        assert (one.run, one.rows, other.run, other.rows) == ("a", 300, "b", 0)
+        assert one.scene == BUNDLE.digest
+        assert sum(one.outcomes.values()) == one.evaluations == 300
+        assert one.successes == int(success_mask(ROWS[:300]).sum())
+        coordinator.send(ROWS, 300, 400, run="a")
+        coordinator.hears_durable(400, "a")
+        later = entries(network).runs[0]
+    with RunFolder(path / "runs" / "a").journal() as journal:
+        counted = queries.RunIndex(path).page(0).runs[0]
+        assert (journal.count, later.rows) == (400, 400)
+    assert asdict(later) == asdict(counted)
+
+
+def test_it_is_told_where_runs_lie(network: MemoryNetwork, coordinator: FakeCoordinator, path: Path) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        told = entries(network)
+    assert told.host == socket.gethostname()
+    assert [Path(run.folder) for run in told.runs] == [path / "runs" / "a", path / "runs" / "b"]
+
+
+def test_runs_are_counted_a_few_rows_at_a_time_and_left_out_until_they_are(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 150)
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        for run in ("a", "b"):
+            coordinator.send(ROWS, 0, 200, run=run)
+            coordinator.hears_durable(200, run)
+        told = [entries(network) for _ in range(3)]
+    assert [(len(one.runs), one.uncounted) for one in told] == [(0, 2), (1, 1), (2, 0)]
+    assert [run.rows for run in told[-1].runs] == [200, 200]
+
+
+def test_many_runs_come_in_pages(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queries, "RUNS_PER_PAGE", 2)
+    network = MemoryNetwork()
+    coordinator = FakeCoordinator(network.session())
+    with recording(network, path):
+        coordinator.open_runs("a", "b", "c")
+        with network.session() as bus:
+            pages = [from_json(bus.ask(KEYS.entries, parameters=f"from={n}"), RunListings) for n in (0, 2)]
+    assert [([run.run for run in page.runs], page.next) for page in pages] == [(["a", "b"], 2), (["c"], 0)]
+
+
+def test_a_scene_is_shown_from_the_folder_of_its_run(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    RunFolder.create(path, SPEC, BUNDLE, job=JOB)
+    with recording(network, path), network.session() as bus:
+        coordinator.open()
+        assert (
+            bundle_transfer.fetch_bundle_from(bus, KEYS.recorded_asset(BUNDLE.digest), BUNDLE.digest) == SCENE
+        )
+        with pytest.raises(Refused, match="no run here has the scene 000000000000"):
+            bus.ask(KEYS.recorded_asset("0" * 64), parameters="i=0")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ("run=other&from=0", "no run 'other'"),
+        ("run=../job&from=0", "no run '../job'"),
+        ("", "no run ''"),
+        ("run=run&from=-1", "'-1' is no number: from"),
+        ("run=run&from=1e3", "'1e3' is no number: from"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_with_the_reason(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, parameters: str, reason: str
+) -> None:
+    with recording(network, path), network.session() as bus:
+        coordinator.open()
+        with pytest.raises(Refused, match=reason):
+            bus.ask(KEYS.finds, parameters=parameters)
+
+
+def test_before_a_run_is_opened_there_is_nothing_to_show(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.meet()
+        assert entries(network).runs == []
+        with pytest.raises(Refused, match="no run 'run'"):
+            all_finds(network)

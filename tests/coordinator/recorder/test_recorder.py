@@ -1,0 +1,353 @@
+from contextlib import AbstractContextManager
+from math import inf
+from pathlib import Path
+
+import msgspec
+import pytest
+from tests.coordinator.recorder.fakes import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
+
+from qdgrasp_coordinator.recorder.recorder import (
+    REPORT_INTERVAL,
+    REPORT_SECONDS,
+    RETRY_INTERVAL,
+    DiskSpaceRetry,
+    Recorder,
+    ReportSchedule,
+    open_recorder,
+)
+from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS, Arrival
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, Refused
+from qdgrasp_protocol.messages import Log, Open, Opened, OpenRun, Platform, Recordable
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+ROWS = make_rows(100)
+HERE, ELSEWHERE = {"pybullet": "3.2.7"}, {"pybullet": "3.2.6"}
+
+
+def recording(path: Path, open_journals: int = 64) -> AbstractContextManager[Recorder]:
+    return open_recorder(path, JOB, 60.0, 0.0, open_journals)
+
+
+def ask(*runs: str, epoch: int = 0, spec: RunSpec = SPEC, scene: str = BUNDLE.digest) -> Open:
+    opened = [
+        OpenRun(run=run, spec=to_toml(spec).encode(), scene=scene, genes=7, joints=2, descriptors=3)
+        for run in runs
+    ]
+    return Open(job=JOB, runs=opened, epoch=epoch)
+
+
+def rows(run: str, first: int, stop: int, epoch: int = 1) -> Recordable:
+    return slice_to_message(JournalSlice(first, ROWS[first:stop]), run, epoch, SHAPE)
+
+
+def record(recorder: Recorder, run: str, stop: int, platform: dict[str, str]) -> None:
+    recorder.set_platform(Platform(epoch=recorder.epoch, platform=platform))
+    recorder.add_rows(rows(run, 0, stop, recorder.epoch), 0.0)
+    recorder.commit(run)
+
+
+def journalled(path: Path, run: str) -> bytes:
+    with Journal.open(path / "runs" / run) as journal:
+        return journal.rows(0, 1000).tobytes()
+
+
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def content(folder: Path) -> dict[Path, bytes]:
+    """The content of all files, but for what readers share in memory."""
+    files = [file for file in folder.rglob("*") if file.is_file() and not file.name.endswith("-shm")]
+    return {file: file.read_bytes() for file in files}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "campaign"
+
+
+class TestOpening:
+    def test_runs_are_begun_in_folders_of_their_own_below_the_job(self, path: Path) -> None:
+        with recording(path) as recorder:
+            opened = recorder.open(ask("b", "a"))
+        assert anonymous(opened) == Opened(epoch=1, durable=[0, 0], platform={})
+        assert opened.identity == JobFolder.open(path).identity != ""
+        assert (JobFolder.open(path).name, JobFolder.open(path).epoch) == (JOB, 1)
+        for run in "ab":
+            folder = RunFolder.open(path / "runs" / run)
+            assert (folder.run, folder.spec, folder.job.path) == (run, SPEC, path)
+
+    def test_runs_join_an_epoch_and_another_epoch_ends_it(self, path: Path) -> None:
+        with recording(path) as recorder:
+            assert recorder.open(ask("a")).epoch == 1
+            recorder.add_rows(rows("a", 0, 30), 0.0)
+            recorder.commit("a")
+            opened = anonymous(recorder.open(ask("b", "a", epoch=1)))
+            assert opened == Opened(epoch=1, durable=[0, 30], platform={})
+            assert recorder.open(ask("c")).epoch == 2
+            with pytest.raises(Refused, match="epoch 1 is over: another coordinator took over with 2"):
+                recorder.open(ask("d", epoch=1))
+        assert not (path / "runs" / "d").exists()
+        assert JobFolder.open(path).epoch == 2
+
+    @pytest.mark.parametrize("is_committed", [True, False])
+    def test_an_end_before_what_is_recorded_is_refused_and_nothing_is_written(
+        self, path: Path, is_committed: bool
+    ) -> None:
+        counted = msgspec.structs.replace(SPEC, overlaps="count")
+        sooner = msgspec.structs.replace(counted, evaluations=29)
+        with recording(path) as recorder:
+            recorder.open(ask("a", spec=counted))
+            recorder.add_rows(rows("a", 0, 30), 0.0)
+            if is_committed:
+                recorder.commit("a")
+            before = content(path)
+            with pytest.raises(
+                EndsTooSoon, match="runs/a cannot end as is asked: evaluations must be at least 30"
+            ):
+                recorder.open(ask("b", "a", spec=sooner))
+            assert content(path) == before
+            assert recorder.epoch == 1
+            recorder.commit("a")
+            exactly = msgspec.structs.replace(counted, evaluations=30)
+            assert recorder.open(ask("a", spec=exactly)).durable == [30]
+        assert RunFolder(path / "runs" / "a").spec == exactly
+
+    def test_an_epoch_that_is_ahead_of_the_disk_is_adopted(self, path: Path) -> None:
+        with recording(path) as recorder:
+            assert recorder.open(ask("a", epoch=7)).epoch == 7
+        with recording(path) as recorder:
+            assert recorder.open(ask("b", epoch=9)).epoch == 9
+            assert recorder.open(ask("b")).epoch == 10
+        assert JobFolder.open(path).epoch == 10
+
+    def test_a_run_that_is_opened_again_in_its_epoch_keeps_what_waits(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a"))
+            recorder.add_rows(rows("a", 0, 10), 0.0)
+            assert recorder.open(ask("a", epoch=1)).durable == [0]
+            recorder.commit("a")
+            assert recorder.writers["a"].durable == 10
+
+    def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b"))
+            recorder.add_rows(rows("a", 0, 10), 0.0)
+            assert recorder.open(ask("b", "a")).durable == [0, 10]
+            assert recorder.due(1e9) == []
+
+    @pytest.mark.parametrize(
+        ("asked", "words"),
+        [
+            (ask(), "expected different runs"),
+            (ask("b", "b"), "expected different runs"),
+            (ask("b", "run"), "has no others beside it"),
+            (ask("run"), "holds a campaign, the coordinator opens a run of its own"),
+            (Open(job="cubes", runs=ask("b").runs), "job 'mugs', not of 'cubes'"),
+        ],
+    )
+    def test_what_cannot_be_opened_together_is_refused(self, path: Path, asked: Open, words: str) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a"))
+            with pytest.raises(Refused, match=words):
+                recorder.open(asked)
+            assert recorder.epoch == 1
+
+    def test_where_one_run_is_refused_none_is_begun(self, path: Path) -> None:
+        other = RunSpec(gripper="panda", object="mug", seed=1)
+        with recording(path) as recorder:
+            recorder.open(ask("a"))
+            wrong = (ask("a", spec=other).runs[0], ask("a", scene="0" * 64).runs[0])
+            for run, words in zip(wrong, ("another spec: seed differ", "run of scene"), strict=True):
+                with pytest.raises(Refused, match=words):
+                    recorder.open(Open(job=JOB, runs=[*ask("b").runs, run], epoch=1))
+            (path / "runs" / "c").mkdir()
+            (path / "runs" / "c" / "file").touch()
+            with pytest.raises(FolderError, match="holds other files"):
+                recorder.open(ask("b", "c"))
+        assert not (path / "runs" / "b").exists()
+        assert JobFolder.open(path).epoch == 1
+
+    def test_a_run_of_its_own_is_never_mixed_with_others(self, path: Path) -> None:
+        RunFolder.create(path, SPEC, BUNDLE, job=JOB)
+        with (
+            recording(path) as recorder,
+            pytest.raises(Refused, match="run of its own, the coordinator opens a ca"),
+        ):
+            recorder.open(ask("a"))
+        assert not (path / "runs").exists()
+
+    def test_runs_that_a_coordinator_began_on_this_machine_are_gone_on_with(self, path: Path) -> None:
+        job = JobFolder.create(path, JOB, {"campaign.toml": b""})
+        RunFolder.add(job, "a", SPEC, BUNDLE)
+        with recording(path) as recorder:
+            with pytest.raises(Refused, match="run of scene"):
+                recorder.open(ask("a", scene="0" * 64))
+            recorder.open(ask("a"))
+            assert recorder.missing_scenes == []
+
+
+class TestPlatforms:
+    def test_a_run_of_another_platform_than_the_jobs_is_refused(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b"))
+            record(recorder, "a", 10, HERE)
+            record(recorder, "b", 10, ELSEWHERE)
+        for epoch in (0, 1):
+            words = r"run 'b' was .*: pybullet 3\.2\.6 instead of 3\.2\.7"
+            with recording(path) as recorder, pytest.raises(Refused, match=words):
+                recorder.open(ask("a", "b", epoch=epoch))
+
+    def test_the_platform_of_recorded_runs_is_that_of_a_new_one(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("b"))
+            record(recorder, "b", 10, HERE)
+            assert recorder.open(ask("a", epoch=1)).platform == HERE
+        with recording(path) as recorder:
+            assert recorder.open(ask("a", epoch=1)).platform == HERE
+            recorder.add_rows(rows("a", 0, 10), 0.0)
+            recorder.commit("a")
+        with Journal.open(path / "runs" / "a") as journal:
+            assert journal.platform == HERE
+
+    def test_a_platform_without_rows_binds_no_run(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a"))
+            recorder.set_platform(Platform(epoch=1, platform=HERE))
+            assert recorder.open(ask("b")).platform == {}
+
+
+class TestRows:
+    def test_rows_of_each_run_wait_for_their_own_commit(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b"))
+            recorder.add_rows(rows("a", 0, 10), 1.0)
+            recorder.add_rows(rows("b", 0, 20), 1.1)
+            recorder.add_rows(rows("a", 10, 30), 1.2)
+            assert recorder.commit_deadline == 1.0 + GROUP_SECONDS
+            assert recorder.due(1.0 + GROUP_SECONDS) == ["a"]
+            recorder.commit("a")
+            assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
+            assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
+
+    def test_one_epoch_holds_for_all_runs(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b"))
+            assert recorder.add_rows(rows("a", 0, 10, epoch=5), 0.0) is Arrival.TAKEN
+            assert recorder.add_rows(rows("b", 0, 10, epoch=4), 0.0) is Arrival.STALE
+            recorder.commit("a")
+        assert JobFolder.open(path).epoch == 5
+
+    def test_a_recorder_that_comes_back_finds_a_run_by_its_name(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b"))
+            recorder.add_rows(rows("a", 0, 10), 0.0)
+            recorder.commit("a")
+        with recording(path) as recorder:
+            assert recorder.writers == {}
+            assert recorder.page(Log(run="a", first=5, limit=100)).n == 5
+            assert recorder.add_rows(rows("a", 5, 30), 0.0) is Arrival.TAKEN
+            assert recorder.add_rows(rows("b", 1, 2), 0.0) is Arrival.GAP
+            recorder.commit("a")
+            for unknown in ("c", "run"):
+                with pytest.raises(Refused, match=f"no journal of run '{unknown}'"):
+                    recorder.add_rows(rows(unknown, 0, 1), 0.0)
+        assert journalled(path, "a") == ROWS[:30].tobytes()
+
+    def test_a_hundred_runs_with_rows_that_wait_need_four_open_journals(self, path: Path) -> None:
+        names = [f"run-{number}" for number in range(100)]
+        before = open_files()
+        with recording(path, open_journals=4) as recorder:
+            assert len(recorder.open(ask(*names)).durable) == 100
+            for run in names:
+                recorder.add_rows(rows(run, 0, 100), 0.0)
+            for run in names:
+                recorder.commit(run)
+                assert open_files() <= before + 1 + 3 * 4
+            assert {recorder.writers[run].durable for run in names} == {100}
+        assert open_files() == before
+        assert {journalled(path, run) for run in names} == {ROWS.tobytes()}
+
+    def test_a_scene_is_stored_once_for_each_run_that_misses_it(self, path: Path) -> None:
+        job = JobFolder.create(path, JOB)
+        RunFolder.add(job, "b", SPEC, BUNDLE)
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b", "c"))
+            recorder.open(ask("d", epoch=1, scene="0" * 64))
+            assert recorder.missing_scenes == sorted([BUNDLE.digest, "0" * 64])
+            recorder.add_scene(BUNDLE.digest, SCENE)
+            assert recorder.missing_scenes == ["0" * 64]
+        assert RunFolder(path / "runs" / "c").bundle() == BUNDLE
+
+
+def test_news_is_reported_at_once() -> None:
+    reports = ReportSchedule()
+    reports.report_now("a", 5.0)
+    assert reports.deadline == 5.0
+    assert reports.due(5.0) == ["a"]
+    assert reports.due(5.0) == []
+
+
+def test_a_run_that_was_heard_of_is_reported_each_second_for_a_while_and_no_longer() -> None:
+    reports, reported = ReportSchedule(), []
+    reports.keep_reporting("a", 0.0)
+    for tenth in range(10 * int(REPORT_SECONDS + 5)):
+        reported += [tenth / 10] * len(reports.due(tenth / 10))
+    assert reported == [REPORT_INTERVAL * n for n in range(1, int(REPORT_SECONDS / REPORT_INTERVAL) + 1)]
+    assert reports.deadline == inf
+
+
+def test_what_is_heard_of_often_is_not_reported_more_often() -> None:
+    reports, reported = ReportSchedule(), 0
+    for tenth in range(100):
+        reports.keep_reporting("a", tenth / 10)
+        reported += len(reports.due(tenth / 10))
+    assert reported == 9
+
+
+def test_runs_are_reported_each_in_its_own_time() -> None:
+    reports = ReportSchedule()
+    reports.report_now("a", 0.0)
+    reports.keep_reporting("b", 0.5)
+    assert reports.due(0.5) == ["a"]
+    assert sorted(reports.due(1.5)) == ["a", "b"]
+    reports.report_now("a", 1.6)
+    assert reports.due(1.6) == ["a"]
+
+
+def test_a_run_that_was_forgotten_is_remembered_by_its_next_news() -> None:
+    reports = ReportSchedule()
+    reports.report_now("a", 0.0)
+    while reports.deadline < inf:
+        reports.due(reports.deadline)
+    reports.report_now("a", 100.0)
+    assert reports.due(100.0) == ["a"]
+
+
+def test_all_that_are_remembered_can_be_repeated() -> None:
+    reports = ReportSchedule()
+    for run in "abc":
+        reports.keep_reporting(run, 0.0)
+    reports.report_all(0.1)
+    assert sorted(reports.due(0.1)) == ["a", "b", "c"]
+
+
+def test_a_full_disk_is_tried_again_and_given_up_after_a_while() -> None:
+    disk = DiskSpaceRetry(Path("runs/mugs"), limit=10.0)
+    for now in (100.0, 105.0, 110.0):
+        disk.on_full("no room", now, "qdgrasp resume runs/mugs")
+        assert (disk.trouble, disk.try_at) == ("no room", now + RETRY_INTERVAL)
+    with pytest.raises(DiskFull, match=r"runs/mugs has had no room for 10 s.*`qdgrasp resume runs/mugs`"):
+        disk.on_full("no room", 110.1, "qdgrasp resume runs/mugs")
+
+
+def test_room_that_was_found_begins_the_wait_anew() -> None:
+    disk = DiskSpaceRetry(Path("runs/mugs"), limit=10.0)
+    disk.on_full("no room", 100.0, "")
+    disk.on_written()
+    assert (disk.trouble, disk.try_at) == ("", -inf)
+    disk.on_full("no room", 200.0, "")

@@ -1,0 +1,228 @@
+"""A recorder that keeps several runs of one job."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from tests.coordinator.recorder.fakes import (
+    BUNDLE,
+    JOB,
+    SCENE,
+    SHAPE,
+    SPEC,
+    FakeCoordinator,
+    anonymous,
+    make_rows,
+    recording,
+)
+
+from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import bundle_transfer
+from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import Opened, Platform
+
+ROWS = make_rows(3000)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "campaign"
+
+
+def recorded(path: Path, run: str) -> bytes:
+    with RunFolder.open(path / "runs" / run).journal() as journal:
+        assert journal.run == run
+        return journal.rows(0, 10_000).tobytes()
+
+
+def send_in_turns(coordinator: FakeCoordinator, runs: str, stop: int, first: int = 0) -> None:
+    """Send the rows of each run, a hundred of one, then of the next."""
+    for begin in range(first, stop, 100):
+        for run in runs:
+            coordinator.send(ROWS, begin, begin + 100, run=run)
+
+
+def test_rows_of_several_runs_become_durable_each_in_its_own_journal(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        opened = anonymous(coordinator.open_runs("a", "b", "c"))
+        assert opened == Opened(epoch=1, durable=[0, 0, 0], platform={})
+        send_in_turns(coordinator, "abc", 1000)
+        coordinator.send(ROWS, 1000, 3000, run="b")
+        for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
+            coordinator.hears_durable(stop, run)
+            page = coordinator.page(500, 4096, run)
+            assert page.rows.tobytes() == ROWS[500:stop].tobytes()
+    assert recorded(path, "b") == ROWS.tobytes()
+
+
+def test_runs_are_opened_as_a_coordinator_gets_to_them(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a")
+        coordinator.send(ROWS, 0, 100, run="a")
+        opened = anonymous(coordinator.open_runs("b", "c", epoch=1))
+        assert opened == Opened(epoch=1, durable=[0, 0], platform={})
+        send_in_turns(coordinator, "bc", 100)
+        for run in "abc":
+            coordinator.hears_durable(100, run)
+
+
+def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
+        send_in_turns(coordinator, "ab", 500)
+    with recording(network, path):
+        coordinator.meet()
+        send_in_turns(coordinator, "ab", 1000, first=500)
+        for run in "ab":
+            coordinator.hears_durable(1000, run)
+        opened = anonymous(coordinator.open_runs("c", "a", epoch=1))
+        assert opened == Opened(epoch=1, durable=[0, 1000], platform={"pybullet": "3.2.7"})
+    assert recorded(path, "a") == recorded(path, "b") == ROWS[:1000].tobytes()
+
+
+def test_a_replaced_coordinators_rows_are_refused_for_one_run_as_for_all(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        assert coordinator.open_runs("a").epoch == 2
+        coordinator.send(ROWS, 0, 10, run="b", epoch=1)
+        assert coordinator.hears(lambda report: report.run == "b").epoch == 2
+        coordinator.send(ROWS, 0, 5, run="a")
+        coordinator.send(ROWS, 0, 20, run="b")
+        coordinator.hears_durable(5, "a")
+        coordinator.hears_durable(20, "b")
+        with pytest.raises(Refused, match="epoch 1 is over"):
+            coordinator.open_runs("c", epoch=1)
+
+
+def test_a_run_that_nothing_was_heard_of_for_long_is_answered_when_its_rows_come_again(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.REPORT_SECONDS", 0.0)
+    with recording(network, path):
+        coordinator.open_runs("a")
+        coordinator.send(ROWS, 0, 10, run="a")
+        coordinator.hears_durable(10, "a")
+        coordinator.send(ROWS, 0, 10, run="a")
+        coordinator.hears_durable(10, "a")
+
+
+def test_rows_of_a_run_that_was_never_opened_are_dropped(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a")
+        coordinator.send(ROWS, 0, 10, run="b")
+        coordinator.send(ROWS, 0, 10, run="a")
+        coordinator.hears_durable(10, "a")
+        with pytest.raises(Refused, match="no journal of run 'b'"):
+            coordinator.page(0, 10, "b")
+    assert not (path / "runs" / "b").exists()
+
+
+def test_scenes_that_are_missing_are_fetched_for_all_runs(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    asked: list[str] = []
+
+    def answer(query: Query) -> bytes:
+        if query.key == Keys(JOB).asset(BUNDLE.digest):
+            asked.append(query.parameters)
+        return bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
+
+    with network.session() as bus, recording(network, path):
+        bus.answer(Keys(JOB).asset(), answer)
+        coordinator.open_runs("a", scene="0" * 64)
+        coordinator.open_runs("b", "c", epoch=1)
+        coordinator.hears_durable(0, "c")
+    assert [RunFolder.open(path / "runs" / run).bundle() for run in "bc"] == [BUNDLE, BUNDLE]
+    assert len(asked) == len(set(asked)), "the scene was fetched more than once"
+
+
+def test_a_link_for_each_run_carries_its_rows_through(
+    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+) -> None:
+    with recording(network, path):
+        coordinator.meet()
+        links = {run: RecorderClient(network.session(), JOB, SHAPE) for run in "ab"}
+        epoch = 0
+        for run, link in links.items():
+            epoch = link.open(coordinator.question(run=run), epoch, lambda: None).epoch
+            link.push(JournalSlice(0, ROWS))
+            link.tick(0.0)
+        coordinator.epoch = epoch
+        for run in "ab":
+            coordinator.hears_durable(3000, run)
+    assert recorded(path, "a") == recorded(path, "b") == ROWS.tobytes()
+
+
+class TestFolders:
+    def test_a_campaigns_folder_takes_no_run_of_its_own_and_the_other_way_round(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, tmp_path: Path
+    ) -> None:
+        with recording(network, path):
+            coordinator.open_runs("a")
+            with pytest.raises(Refused, match="holds a campaign, the coordinator opens a run of its own"):
+                coordinator.open()
+        single = RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB).path
+        with recording(network, single):
+            with pytest.raises(Refused, match="holds a run of its own, the coordinator opens a campaign"):
+                coordinator.open_runs("a")
+            assert coordinator.open().epoch == 1
+
+    def test_one_recorder_at_a_time_writes_in_a_campaigns_folder(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
+    ) -> None:
+        with recording(network, path):
+            coordinator.open_runs("a")
+            with recording(network, path) as second:
+                second.ends()
+                assert isinstance(second.error, FolderError)
+                assert "is in use" in str(second.error)
+
+
+class TestFullDisk:
+    def test_all_runs_wait_and_say_so_and_go_on_together(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, room: threading.Event
+    ) -> None:
+        room.set()
+        with recording(network, path):
+            coordinator.open_runs("a", "b")
+            send_in_turns(coordinator, "ab", 1000)
+            for run in "ab":
+                coordinator.hears_durable(1000, run)
+            room.clear()
+            send_in_turns(coordinator, "ab", 2000, first=1000)
+            for run in "ab":
+                report = coordinator.hears(lambda report, run=run: report.run == run and bool(report.trouble))
+                assert report.durable == 1000
+            room.set()
+            for run in "ab":
+                assert not coordinator.hears_durable(2000, run).trouble
+        assert recorded(path, "a") == recorded(path, "b") == ROWS[:2000].tobytes()
+
+    def test_after_its_patience_the_recorder_ends(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, room: threading.Event
+    ) -> None:
+        with recording(network, path, disk_wait=0.2) as running:
+            coordinator.open_runs("a", "b")
+            send_in_turns(coordinator, "ab", 1000)
+            running.ends()
+            assert isinstance(running.error, DiskFull)
+            assert f"`qdgrasp campaign {path}` goes on" in str(running.error)
+        assert recorded(path, "a") == recorded(path, "b") == b""
+        JobFolder(path).check_not_in_use()

@@ -1,0 +1,158 @@
+"""`qdgrasp-recorder` as a process of its own, over zenoh."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import pytest
+from tests.common import PATIENCE, own_endpoint
+from tests.coordinator.recorder.fakes import BUNDLE, JOB, SPEC, FakeCoordinator, make_rows
+
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB)
+
+
+@pytest.fixture
+def endpoint() -> str:
+    return own_endpoint()
+
+
+@pytest.fixture
+def router(endpoint: str) -> Iterator[ZenohBus]:
+    with ZenohBus.router(endpoint) as bus:
+        yield bus
+
+
+@contextmanager
+def recorder(
+    endpoint: str, path: Path, *more: str, stderr: IO[bytes] | int = subprocess.PIPE
+) -> Iterator["subprocess.Popen[bytes]"]:
+    arguments = ["--connect", endpoint, "--job", JOB, "--out", str(path), *more]
+    command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder_process", *arguments]
+    with subprocess.Popen(command, stderr=stderr) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(
+    endpoint: str, router: ZenohBus, folder: RunFolder
+) -> None:
+    coordinator, rows = FakeCoordinator(router), make_rows(2000)
+    for turn, (number, code) in enumerate(
+        [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
+    ):
+        with recorder(endpoint, folder.path) as process:
+            assert coordinator.open().durable == [500 * turn]
+            coordinator.send(rows, 500 * turn, 500 * turn + 500)
+            coordinator.hears_durable(500 * turn + 500)
+            os.kill(process.pid, number)
+            assert process.wait(PATIENCE) == code
+    with folder.journal() as journal:
+        assert journal.rows(0, 2000).tobytes() == rows[:1500].tobytes()
+
+
+def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(
+    endpoint: str, router: ZenohBus, folder: RunFolder
+) -> None:
+    coordinator, rows = FakeCoordinator(router), make_rows(12_000)
+    with recorder(endpoint, folder.path, "--disk-wait", str(PATIENCE)) as process:
+        coordinator.open()
+        coordinator.send(rows, 0, 1000)
+        coordinator.hears_durable(1000)
+        limit, most = 400_000, resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
+        for first in range(1000, 6000, 1000):
+            coordinator.send(rows, first, first + 1000)
+        durable = coordinator.hears(lambda report: bool(report.trouble)).durable
+        assert 1000 <= durable < 6000
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (most, most))
+        coordinator.hears_durable(6000)
+        process.terminate()
+        assert process.wait(PATIENCE) == 143
+    with recorder(endpoint, folder.path, "--disk-wait", "0.5") as process:
+        assert coordinator.open().durable == [6000]
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
+        for first in range(6000, 12_000, 1000):
+            coordinator.send(rows, first, first + 1000)
+        durable = coordinator.hears(lambda report: bool(report.trouble)).durable
+        _, said = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 2
+        assert f"`qdgrasp resume {folder.path}` goes on".encode() in said.splitlines()[-1]
+    with folder.journal() as journal:
+        assert journal.count == durable
+        assert journal.rows(0, 4096).tobytes() == rows[: min(durable, 4096)].tobytes()
+        assert len(journal_digest(journal)) == 64
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(endpoint: str, folder: RunFolder) -> None:
+    with recorder(endpoint, folder.path, "--wait", "0.2") as process:
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert said.startswith(f"qdgrasp-recorder: Nothing answers at {endpoint}".encode())
+
+
+def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, folder: RunFolder) -> None:
+    coordinator = FakeCoordinator(router)
+    with Path("/dev/full").open("wb") as full:
+        with recorder(endpoint, folder.path, stderr=full) as process:
+            coordinator.open()
+            coordinator.send(make_rows(10), 0, 10)
+            coordinator.hears_durable(10)
+            process.terminate()
+            assert process.wait(PATIENCE) == 143
+        with folder.job.lock(), recorder(endpoint, folder.path, stderr=full) as process:
+            assert process.wait(PATIENCE) == 2
+
+
+def test_two_recorders_of_one_folder_are_one_too_many(
+    endpoint: str, router: ZenohBus, folder: RunFolder
+) -> None:
+    with folder.job.lock(), recorder(endpoint, folder.path) as process:
+        _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert f"is in use by process {os.getpid()}".encode() in said
+
+
+def test_a_journal_can_be_read_while_it_is_written(
+    endpoint: str, router: ZenohBus, folder: RunFolder
+) -> None:
+    coordinator, rows = FakeCoordinator(router), make_rows(1000)
+    with recorder(endpoint, folder.path):
+        coordinator.open()
+        coordinator.send(rows, 0, 1000)
+        coordinator.hears_durable(1000)
+        with Journal.open(folder.path) as journal:
+            assert journal.rows(0, 4096).tobytes() == rows.tobytes()
+
+
+def test_a_kill_loses_nothing_durable_of_any_run(endpoint: str, router: ZenohBus, tmp_path: Path) -> None:
+    coordinator, rows, path = FakeCoordinator(router), make_rows(2000), tmp_path / "campaign"
+    for turn in range(3):
+        with recorder(endpoint, path) as process:
+            runs = ("a", "b")[: turn + 1]
+            epoch = min(turn, 1)
+            durable = coordinator.open_runs(*runs, epoch=epoch).durable
+            assert coordinator.epoch == 1
+            for first, run in zip(durable, runs, strict=True):
+                coordinator.send(rows, first, first + 500, run=run)
+            for first, run in zip(durable, runs, strict=True):
+                coordinator.hears_durable(first + 500, run)
+            process.kill()
+            process.wait(PATIENCE)
+    for run, stop in (("a", 1500), ("b", 1000)):
+        with RunFolder.open(path / "runs" / run).journal() as journal:
+            assert journal.rows(0, 4096).tobytes() == rows[:stop].tobytes()

@@ -1,0 +1,342 @@
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE
+from tests.coordinator.recorder.fakes import (
+    BUNDLE,
+    JOB,
+    SCENE,
+    SHAPE,
+    SPEC,
+    FakeCoordinator,
+    anonymous,
+    make_rows,
+    recording,
+)
+from tests.coordinator.scheduler.fakes import until
+
+from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import Failure, Opened, Platform, Recordable
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB)
+
+
+class TestOpening:
+    def test_each_opening_has_the_next_epoch_and_it_is_on_the_disk(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        for epoch in (1, 2, 3):
+            with recording(network, folder.path):
+                assert anonymous(coordinator.open()) == Opened(epoch=epoch, durable=[0], platform={})
+                assert RunFolder.open(folder.path).job.epoch == epoch
+
+    def test_a_run_goes_on_where_its_journal_ends_on_its_platform(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
+            coordinator.send(make_rows(30), 0, 30)
+            coordinator.hears_durable(30)
+        with recording(network, folder.path):
+            opened = anonymous(coordinator.open())
+            assert opened == Opened(epoch=2, durable=[30], platform={"pybullet": "3.2.7"})
+
+    def test_a_larger_budget_is_taken_over_into_spec_and_journal(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        longer = RunSpec(gripper="panda", object="mug", evaluations=2000)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.open(to_toml(longer))
+        assert folder.spec == longer
+        with folder.journal() as journal:
+            assert journal.spec == longer
+
+    def test_another_spec_or_scene_or_job_is_refused_with_the_difference(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        other = RunSpec(gripper="panda", object="mug", seed=1, mutation_sigma=0.2)
+        for opened_before in (False, True):
+            with recording(network, folder.path):
+                if opened_before:
+                    coordinator.open()
+                with pytest.raises(Refused, match="another spec: seed, mutation_sigma differ"):
+                    coordinator.open(to_toml(other))
+                with pytest.raises(Refused, match="run of scene"):
+                    coordinator.open(scene="0" * 64)
+                with pytest.raises(Refused, match="runs of job 'mugs', not of 'cubes'"):
+                    coordinator.open(job="cubes")
+                with pytest.raises(Refused, match="unknown key 'sed'"):
+                    coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
+        assert folder.job.epoch == 1
+
+    def test_a_recorder_elsewhere_begins_the_folder_and_fetches_the_scene(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, tmp_path: Path
+    ) -> None:
+        with network.session() as bus, recording(network, tmp_path / "new"):
+            bus.answer(
+                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
+            )
+            coordinator.open()
+            folder = RunFolder.open(tmp_path / "new")
+            until(folder.has_bundle)
+        assert folder.bundle() == BUNDLE
+        assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
+
+    def test_a_scene_that_was_not_shown_yet_is_fetched_with_the_first_rows_of_a_run_that_may_be_short(
+        self,
+        network: MemoryNetwork,
+        coordinator: FakeCoordinator,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder_service.FETCH_INTERVAL", 100 * PATIENCE)
+        with network.session() as bus, recording(network, tmp_path / "new"):
+            coordinator.open()
+            coordinator.hears_durable(0)  # nobody showed it when it was first asked for
+            bus.answer(
+                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
+            )
+            coordinator.send(make_rows(30), 0, 30)
+            until(RunFolder.open(tmp_path / "new").has_bundle)
+
+    def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
+        self,
+        network: MemoryNetwork,
+        coordinator: FakeCoordinator,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        asked, may_answer, fetch = threading.Event(), threading.Event(), bundle_transfer.fetch_bundle
+
+        def slow(*question: object) -> bytes:
+            asked.set()
+            assert may_answer.wait(2 * PATIENCE)
+            return fetch(*question)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(bundle_transfer, "fetch_bundle", slow)
+        with network.session() as bus:
+            bus.answer(
+                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
+            )
+            with recording(network, tmp_path / "new"):
+                coordinator.open()
+                assert asked.wait(PATIENCE)
+                coordinator.send(make_rows(30), 0, 30)
+                coordinator.hears_durable(30)
+            folder = RunFolder.open(tmp_path / "new")
+            assert not folder.has_bundle()
+            with recording(network, tmp_path / "new"):
+                may_answer.set()
+                until(folder.has_bundle)
+
+
+class TestRecording:
+    def test_rows_become_durable_and_come_back_in_pages(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(5000)
+        with recording(network, folder.path):
+            coordinator.open()
+            for first in range(0, 5000, 1000):
+                coordinator.send(rows, first, first + 1000, cpu_seconds=1.0)
+            coordinator.hears_durable(5000)
+            pages = [coordinator.page(first, 4096).rows for first in (0, 4096)]
+            assert np.concatenate(pages).tobytes() == rows.tobytes()
+            assert len(coordinator.page(5000, 10)) == 0
+        with folder.journal() as journal:
+            assert journal.cpu_seconds == pytest.approx(5.0)
+
+    def test_lost_repeated_and_overlapping_messages_leave_each_row_once(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(100)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 50, 100)
+            coordinator.hears_durable(0)
+            for first, stop in ((0, 30), (0, 30), (20, 60), (10, 20), (40, 100), (0, 100)):
+                coordinator.send(rows, first, stop)
+            coordinator.hears_durable(100)
+        with folder.journal() as journal:
+            assert journal.rows(0, 1000).tobytes() == rows.tobytes()
+
+    def test_a_duplicate_is_answered_with_what_is_durable(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+
+    def test_a_replaced_coordinators_rows_are_refused(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        with recording(network, folder.path):
+            coordinator.open()
+            assert coordinator.open().epoch == 2
+            coordinator.send(rows, 0, 10, epoch=1)
+            assert coordinator.hears(lambda report: report.epoch == 2).durable == 0
+            coordinator.send(rows, 0, 5)
+            coordinator.hears_durable(5)
+
+    def test_what_is_not_of_the_protocol_is_dropped(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        wide = RowShape(genes=8, joints=2)
+        with network.session() as bus, recording(network, folder.path):
+            coordinator.open()
+            for payload, kind in ((b"\x90" * 1000, Recordable), (b"", Platform), (b"\xc1", Recordable)):
+                bus.put(Keys(JOB).outcome(1), payload, encoding=messages.encoding(kind))
+            bus.put(Keys(JOB).outcome(1), b"text", encoding="text/plain")
+            coordinator.put(slice_to_message(JournalSlice(0, wide.empty(3)), "run", 1, wide))
+            failure = (Failure(row=3, reason="behind the end"),)
+            coordinator.send(rows, 0, 3, failures=failure)
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+
+    def test_reasons_of_errors_are_recorded_and_replayed(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows, failures = make_rows(10), (Failure(row=1, reason="the child aborted"),)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 4)
+            coordinator.send(rows, 4, 10, failures=failures)
+            coordinator.hears_durable(10)
+            assert coordinator.page(5, 3).failures == (Failure(row=0, reason="the child aborted"),)
+
+    def test_a_recorder_that_comes_back_goes_on_with_the_same_coordinator(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(20)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+        with recording(network, folder.path):
+            coordinator.meet()
+            coordinator.send(rows, 10, 20)
+            coordinator.hears_durable(20)
+        with folder.journal() as journal:
+            assert journal.rows(0, 100).tobytes() == rows.tobytes()
+
+    def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(
+        self, network: MemoryNetwork, folder: RunFolder
+    ) -> None:
+        link, run = RecorderClient(network.session(), JOB, SHAPE), FakeCoordinator(network.session())
+        with recording(network, folder.path):
+            run.meet()
+            link.open(run.question(), 0, lambda: None)
+        link.set_platform({"pybullet": "3.2.7"})
+        link.push(JournalSlice(0, make_rows(10)))
+        link.tick(0.0)
+        with recording(network, folder.path):
+            run.meet()
+            link.on_recorder_up(0.1)
+            link.tick(0.2)
+            run.hears(lambda report: report.durable == 10)
+        with folder.journal() as journal:
+            assert journal.platform == {"pybullet": "3.2.7"}
+
+    def test_a_restored_disk_is_reported_to_the_coordinator_that_is_ahead_of_it(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(20)
+        with recording(network, folder.path):
+            coordinator.open()
+        coordinator.epoch = 7
+        with recording(network, folder.path):
+            coordinator.meet()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+        assert folder.job.epoch == 7
+
+    def test_what_waits_when_the_recorder_is_asked_to_stop_is_committed(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(make_rows(10), 0, 10)
+        with folder.journal() as journal:
+            assert journal.count == 10
+
+    def test_reading_before_the_run_is_opened_is_refused(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path), pytest.raises(Refused, match="was not opened"):
+            coordinator.page(0, 10)
+
+
+class TestFolders:
+    def test_a_folder_in_use_another_jobs_or_with_other_files_ends_the_recorder(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder, tmp_path: Path
+    ) -> None:
+        (tmp_path / "other").mkdir()
+        (tmp_path / "other" / "file").touch()
+        foreign = RunFolder.create(tmp_path / "foreign", SPEC, BUNDLE, job="cubes").path
+        with folder.job.lock():
+            for path, words in (
+                (folder.path, "is in use"),
+                (tmp_path / "other", "holds other files"),
+                (foreign, "is of job 'cubes', not 'mugs'"),
+            ):
+                with recording(network, path) as running:
+                    running.ends()
+                    assert isinstance(running.error, FolderError)
+                    assert words in str(running.error)
+
+
+class TestFullDisk:
+    def test_it_is_said_and_waited_for_and_nothing_is_lost(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder, room: threading.Event
+    ) -> None:
+        rows = make_rows(3000)
+        room.set()
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 1000)
+            coordinator.hears_durable(1000)
+            room.clear()
+            coordinator.send(rows, 1000, 2000)
+            report = coordinator.hears(lambda report: bool(report.trouble))
+            assert report.durable == 1000
+            assert "no room" in report.trouble
+            coordinator.send(rows, 1000, 3000)
+            assert coordinator.page(0, 4096).rows.tobytes() == rows[:1000].tobytes()
+            room.set()
+            assert not coordinator.hears_durable(3000).trouble
+        with folder.journal() as journal:
+            assert journal.rows(0, 4096).tobytes() == rows.tobytes()
+
+    def test_after_its_patience_the_recorder_ends_and_names_resume(
+        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder, room: threading.Event
+    ) -> None:
+        with recording(network, folder.path, disk_wait=0.2) as running:
+            coordinator.open()
+            coordinator.send(make_rows(1000), 0, 1000)
+            running.ends()
+            assert isinstance(running.error, DiskFull)
+            assert running.error.exit_code == 2
+            assert f"`qdgrasp resume {folder.path}` goes on" in str(running.error)
+        with folder.journal() as journal:
+            assert journal.count == 0

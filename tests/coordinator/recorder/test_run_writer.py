@@ -1,0 +1,117 @@
+from math import inf
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.simulation.recorder import FOLDER, MemoryDisk, MemoryRunFolder
+
+from qdgrasp_coordinator.recorder.run_writer import (
+    GROUP_ROWS,
+    GROUP_SECONDS,
+    MOST_WAITING,
+    Arrival,
+    RunWriter,
+)
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=1, joints=0)
+
+
+def part(first: int, stop: int) -> JournalSlice:
+    rows = SHAPE.empty(stop - first)
+    rows["index"] = np.arange(first, stop)
+    return JournalSlice(first, rows)
+
+
+def make_writer(epoch: int, durable: int) -> RunWriter:
+    """A writer of a run in memory with so many rows."""
+    disk = MemoryDisk()
+    spec = to_toml(RunSpec(gripper="panda", object="mug"))
+    disk.begin(FOLDER / "a", JournalIdentity("a", spec, "", SHAPE))
+    if durable:
+        disk.files["a"].append(part(0, durable), epoch, 0.0)
+    return RunWriter(MemoryRunFolder(disk, "a"), disk, epoch)  # type: ignore[arg-type]
+
+
+def commit(writer: RunWriter) -> list[int]:
+    """Commit what waits, and return the numbers of the rows that this adds to the journal."""
+    before = writer.journal.count
+    writer.commit({})
+    return writer.journal.slice(before, 10**9).rows["index"].tolist()
+
+
+def test_rows_that_follow_are_taken() -> None:
+    writer = make_writer(epoch=1, durable=10)
+    assert writer.add(part(10, 12), 1, 0.0) is Arrival.TAKEN
+    assert writer.add(part(12, 15), 1, 0.0) is Arrival.TAKEN
+    assert (writer.expected, writer.durable) == (15, 10)
+    assert commit(writer) == [10, 11, 12, 13, 14]
+
+
+def test_of_rows_that_overlap_only_the_new_ones_are_taken() -> None:
+    writer = make_writer(epoch=1, durable=10)
+    writer.add(part(10, 12), 1, 0.0)
+    assert writer.add(part(5, 14), 1, 0.0) is Arrival.TAKEN
+    assert commit(writer) == [10, 11, 12, 13]
+
+
+def test_known_rows_and_no_rows_at_all_are_duplicates() -> None:
+    writer = make_writer(epoch=1, durable=10)
+    writer.add(part(10, 12), 1, 0.0)
+    for first, stop in ((0, 5), (0, 10), (9, 12), (10, 11), (12, 12), (3, 3)):
+        assert writer.add(part(first, stop), 1, 0.0) is Arrival.DUPLICATE
+    assert commit(writer) == [10, 11]
+
+
+def test_rows_behind_a_gap_are_not_taken() -> None:
+    writer = make_writer(epoch=1, durable=10)
+    assert writer.add(part(11, 12), 1, 0.0) is Arrival.GAP
+    assert commit(writer) == []
+
+
+def test_a_replaced_coordinator_is_refused_and_a_newer_one_adopted() -> None:
+    writer = make_writer(epoch=3, durable=0)
+    assert writer.add(part(0, 1), 2, 0.0) is Arrival.STALE
+    assert writer.add(part(0, 1), 5, 0.0) is Arrival.TAKEN
+    assert writer.add(part(1, 2), 3, 0.0) is Arrival.STALE
+    writer.commit({})
+    assert writer.journal.epochs == [5]
+
+
+def test_a_group_is_due_when_its_first_row_has_waited_long_enough() -> None:
+    writer = make_writer(epoch=1, durable=0)
+    assert writer.deadline == inf
+    writer.add(part(0, 1), 1, 100.0)
+    writer.add(part(1, 2), 1, 100.2)
+    assert writer.deadline == 100.0 + GROUP_SECONDS
+    writer.commit({})
+    assert (writer.durable, writer.deadline, commit(writer)) == (2, inf, [])
+
+
+def test_a_large_group_is_due_at_once() -> None:
+    writer = make_writer(epoch=1, durable=7)
+    writer.add(part(7, 7 + GROUP_ROWS), 1, 100.0)
+    assert writer.deadline == -inf
+
+
+def test_no_more_rows_wait_than_there_is_room_for() -> None:
+    writer = make_writer(epoch=1, durable=0)
+    assert writer.add(part(0, MOST_WAITING), 1, 0.0) is Arrival.TAKEN
+    assert writer.add(part(MOST_WAITING, MOST_WAITING + 1), 1, 0.0) is Arrival.FULL
+    writer.commit({})
+    assert writer.add(part(MOST_WAITING, MOST_WAITING + 1), 1, 0.0) is Arrival.TAKEN
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.booleans())))
+def test_whatever_arrives_each_row_is_committed_once_and_in_order(
+    offers: list[tuple[int, int, bool]],
+) -> None:
+    writer, committed = make_writer(epoch=1, durable=0), []
+    for first, length, is_due in [*offers, (0, 0, True)]:
+        writer.add(part(first, first + length), 1, 0.0)
+        if is_due:
+            committed += commit(writer)
+    assert committed == list(range(writer.durable))

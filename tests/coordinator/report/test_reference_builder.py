@@ -1,0 +1,198 @@
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.scenes import SceneMaker
+from typer.testing import CliRunner
+
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.metrics.reference_coverage import object_identity, read_reference, read_references
+from qdgrasp_coordinator.report.reference_builder import build_reference_sets
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import AssetError, InputError
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=2, joints=2)
+Found = dict[tuple[int, int, int], Outcome]
+
+
+def rows_of(found: Found) -> Rows:
+    rows = SHAPE.empty(len(found))
+    rows["index"], rows["outcome"] = np.arange(len(found)), list(found.values())
+    rows["fitness"] = np.maximum(rows["outcome"].astype(np.float32) - Outcome.DROPPED, 0)
+    rows["base_to_object"][:, :3] = np.array(list(found), np.float32).reshape(-1, 3) / 100
+    rows["descriptor"] = rows["base_to_object"][:, :3]
+    return rows
+
+
+@dataclass
+class Runs:
+    """Runs on an object of one's own, with what they are to have found."""
+
+    home: Path
+    make_scene: SceneMaker
+    made: list[RunFolder] = field(default_factory=list)
+
+    def __call__(
+        self,
+        found: Found | Rows,
+        *,
+        gripper: str = "jaw",
+        object_: str = "block.stl",
+        protocol: str = "paper",
+        com: float = 0.0,
+    ) -> RunFolder:
+        scene = self.make_scene(gripper)
+        body = msgspec.structs.replace(scene.object, name=Path(object_).stem, com_in_mesh=(com, 0.0, 0.0))
+        bundle = pack_scene(msgspec.structs.replace(scene, object=body, protocol=protocol))
+        spec = RunSpec(gripper=gripper, object=object_, mass=0.1, protocol=protocol)
+        folder = RunFolder.create(self.home / f"run{len(self.made)}", spec, bundle)
+        rows = rows_of(found) if isinstance(found, dict) else found
+        with JournalWriter.create(
+            folder.path, JournalIdentity("run", to_toml(spec), bundle.digest, SHAPE)
+        ) as journal:
+            journal.begin_epoch(1, 0.0)
+            for first in range(len(rows)):
+                journal.append(JournalSlice(first, rows[first : first + 1]), 1, 0.0)
+        self.made.append(folder)
+        return folder
+
+
+@pytest.fixture
+def run(tmp_path: Path, make_scene: SceneMaker) -> Runs:
+    return Runs(tmp_path, make_scene)
+
+
+A, B, C = (1, 2, 3), (-4, 0, 9), (-4, 0, -9)
+
+
+def groups(path: Path, name: str = "block") -> Found:
+    known = read_reference(path, name)
+    return {tuple(cell): fitness for cell, fitness in zip(known.cells.tolist(), known.fitness, strict=True)}
+
+
+def test_a_set_holds_the_successes_and_nothing_else(run: Runs, tmp_path: Path) -> None:
+    out = tmp_path / "set.npz"
+    build_reference_sets([run({A: Outcome.DROPPED, B: Outcome.HELD, C: Outcome.BRUSHED})], out)
+    assert groups(out) == {B: 2, A: 0}
+    with np.load(out) as arrays:
+        assert (arrays["block.cm"].dtype, arrays["block.fitness"].dtype) == (np.int16, np.uint8)
+        assert arrays["block.cm"].tolist() == sorted([list(A), list(B)])
+
+
+def test_randomised_trials_are_left_out(run: Runs, tmp_path: Path) -> None:
+    rows = rows_of({A: Outcome.HELD, B: Outcome.HELD})
+    rows["trial"] = [1, 0]
+    build_reference_sets([run(rows)], tmp_path / "set.npz")
+    assert groups(tmp_path / "set.npz") == {B: 2}
+
+
+def test_a_cell_keeps_the_best_fitness_of_all_runs_in_any_order(run: Runs, tmp_path: Path) -> None:
+    runs = [run({A: Outcome.SHAKEN, B: Outcome.HELD}), run({A: Outcome.HELD, C: Outcome.DROPPED})]
+    there, back, slowly = (tmp_path / name for name in ("there.npz", "back.npz", "slowly.npz"))
+    build_reference_sets(runs, there)
+    build_reference_sets(runs[::-1], back)
+    for folder in (*runs, *runs):
+        build_reference_sets([folder], slowly)
+    assert groups(there) == {A: 2, B: 2, C: 0}
+    assert there.read_bytes() == back.read_bytes() == slowly.read_bytes()
+
+
+def test_one_file_holds_several_objects_of_a_gripper(run: Runs, tmp_path: Path) -> None:
+    out = tmp_path / "set.npz"
+    build_reference_sets([run({A: Outcome.HELD})], out)
+    sets = build_reference_sets([run({B: Outcome.HELD}, object_="ycb_mug", com=0.01)], out)
+    assert list(sets) == ["mug"]
+    assert groups(out) == {A: 2}
+    assert groups(out, "mug") == {B: 2}
+
+
+def test_no_set_is_made_of_runs_without_a_success(run: Runs, tmp_path: Path) -> None:
+    found, missed = run({A: Outcome.HELD}), run({A: Outcome.MISSED})
+    other = run({A: Outcome.MISSED}, object_="cup.stl", com=0.01)
+    for folders, name in (([missed], "block"), ([found, other], "cup")):
+        with pytest.raises(
+            InputError, match=f"no cell for a set of '{name}': no row of its runs is a success"
+        ):
+            build_reference_sets(folders, tmp_path / "set.npz")
+        assert not (tmp_path / "set.npz").exists()
+    build_reference_sets([missed, found], tmp_path / "set.npz")
+    assert groups(tmp_path / "set.npz") == {A: 2}
+
+
+def test_runs_that_do_not_belong_together_are_refused_and_the_file_stays(run: Runs, tmp_path: Path) -> None:
+    out = tmp_path / "set.npz"
+    first = run({A: Outcome.HELD})
+    build_reference_sets([first], out)
+    before = out.read_bytes()
+    claw = run({B: Outcome.HELD}, gripper="claw")
+    moved = run({B: Outcome.HELD}, com=0.01)
+    released = run({B: Outcome.HELD}, protocol="released")
+    for other, words in (
+        (claw, r"one gripper, and these runs are with 'claw' and 'jaw'"),
+        (moved, r"'block' are on different objects, 'block.stl' and 'block.stl'"),
+        (released, r"different evaluation protocols, 'paper' and 'released'.*--mixed"),
+    ):
+        for folders, file in (([other], out), ([first, other], tmp_path / "new.npz")):
+            with pytest.raises(InputError, match=words):
+                build_reference_sets(folders, file)
+    assert out.read_bytes() == before
+    assert not (tmp_path / "new.npz").exists()
+
+
+def test_protocols_are_mixed_where_that_is_asked_for_and_the_file_remembers(
+    run: Runs, tmp_path: Path
+) -> None:
+    out = tmp_path / "set.npz"
+    runs = [run({A: Outcome.DROPPED}), run({A: Outcome.SHAKEN}, protocol="released")]
+    build_reference_sets(runs, out, mixed=True)
+    build_reference_sets(runs[:1], out)
+    known = read_references(out)["block"]
+    assert known.origin is not None
+    assert (known.origin.protocols, known.fitness.tolist()) == (("paper", "released"), [1])
+
+
+def test_a_set_that_does_not_say_what_it_was_built_from_is_not_added_to(run: Runs, tmp_path: Path) -> None:
+    out = tmp_path / "S_G.npz"
+    np.savez(out, **{"block.cm": np.array([A], np.int16), "block.fitness": np.array([1], np.uint8)})
+    before = out.read_bytes()
+    with pytest.raises(AssetError, match=r"S_G.npz' does not say what"):
+        build_reference_sets([run({B: Outcome.HELD})], out)
+    assert out.read_bytes() == before
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_the_folder_of_a_set_is_made(run: Runs, tmp_path: Path) -> None:
+    build_reference_sets([run({A: Outcome.HELD})], tmp_path / "new" / "set.npz")
+    assert groups(tmp_path / "new" / "set.npz") == {A: 2}
+
+
+def test_an_object_is_known_by_its_mesh_and_centre_of_mass(make_scene: SceneMaker) -> None:
+    body = make_scene().object
+    change = msgspec.structs.replace
+    assert object_identity(body) == object_identity(change(body, name="part", mass=2.0, lateral_friction=1.0))
+    others = [
+        change(body, com_in_mesh=(0.0, 0.0, 1e-9)),
+        change(body, mesh_vertices=body.mesh_vertices[:-1] + b"x"),
+        change(body, mesh_faces=body.mesh_faces[12:]),
+    ]
+    assert len({object_identity(other) for other in (body, *others)}) == 4
+
+
+def test_a_run_is_compared_with_a_set_of_its_own_object(run: Runs, tmp_path: Path) -> None:
+    out, first = tmp_path / "set.npz", run({A: Outcome.HELD, B: Outcome.DROPPED})
+    done = CliRunner().invoke(
+        app, ["reference", "build", str(first.path), "--out", str(out), "--name", "part"]
+    )
+    assert done.output == f"{out} holds 2 cells of 'part', 1 of them robust.\n"
+    second = run({A: Outcome.SHAKEN, C: Outcome.HELD})
+    asked = ["coverage", str(second.path), "--reference", str(out), "--object", "part", "--json"]
+    found = msgspec.json.decode(CliRunner().invoke(app, asked).output)
+    assert (found["found"], found["size"], found["outside"], found["stand_in"]) == (1, 2, 1, False)

@@ -1,0 +1,270 @@
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.report.made_runs import climb, made
+from tests.coordinator.scenes import SceneMaker
+
+from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup, ReferenceSet
+from qdgrasp_coordinator.report.run_groups import (
+    CELLS,
+    COVERAGE,
+    RunGroup,
+    curve_panels,
+    default_groups,
+    group_runs,
+    measure_of,
+    measure_words,
+    pool_objects,
+    quartile_curve,
+    quartiles,
+    read_histories,
+    run_words,
+    search_run_folders,
+)
+from qdgrasp_coordinator.report.run_history import RunHistory
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_protocol.errors import FolderError
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_entry() -> None:
+    found = group_runs([made("me_scs", climb(1), seed=seed) for seed in (2, 0, 1)])
+    assert [[run.spec.seed for run in group.runs] for group in found] == [[0, 1, 2]]
+    assert found[0].name == "me_scs"
+
+
+def test_hands_stand_in_the_paper_s_order_and_methods_in_that_of_the_table() -> None:
+    runs = [
+        made(method, climb(1), gripper=hand, object=thing)
+        for hand in ("shadow", "panda", "own", "ref_bh280")
+        for thing in ("mug", "bowl")
+        for method in ("me_scs", "contact_rand")
+    ]
+    found = group_runs(runs)
+    assert list(dict.fromkeys(group.scene.gripper for group in found)) == [
+        "panda",
+        "ref_bh280",
+        "shadow",
+        "own",
+    ]
+    assert [(group.scene.object, group.method) for group in found[:4]] == [
+        ("bowl", "contact_rand"), ("bowl", "me_scs"), ("mug", "contact_rand"), ("mug", "me_scs"),
+    ]  # fmt: skip
+
+
+def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
+    runs = [
+        made("me_scs", climb(1), seed=seed, mutation_sigma=sigma) for seed in (0, 1) for sigma in (0.3, 0.05)
+    ]
+    other = made("cma_mae", climb(1), population=540)
+    found = group_runs([*runs, other])
+    assert [(group.name, len(group.runs)) for group in found] == [
+        ("me_scs mutation sigma 0.05", 2), ("me_scs mutation sigma 0.3", 2), ("cma_mae", 1),
+    ]  # fmt: skip
+
+
+def test_the_usual_variant_of_a_method_is_the_one_nearest_to_the_defaults() -> None:
+    runs = [made("me_scs", climb(1), mutation_sigma=sigma, population=60) for sigma in (0.02, 0.1, 0.4)]
+    (by_method,) = default_groups(group_runs(runs)).values()
+    assert by_method["me_scs"].runs[0].spec.mutation_sigma == 0.1
+
+
+@pytest.mark.parametrize(("method", "counting"), [("aimed", "redraw"), ("me_scs", "count")])
+def test_the_usual_variant_counts_as_its_method_does(method: str, counting: str) -> None:
+    population = METHODS[method].population
+    runs = [
+        made(method, climb(1), overlaps=overlaps, population=population) for overlaps in ("count", "redraw")
+    ]
+    (by_method,) = default_groups(group_runs(runs)).values()
+    assert by_method[method].overlaps == counting
+
+
+def test_protocols_are_scenes_of_their_own() -> None:
+    found = group_runs([made("me_scs", climb(1), protocol=name) for name in ("paper", "released")])
+    assert [group.scene.words for group in found] == ["jaw on block", "jaw on block (released)"]
+
+
+def test_an_unfinished_run_settles_nothing_beside_finished_ones() -> None:
+    finished, going = made("me_scs", climb(1)), made("me_scs", climb(1), seed=1, evaluations=10)
+    waiting = made("me_scs", climb(), seed=2, evaluations=0)
+    (group,) = group_runs([finished, going, waiting])
+    assert (group.unfinished, group.finished_runs) == (2, (finished,))
+    (alone,) = group_runs([going, waiting])
+    assert alone.finished_runs == (going,)
+
+
+@pytest.mark.parametrize("home", ["runs", "."])
+def test_runs_are_found_in_a_campaign_and_side_by_side(
+    tmp_path: Path, make_scene: SceneMaker, home: str
+) -> None:
+    (tmp_path / home).mkdir(exist_ok=True)
+    (tmp_path / home / "analysis").mkdir()
+    for name in ("b", "a"):
+        record(tmp_path / home / name, make_scene(), random_rows(20))
+    assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["a", "b"]
+    assert [folder.path.name for folder in search_run_folders(tmp_path / home / "a")] == ["a"]
+
+
+def test_a_run_without_the_files_of_its_job_is_one_all_the_same(
+    tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+    (folder.path / "job.json").unlink()
+    (found,) = read_histories(search_run_folders(tmp_path), ReferenceLookup())
+    assert found.evaluations == 20
+
+
+def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path, make_scene: SceneMaker) -> None:
+    pose = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
+    scored = record(tmp_path / "scored", make_scene(), random_rows(1), method="given", poses=(pose,))
+    with pytest.raises(FolderError, match="score given poses"):
+        search_run_folders(scored.path)
+    record(tmp_path / "searched", make_scene(), random_rows(20))
+    assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["searched"]
+
+
+def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds no runs: expected run folders in"):
+        search_run_folders(tmp_path)
+    with pytest.raises(FolderError, match="There is no folder"):
+        search_run_folders(tmp_path / "nowhere")
+
+
+def test_a_run_whose_scene_is_elsewhere_has_no_target(tmp_path: Path, make_scene: SceneMaker) -> None:
+    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+    (folder.path / "scene.bundle").unlink()
+    (found,) = read_histories([folder], ReferenceLookup())
+    assert (found.target.size, found.target.why) == (0, "the run's scene is not here")
+    assert found.evaluations == 20
+
+
+def covered(thing: str, size: int, *found: int, seed: int = 0, **settings: Any) -> RunHistory:
+    """A run that finds so many entries of a set, ten evaluations each."""
+    known = ReferenceSet(thing, np.zeros((size, 3), np.int64), np.zeros(size, np.uint8))
+    values: dict[str, Any] = {"method": "me_scs", "object": thing, "target": CoverageTarget(known)} | settings
+    method = values.pop("method")
+    return made(method, climb(1), seed, found=climb(*found), published=climb(*found), **values)
+
+
+def pool(*runs: RunHistory) -> list[RunGroup]:
+    return pool_objects(group_runs(runs))
+
+
+def test_each_object_counts_alike_however_large_its_set() -> None:
+    (group,) = pool(covered("mug", 10, 1, 2), covered("bowl", 1000, 200, 600))
+    assert group.scene.words == "jaw on 2 objects"
+    (run,) = group.runs
+    assert run.coverage([0, 10, 15, 20]).tolist() == pytest.approx([0, 0.15, 0.15, 0.4])
+    assert run.published_coverage(20) == pytest.approx(0.4)
+    assert quartile_curve(group, COVERAGE).median[-1] == pytest.approx(0.4)
+
+
+def test_a_pooled_run_is_as_long_as_the_shortest_and_finished_when_all_are() -> None:
+    (group,) = pool(covered("mug", 10, 1), covered("bowl", 10, 1, evaluations=60))
+    assert (group.runs[0].evaluations, group.unfinished) == (60, 1)
+
+
+def test_objects_without_a_set_and_objects_that_a_method_lacks_are_left_out() -> None:
+    both = [
+        covered(thing, 10, 1, method=name) for thing in ("mug", "bowl") for name in ("me_scs", "contact_rand")
+    ]
+    lone = [covered("can", 10, 9, method="me_scs"), made("me_scs", climb(1), object="box")]
+    found = pool(*both, *lone, *(made("contact_rand", climb(1), object="box"),))
+    assert [(group.method, group.scene.object) for group in found] == [
+        ("contact_rand", "2 objects"), ("me_scs", "2 objects"),
+    ]  # fmt: skip
+    assert found[1].runs[0].coverage(100) == pytest.approx(0.1)
+
+
+def test_seeds_that_not_every_object_has_are_left_out() -> None:
+    runs = [covered("mug", 10, 1, seed=seed) for seed in (0, 1)]
+    (group,) = pool(*runs, covered("bowl", 10, 1, seed=1), covered("bowl", 10, 1, seed=0, evaluations=0))
+    assert [run.spec.seed for run in group.runs] == [1]
+
+
+def test_one_object_makes_no_mean() -> None:
+    assert pool(covered("mug", 10, 1), covered("mug", 10, 2, gripper="claw"), made("me_scs", climb(1))) == []
+
+
+def group(*runs):
+    (one,) = group_runs(runs)
+    return one
+
+
+def test_a_curve_is_the_median_over_its_runs() -> None:
+    one = group(*(made("me_scs", climb(*(k * step for step in range(1, 11))), seed=k) for k in (1, 2, 6)))
+    found = quartile_curve(one, CELLS)
+    place = found.evaluations.tolist().index(50)
+    assert (found.low[place], found.median[place], found.high[place]) == (7.5, 10, 20)
+    assert (found.evaluations[0], found.median[0], found.evaluations[-1], found.median[-1]) == (0, 0, 100, 20)
+
+
+def test_a_shorter_run_counts_as_far_as_it_goes() -> None:
+    long = made("me_scs", climb(*range(1, 11)), seed=0)
+    short = made("me_scs", climb(30, 60), seed=1, evaluations=25)
+    found = quartile_curve(group(long, short), CELLS)
+    at = {e: (n, m) for e, n, m in zip(found.evaluations, found.runs, found.median, strict=True)}
+    assert at[25] == (2, (2 + 60) / 2)
+    assert at[26] == (1, 2)
+    assert found.evaluations[: found.common_points][-1] == 25
+
+
+def test_a_run_that_has_not_begun_does_not_count() -> None:
+    found = quartile_curve(
+        group(made("me_scs", climb(4)), made("me_scs", climb(), seed=1, evaluations=0)), CELLS
+    )
+    assert found.runs[-1] == 1
+    assert found.median[-1] == 4
+
+
+@given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=10), min_size=1, max_size=5))
+def test_where_all_runs_are_in_it_a_curve_never_falls(gains: list[list[int]]) -> None:
+    runs = [
+        made("me_scs", climb(*np.cumsum(gain).tolist()), seed=seed, evaluations=10 * len(gain))
+        for seed, gain in enumerate(gains)
+    ]
+    found = quartile_curve(group(*runs), CELLS, points=20)
+    for part in (found.low, found.median, found.high):
+        assert (np.diff(part[: found.common_points]) >= 0).all()
+    assert (found.low <= found.median).all()
+    assert (np.diff(found.runs) <= 0).all()
+
+
+def test_scenes_compare_by_cells_where_one_entry_lacks_a_set() -> None:
+    lacking = group(made("me_scs", climb(1)))
+    assert measure_of([lacking]) is CELLS
+    assert np.isnan(COVERAGE.values(lacking.runs[0], [10])).all()
+
+
+def test_quartiles_of_nothing_are_not_numbers() -> None:
+    found = quartiles(np.array([[1.0, np.nan], [3.0, np.nan]]))
+    assert found[:, 0] == pytest.approx([1.5, 2, 2.5])
+    assert np.isnan(found[:, 1]).all()
+
+
+RUNS = [
+    made(method, climb(3, 5), seed=seed) for method in ("contact_rand", "contact_me_scs") for seed in (0, 1)
+]
+
+
+def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves() -> None:
+    assert run_words(group_runs(RUNS), 3) == "2 seeds \u00d7 100 evaluations"
+    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
+    assert (
+        run_words(group_runs(more), 4) == "2 seeds \u00d7 100 evaluations; me_scs: 1 \u00d7 40, 1 unfinished"
+    )
+
+
+def test_a_heading_without_room_says_from_where_to_where() -> None:
+    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
+    assert run_words(group_runs(more), 2) == "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"
+
+
+def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:
+    (panel,) = curve_panels(group_runs(RUNS))
+    assert measure_words(panel) == "success cells of 1 cm: no S_G"
+    assert (panel.end, panel.greatest_value) == (100, 5)

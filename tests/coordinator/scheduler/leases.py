@@ -1,0 +1,104 @@
+"""Leases and results for the tests of dispatch."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import structs
+
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, SettleReply
+from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
+from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
+from qdgrasp_protocol.messages import VERSION, Failure, Join, Result
+from qdgrasp_protocol.rows import Outcome, RowShape
+
+SHAPE = RowShape(genes=2, joints=1)
+EPOCH = 5
+ANN, BOB, EVE = "a" * 32, "b" * 32, "e" * 32
+SCENE = "1" * 64
+
+
+def genomes(n: int) -> np.ndarray:
+    return np.linspace(-1, 1, 2 * n, dtype=np.float32).reshape(n, 2)
+
+
+def join_message(
+    wid: str, number: int = 1, credit: int = 2, held: Sequence[bytes] = (), **values: object
+) -> Join:
+    message = Join(
+        versions=[VERSION],
+        wid=wid,
+        number=number,
+        credit=credit,
+        held=list(held),
+        host="node7",
+        pid=9,
+        platform={"pybullet": "3.2.7"},
+    )
+    return structs.replace(message, **values)
+
+
+class Dispatch(Dispatcher):
+    """A dispatcher with its workers."""
+
+    def __init__(self, epoch: int, batch_size: int | None = None) -> None:
+        self.workers = WorkerRegistry()
+        super().__init__(epoch, self.workers, batch_size)
+
+    def admit(self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float) -> list[bytes]:
+        """Let a worker join whose token is there."""
+        self.workers.on_token(wid, True, now)
+        return self.join(join_message(wid, number, credit, held), now)
+
+    def give_up(self, now: float) -> list[LostWorker]:
+        """Queue again what overdue workers hold."""
+        lost = self.workers.overdue(now)
+        for one in lost:
+            self.requeue(one.batches)
+        return lost
+
+
+def submit(dispatch: Dispatch, n: int, run: str = "run", scene: str = SCENE, generation: int = 0) -> None:
+    indices, trials = np.arange(n, dtype=np.uint32), np.zeros(n, dtype=np.uint16)
+    dispatch.submit(RunRef(run, scene, "contact"), Generation(generation, indices, trials, genomes(n)))
+
+
+def with_work(n: int = 10, batch_size: int | None = 2, workers: tuple[str, ...] = (ANN,)) -> Dispatch:
+    dispatch = Dispatch(EPOCH, batch_size)
+    submit(dispatch, n)
+    for wid in workers:
+        dispatch.admit(wid, 1, 2, [], 0.0)
+    return dispatch
+
+
+def settle(
+    dispatch: Dispatch,
+    lease: Lease,
+    now: float,
+    *,
+    wid: str = "",
+    failed: tuple[int, ...] = (),
+    epoch: int = EPOCH,
+) -> SettleReply:
+    n = len(lease.batch)
+    rows = SHAPE.empty(n)
+    rows["outcome"], rows["nu"] = Outcome.HELD, lease.batch.rows.indices
+    result = Result(
+        epoch=epoch,
+        run=lease.batch.run.run,
+        generation=lease.batch.rows.number,
+        batch=lease.batch.id,
+        attempt=lease.attempt,
+        wid=wid or lease.wid,
+        n=n,
+        joints=1,
+        descriptors=3,
+        columns={},
+        cpu_seconds=0.1 * n,
+        failures=[Failure(row=row, reason=f"row {row} burst") for row in failed],
+    )
+    return dispatch.settle(wid or lease.wid, result, rows, now)
+
+
+def indices(leases: list[Lease]) -> list[list[int]]:
+    return [lease.batch.rows.indices.tolist() for lease in leases]

@@ -1,0 +1,179 @@
+"""Plans of histories: what is evaluated, what goes wrong, and the journal that comes of it."""
+
+import hashlib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import Overlaps
+
+SHAPE = RowShape(genes=4, joints=1)
+
+
+class Chain:
+    """A search whose every ask depends on every bit of all tells."""
+
+    def __init__(self, population: int, seed: int) -> None:
+        self._population = population
+        self._told = hashlib.sha256(seed.to_bytes(8, "little"))
+
+    def ask(self, generation: int) -> Genomes:
+        digest = self._told.copy()
+        digest.update(f"ask {generation}".encode())
+        generator = np.random.default_rng(list(digest.digest()))
+        return generator.uniform(-1, 1, (self._population, SHAPE.genes)).astype(np.float32)
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self._told.update(f"tell {generation}".encode() + rows.tobytes())
+
+
+def evaluate(rows: Rows) -> Rows:
+    """Return the rows with results, a function of genome and trial; about 4 % are poison."""
+    found = rows.copy()
+    genome = rows["genome"]
+    share = ((genome[:, 0] + 1) / 2 + rows["trial"] * np.float32(0.37)) % 1
+    found["outcome"] = np.searchsorted([0.04, 0.1, 0.5, 0.7, 0.75, 0.85, 0.95], share, side="right")
+    found["fitness"] = np.maximum(found["outcome"].astype(np.float32) - Outcome.DROPPED, 0)
+    found["proposals"] = 1
+    found["descriptor"] = genome[:, 1:4] * np.float32(0.2)
+    found["nu"] = genome[:, 1] * genome[:, 2]
+    return np.where(found["outcome"] == Outcome.ERROR, rows, found)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search and the evaluation of its genomes."""
+
+    search: Callable[[int, int], SearchAlgorithm]
+    """Makes the search from population and seed."""
+    evaluate: Callable[[Rows], Rows]
+    """Returns rows with results, a function of genome and trial; poison rows stay as they are."""
+    shape: RowShape
+
+
+CHAIN = Task(Chain, evaluate, SHAPE)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run in brief."""
+
+    seed: int = 0
+    population: int = 6
+    evaluations: int = 32
+    overlaps: Overlaps = "count"
+    in_flight: int = 1
+    trials: int = 0
+    successes: int | None = None
+    no_new_cell: int | None = None
+    task: Task = CHAIN
+
+    def __str__(self) -> str:
+        """Return the fields that differ from the defaults, but for the task."""
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "task"}
+        defaults = vars(Plan())
+        changed = [f"{name}={value}" for name, value in values.items() if value != defaults[name]]
+        return " ".join(changed) or "plain"
+
+    def pipeline(self) -> Pipeline:
+        """A new pipeline of this run."""
+        search = self.task.search(self.population, self.seed)
+        shape, goals = self.task.shape, StopCriteria(self.successes, self.no_new_cell)
+        return Pipeline(search, shape, self.evaluations, self.overlaps, self.in_flight, self.trials, goals)
+
+
+def reference(plan: Plan) -> bytes:
+    """The journal of a plan without a bus: written from the contract, not with the pipeline."""
+    task = plan.task
+    search = task.search(plan.population, plan.seed)
+    waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
+    journal, barren, idle = [], 0, 0
+    end = End(plan)
+    while True:
+        number, genomes = waiting.popleft()
+        rows = task.evaluate(rows_of(number, genomes, task.shape))
+        counts = rows["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
+        until = next((n for n, row in enumerate(rows) if end.comes_with(row, counts[n])), None)
+        is_last = until is not None
+        rows = rows[: until + 1] if is_last else rows
+        trials = [trials_of(row, plan.trials, task) for row in rows if row["outcome"] >= Outcome.DROPPED]
+        journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
+        barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
+        if is_last or (barren >= 20 and idle >= 1000):
+            return b"".join(journal)
+        if plan.trials:
+            sums = [float(sum(trial["fitness"] for trial in found)) for found in trials]
+            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = sums
+        search.tell(number, rows)
+        waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+
+
+class End:
+    """Tells if a run's end comes with its next nominal row."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._counted = self._found = self._fresh = 0
+        self._cells: set[tuple[int, ...]] = set()
+
+    def comes_with(self, row: np.void, is_counted: np.bool_) -> bool:
+        plan = self._plan
+        self._counted += int(is_counted)
+        if row["outcome"] >= Outcome.DROPPED:
+            self._found += 1
+            cell = tuple(np.rint(np.float64(row["descriptor"][:3]) * 100).astype(int).tolist())
+            if cell not in self._cells:
+                self._cells.add(cell)
+                self._fresh = self._counted
+        return (
+            self._counted == plan.evaluations
+            or self._found == plan.successes
+            or self._counted - self._fresh == plan.no_new_cell
+        )
+
+
+def trials_of(row: np.void, trials: int, task: Task) -> Rows:
+    """The trials of a nominal row, evaluated."""
+    rows = task.shape.empty(trials)
+    rows["generation"], rows["index"], rows["genome"] = row["generation"], row["index"], row["genome"]
+    rows["trial"] = np.arange(1, trials + 1)
+    return task.evaluate(rows)
+
+
+def rows_of(number: int, genomes: Genomes, shape: RowShape = SHAPE) -> Rows:
+    """Rows of a whole generation, not evaluated."""
+    rows = shape.empty(len(genomes))
+    rows["generation"], rows["index"], rows["genome"] = number, np.arange(len(genomes)), genomes
+    return rows
+
+
+class Spy(Chain):
+    """Notes in which order it is asked and told."""
+
+    def __init__(self, population: int, seed: int = 0) -> None:
+        super().__init__(population, seed)
+        self.calls: list[str] = []
+
+    def ask(self, generation: int) -> Genomes:
+        self.calls.append(f"ask {generation}")
+        return super().ask(generation)
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self.calls.append(f"tell {generation}")
+        super().tell(generation, rows)
+
+
+def asked(pipeline: Pipeline) -> Rows:
+    """All rows that may be asked now, evaluated."""
+    parts = [SHAPE.empty(0)]
+    while (generation := pipeline.ask()) is not None:
+        rows = rows_of(generation.number, generation.genomes)
+        rows["index"], rows["trial"] = generation.indices, generation.trials
+        parts.append(evaluate(rows))
+    return np.concatenate(parts)

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.scheduler.batch_queue import (
+    BATCH_SECONDS,
+    FIRST_ROWS,
+    LEAST_SECONDS,
+    MOST_ROWS,
+    BatchSizer,
+    read_result,
+)
+from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
+from qdgrasp_protocol.messages import Result
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
+
+SHAPE = RowShape(genes=2, joints=1)
+
+
+def result(outcomes: list[int]) -> Result:
+    rows = SHAPE.empty(len(outcomes))
+    rows["outcome"] = outcomes
+    return Result(
+        epoch=1,
+        run="run",
+        generation=0,
+        batch=bytes(16),
+        attempt=1,
+        wid="0" * 32,
+        n=len(outcomes),
+        joints=1,
+        descriptors=3,
+        columns=pack(rows, RESULT),
+        cpu_seconds=0.0,
+    )
+
+
+def test_the_rows_of_a_result_are_read() -> None:
+    read, rows = read_result(result([Outcome.ERROR, Outcome.HELD]), SHAPE)
+    assert read.failures == []
+    np.testing.assert_array_equal(rows["outcome"], [Outcome.ERROR, Outcome.HELD])
+
+
+@pytest.mark.parametrize("number", [Outcome.HELD + 1, 255])
+def test_an_outcome_that_is_none_fails_all_rows_of_its_result(number: int) -> None:
+    read, rows = read_result(result([Outcome.MISSED, number]), SHAPE)
+    assert [failure.row for failure in read.failures] == [0, 1]
+    assert f"holds {number}" in read.failures[0].reason
+    assert not rows["outcome"].any()
+
+
+def measured(seconds_per_row: float) -> BatchSizer:
+    sizer = BatchSizer()
+    for _ in range(3):
+        sizer.measure(10, 10 * seconds_per_row)
+    return sizer
+
+
+def batches(sizer: BatchSizer, remaining: int, workers: int) -> list[int]:
+    """The batches that a generation is cut into."""
+    cut = []
+    while remaining:
+        cut.append(sizer.next_size(remaining, workers))
+        remaining -= cut[-1]
+    return cut
+
+
+def test_the_first_batches_are_small() -> None:
+    assert BatchSizer().next_size(10_000, 2) == FIRST_ROWS
+
+
+def test_a_batch_takes_about_a_quarter_of_a_second() -> None:
+    assert measured(0.001).next_size(10_000, 2) == pytest.approx(BATCH_SECONDS / 0.001, rel=0.02)
+
+
+@pytest.mark.parametrize(("cost", "rows"), [(0.0, MOST_ROWS), (1e-7, MOST_ROWS), (3.0, 1)])
+def test_a_batch_has_at_least_one_row_and_not_too_many(cost: float, rows: int) -> None:
+    assert measured(cost).next_size(1_000_000, 2) == rows
+
+
+@pytest.mark.parametrize("workers", [1, 2, 7])
+def test_the_end_of_a_generation_is_shared(workers: int) -> None:
+    left = 500
+    for rows in batches(measured(0.002), 500, workers):
+        smallest = LEAST_SECONDS / 0.002
+        assert rows <= max(-(-left // (2 * workers)), smallest)
+        left -= rows
+    assert left == 0
+
+
+def test_sharing_makes_no_tiny_batches() -> None:
+    cut = batches(measured(0.001), 500, 100)
+    assert min(cut[:-1]) >= LEAST_SECONDS / 0.001 - 1  # but for the rest
+
+
+def test_a_fixed_size_is_kept_but_for_the_rest() -> None:
+    assert batches(BatchSizer(64), 200, 9) == [64, 64, 64, 8]
+
+
+def test_the_latest_batches_count_most() -> None:
+    sizer = measured(0.01)
+    for _ in range(60):
+        sizer.measure(100, 0.1)
+    assert sizer.seconds_per_row == pytest.approx(0.001, rel=0.01)
+
+
+def test_without_measurement_timeout_is_the_shortest_lease() -> None:
+    assert LeaseTimeout().limit == LEASE_SECONDS
+
+
+def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep() -> None:
+    timeout = LeaseTimeout()
+    for seconds in [2.0] * 95 + [60.0] * 5:
+        timeout.measure(seconds)
+    assert timeout.limit == 20.0
+    for _ in range(10):
+        timeout.measure(60.0)
+    assert timeout.limit == 600.0
+
+
+def test_timeout_forgets_what_was_long_ago() -> None:
+    timeout = LeaseTimeout()
+    for seconds in [60.0] * 300 + [0.1] * 300:
+        timeout.measure(seconds)
+    assert timeout.limit == LEASE_SECONDS
+
+
+def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
+    sizer = BatchSizer()
+    sizer.measure(10, 0.2)
+    assert (
+        sizer.next_size(500, 1000, runs=100) == 12
+    )  # 0.25 s, less than half of the part of each of 10 workers
+    assert sizer.next_size(500, 1000, runs=16) == 4
+    assert sizer.next_size(500, 1000) == 1
+
+
+def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:
+    sizer = BatchSizer()
+    sizer.measure(1000, 0.05)  # 50 us a row, as much as handing a batch out
+    assert sizer.next_size(10_000, 1000) >= 100
+    assert sizer.next_size(10_000, 1) == 512

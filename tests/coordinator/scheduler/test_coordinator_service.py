@@ -1,0 +1,302 @@
+"""The coordinator's service with many runs at once, commanded by administrators."""
+
+import hashlib
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE
+from tests.coordinator.recorder.fakes import JOB
+from tests.coordinator.scheduler.fakes import (
+    PLANS,
+    FakeWorker,
+    Job,
+    OtherPlatformSink,
+    ReplacedSink,
+    SlowSink,
+    job_view,
+    send_command,
+    until,
+)
+from tests.coordinator.scheduler.leases import ANN, BOB
+from tests.coordinator.scheduler.search_plans import Plan, reference
+
+from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
+from qdgrasp_protocol import bundle_transfer
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import Cancelled, InputError, Refused, RunsFailed, TookOver
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.rows import Outcome
+
+
+def test_many_runs_at_once_find_what_each_finds_alone() -> None:
+    job = Job(dict(PLANS))
+    job.carry_out()
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+    assert max(job.open) > 1
+
+
+def test_a_run_that_cannot_be_made_is_told_of_when_the_others_are_done() -> None:
+    job = Job({"bad": None, **PLANS})
+    with pytest.raises(RunsFailed, match=r"1 of 7 runs .* 'bad': Its mesh is no mesh\."):
+        job.carry_out()
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_a_coordinator_that_another_one_replaced_ends_and_no_run_fails_for_it() -> None:
+    with pytest.raises(TookOver):
+        Job(dict(PLANS), **{"run-2": ReplacedSink}).carry_out()
+
+
+def test_of_many_runs_that_cannot_be_made_some_are_named() -> None:
+    bad = dict.fromkeys([f"bad-{number}" for number in range(13)])
+    with pytest.raises(
+        RunsFailed, match=r"13 of 14 runs .* 'bad-0': Its .* 'bad-1', .*'bad-10' and 2 more\.$"
+    ):
+        Job({**bad, "run-0": PLANS["run-0"]}).carry_out()
+
+
+def test_the_only_run_of_a_job_fails_with_its_own_sentence() -> None:
+    with pytest.raises(InputError, match=r"^Its mesh is no mesh\.$"):
+        Job({"bad": None}).carry_out()
+
+
+def test_no_more_runs_are_open_than_keep_the_workers_busy() -> None:
+    job = Job({f"run-{seed}": Plan(seed=seed, population=400, evaluations=800) for seed in range(4)})
+    job.carry_out(workers=1)
+    assert max(job.open) <= 3
+
+
+def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
+    job = Job(dict(PLANS))
+    other = job.network.session()
+    with FakeWorker(job.network.session(), "f" * 32, answers=False).at_work() as idle:
+        service = threading.Thread(target=job.service.run)
+        service.start()
+        try:
+            assert idle.kept.wait(PATIENCE)
+            scene = b"run-0" * 100
+            assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
+            with pytest.raises(Refused, match="no run in progress has the scene"):
+                bundle_transfer.fetch_bundle(other, JOB, "0" * 64)
+        finally:
+            job.stop.set(15)
+            service.join()
+
+
+def test_the_last_figures_of_the_job_count_all_runs() -> None:
+    job = Job(dict(PLANS))
+    seen: list[JobStatus] = []
+    with job.network.session().subscribe(
+        Keys(JOB).stat("job"), lambda sample: seen.append(from_json(sample.payload, JobStatus))
+    ):
+        job.carry_out()
+    last = seen[-1]
+    assert (last.runs_done, last.runs_open, last.runs) == (6, 0, 6)
+    assert last.evaluations == last.budget == 240
+
+
+def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:
+    job = Job(dict(PLANS))
+    job.programme.has_room.clear()
+
+    def make_room(now: float) -> None:
+        if job.service.status(now).trouble == "There is no room.":
+            job.programme.has_room.set()
+
+    with FakeWorker(job.network.session(), "f" * 32).at_work():
+        job.service.run(make_room)
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_a_run_of_another_platform_fails_and_the_others_are_done() -> None:
+    job = Job(dict(PLANS), **{"run-5": OtherPlatformSink})
+    with pytest.raises(RunsFailed, match=r"'run-5': Its rows were made elsewhere: .* pybullet 2\.0"):
+        job.carry_out()
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()} | {"run-5": b""}
+
+
+def test_nobody_works_on_what_a_finished_run_does_not_need() -> None:
+    plan = Plan(population=200, evaluations=20, overlaps="redraw")
+    job = Job({"slow": plan}, slow=SlowSink)
+    looks: list[float] = []
+
+    def look(now: float) -> None:
+        if job.service.status(now).evaluations == plan.evaluations:
+            looks.append(now)
+        if len(looks) == 5:
+            record = job.records["slow"]
+            assert isinstance(record, SlowSink)
+            record.is_safe = True
+
+    with FakeWorker(job.network.session(), "f" * 32).at_work() as worker:
+        job.service.run(look)
+    rows = job.records["slow"].rows
+    again, held, crossing = 2 * np.count_nonzero(rows["outcome"] == Outcome.ERROR), 2 * 2, 1
+    assert worker.rows <= len(rows) + again + held + crossing
+
+
+def test_what_a_finished_run_held_is_let_go() -> None:
+    job = Job({f"run-{seed}": Plan(seed=seed, evaluations=20) for seed in range(40)})
+    job.carry_out()
+    assert len(job.programme.pipelines) == 40
+    last_opened = 1
+    assert sum(pipeline() is not None for pipeline in job.programme.pipelines) <= last_opened
+
+
+# Commands of administrators, and jobs that end early.
+
+LONG = Plan(population=50, evaluations=5000)
+
+
+@contextmanager
+def last_words(bus: Bus) -> Iterator[Callable[[], list[str]]]:
+    """The states that a coordinator told of, the latest last."""
+    with bus.ring(Keys(JOB).stat("job"), 64) as ring:
+        yield lambda: [from_json(sample.payload, JobStatus).state for sample in ring.take()]
+
+
+def test_a_pause_changes_nothing_that_is_found() -> None:
+    job = Job(dict(PLANS))
+    bus = job.network.session()
+    paused, looks = threading.Event(), iter(range(10**9))
+
+    def look(now: float) -> None:
+        if next(looks) == 5:
+            threading.Thread(target=lambda: (send_command(bus, "pause"), paused.set())).start()
+        if paused.is_set():
+            paused.clear()
+            assert job.service.status(now).state == "paused"
+            threading.Thread(target=send_command, args=(bus, "continue")).start()
+
+    with FakeWorker(job.network.session(), ANN).at_work(), FakeWorker(job.network.session(), BOB).at_work():
+        job.service.run(look)
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_nothing_is_handed_out_while_a_job_is_paused() -> None:
+    job = Job({"run-0": LONG})
+    with job.serving(), job.network.session() as bus:
+        assert "is paused" in send_command(bus, "pause")
+        assert "already" in send_command(bus, "pause")
+        with FakeWorker(job.network.session(), ANN).at_work() as worker:
+            until(lambda: bool(job_view(bus).workers))
+            before = worker.rows
+            assert send_command(bus, "continue") == f"Job '{JOB}' goes on."
+            until(lambda: worker.rows > 0)
+    assert before == 0
+
+
+def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> None:
+    job = Job({"run-0": LONG})
+    worker = FakeWorker(job.network.session(), ANN, answers=False)
+    with job.serving() as service, job.network.session() as bus, worker.at_work(), last_words(bus) as told:
+        assert worker.kept.wait(PATIENCE)
+        assert "ends" in send_command(bus, "cancel")
+        service.join(PATIENCE)
+        assert not service.is_alive()
+        assert told()[-1] == "cancelled"
+    assert isinstance(job.error, Cancelled)
+    assert (str(job.error), job.error.exit_code) == (f"Job '{JOB}' was cancelled.", 0)
+    assert worker.controls[-1].drop
+
+
+def test_a_cancelled_job_waits_for_what_is_found_to_be_safe() -> None:
+    job = Job({"run-0": LONG}, **{"run-0": SlowSink})
+    worker = FakeWorker(job.network.session(), ANN)
+    with job.serving() as service, job.network.session() as bus, worker.at_work():
+        until(lambda: worker.rows > 0)
+        send_command(bus, "cancel")
+        assert job_view(bus).figures.state == "ending"
+        with pytest.raises(Refused, match="ending already"):
+            send_command(bus, "pause")
+        record = job.records["run-0"]
+        assert isinstance(record, SlowSink)
+        record.is_safe = True
+        service.join(PATIENCE)
+    assert isinstance(job.error, Cancelled)
+
+
+def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
+    job = Job({"run-0": LONG})
+    ann = FakeWorker(job.network.session(), ANN, answers=False)
+    bob = FakeWorker(job.network.session(), BOB)
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(PATIENCE)
+        assert send_command(bus, "drain", worker="aaa").startswith(f"Asked 1 worker of job '{JOB}' to finish")
+        (worker,) = job_view(bus).workers
+        assert (worker.state, ann.controls[-1].drain) == ("leaving", True)
+        assert job_view(bus).figures.workers == 0
+        before = ann.rows
+        with bob.at_work():
+            until(lambda: bob.rows > 50)
+        assert ann.rows == before
+
+
+def test_a_drained_worker_that_comes_back_is_told_again() -> None:
+    job = Job({"run-0": LONG})
+    session = job.network.session()
+    ann = FakeWorker(session, ANN, answers=False)
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(PATIENCE)
+        send_command(bus, "drain", worker="aaa")
+        before = ann.rows
+        session.disconnect()
+        session.reconnect()
+        until(lambda: len(ann.controls) == 2)
+        assert ann.controls[-1].drain
+        assert ann.rows == before
+
+
+@pytest.mark.parametrize(
+    ("whom", "reason"),
+    [
+        ({"worker": "c"}, "has no worker 'c'; there are aaaaaaaa on here, bbbbbbbb on here"),
+        ({"worker": ""}, "not said whom"),
+        ({"host": "moon"}, "has no worker on host 'moon'; there are"),
+    ],
+)
+def test_who_is_not_there_cannot_be_drained(whom: dict[str, str], reason: str) -> None:
+    job = Job({"run-0": LONG})
+    ann, bob = (FakeWorker(job.network.session(), wid, answers=False) for wid in (ANN, BOB))
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(PATIENCE)
+        with bob.at_work():
+            assert bob.kept.wait(PATIENCE)
+            with pytest.raises(Refused, match=reason):
+                send_command(bus, "drain", **whom)
+
+
+def test_a_job_whose_time_is_over_ends_without_an_error() -> None:
+    job = Job({"run-0": LONG}, seconds=0.2)
+    worker = FakeWorker(job.network.session(), ANN, answers=False)
+    with worker.at_work(), last_words(job.network.session()) as told:
+        job.service.run()
+        assert told()[-1] == "cancelled"
+    assert len(job.records["run-0"].rows) < LONG.evaluations
+
+
+def test_of_a_job_that_is_done_nobody_is_told_that_it_is_cancelled() -> None:
+    job = Job(dict(PLANS))
+    with FakeWorker(job.network.session(), ANN).at_work(), last_words(job.network.session()) as told:
+        job.service.run()
+        assert told()[-1] == "running"
+
+
+def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
+    job = Job({"run-0": LONG, "run-1": LONG})
+    with job.serving(), job.network.session() as bus:
+        assert job_view(bus).meta.epoch in (0, 1)
+        with FakeWorker(job.network.session(), ANN, answers=False).at_work() as worker:
+            assert worker.kept.wait(PATIENCE)
+            until(lambda: [one.state for one in job_view(bus).workers] == ["working"])
+            view = job_view(bus)
+            values = bus.ask_all(Keys(JOB).stat("team/*"))
+    assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)
+    assert view.meta.budget == 2 * LONG.evaluations
+    assert [(one.wid, one.host, one.state) for one in view.workers] == [(ANN, "here", "working")]
+    assert [one["wid"] for value in values.values() for one in json.loads(value)["workers"]] == [ANN]
+    assert {one.run for one in view.runs} <= {"run-0", "run-1"}

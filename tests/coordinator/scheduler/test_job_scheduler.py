@@ -1,0 +1,174 @@
+"""The scheduler of a job: workers join, leave and are lost; a job ends before it is done."""
+
+from concurrent.futures import Future
+from math import inf
+
+import msgspec
+import pytest
+from tests.coordinator.recorder.fakes import JOB
+from tests.coordinator.scheduler.fakes import FakeRunQueue
+from tests.coordinator.scheduler.leases import ANN, BOB, join_message
+
+from qdgrasp_coordinator.metrics.job_status import (
+    WORKERS_PER_PAGE,
+    EventLog,
+    JobEvent,
+    WorkersPage,
+    WorkerStatus,
+)
+from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
+from qdgrasp_coordinator.scheduler.job_scheduler import (
+    LEAST_STOP_SECONDS,
+    MOST_STOP_SECONDS,
+    EarlyStop,
+    JobScheduler,
+)
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_registry import RunLoader, RunRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
+from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.errors import Cancelled
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Heartbeat, Join
+from qdgrasp_protocol.process import Stop
+
+KEYS = Keys(JOB)
+
+
+class SchedulerWithoutRuns:
+    """A scheduler without runs, and the events that it logs."""
+
+    def __init__(self) -> None:
+        self.events: list[JobEvent] = []
+        queue = FakeRunQueue({})
+        loader = RunLoader(queue, lambda run: MemorySink(run.shape), lambda _event: None, Stop())
+        events = EventLog(self.events.append)
+        self.scheduler = JobScheduler(JOB, RunRegistry(queue, loader), lambda *_: None, events=events)
+        self.scheduler.start_epoch(1)
+
+    def joins(self, asked: Join, now: float) -> "Future[bytes]":
+        request = JoinRequest(asked)
+        self.scheduler.handle(TokenChange(KEYS.worker_token(asked.wid), True), now)
+        self.scheduler.handle(request, now)
+        return request.answer
+
+    def dies(self, wid: str, now: float) -> None:
+        self.scheduler.handle(TokenChange(KEYS.worker_token(wid), False), now)
+
+    def says(self, now: float, wid: str = ANN, **values: object) -> None:
+        heartbeat = Heartbeat(wid=wid, host="node7", **values)  # type: ignore[arg-type]
+        key = KEYS.stat(f"worker/{wid}")
+        self.scheduler.handle(Sample(key, msgspec.json.encode(heartbeat), "application/json"), now)
+
+    def shown(self, now: float) -> list[WorkerStatus]:
+        return [worker for page in self.scheduler.workers.pages(now) for worker in page.workers]
+
+    def states(self, now: float) -> list[str]:
+        return [worker.state for worker in self.shown(now)]
+
+    @property
+    def words(self) -> list[str]:
+        return [event.words for event in self.events]
+
+
+@pytest.fixture
+def job() -> SchedulerWithoutRuns:
+    return SchedulerWithoutRuns()
+
+
+def test_what_a_worker_says_of_itself_is_shown(job: SchedulerWithoutRuns) -> None:
+    job.joins(join_message(ANN), 10.0)
+    job.says(12.0, memory=1 << 30, restarts=2)
+    (ann,) = job.shown(15.0)
+    assert (ann.memory, ann.restarts, ann.host, ann.pid) == (1 << 30, 2, "node7", 9)
+    assert (ann.seconds, ann.seen) == (5.0, 3.0)
+
+
+def test_a_killed_worker_is_gone_at_once_and_listed_for_a_minute(
+    job: SchedulerWithoutRuns,
+) -> None:
+    job.joins(join_message(ANN), 0.0)
+    job.joins(join_message(BOB), 0.0)
+    job.dies(ANN, 5.0)
+    assert job.states(5.0) == ["gone", "idle"]
+    job.scheduler.step(6.1)
+    assert job.words[-1] == "Worker aaaaaaaa on node7 (process 9) is gone: its token vanished."
+    assert job.states(6.1 + GONE_SECONDS - 0.1) == ["idle", "gone"]
+    assert job.states(6.2 + GONE_SECONDS) == ["idle"]
+
+
+def test_a_worker_whose_token_is_late_is_not_shown_as_gone(job: SchedulerWithoutRuns) -> None:
+    job.scheduler.handle(JoinRequest(join_message(ANN)), 0.0)
+    assert job.states(1.0) == ["idle"]
+    job.scheduler.handle(TokenChange(KEYS.worker_token(ANN), True), 2.0)
+    job.dies(ANN, 3.0)
+    assert job.states(3.0) == ["gone"]
+
+
+def test_a_worker_that_said_it_leaves_has_left(job: SchedulerWithoutRuns) -> None:
+    job.joins(join_message(ANN), 0.0)
+    job.joins(join_message(ANN, number=2, credit=0), 1.0)
+    job.dies(ANN, 2.0)
+    job.scheduler.step(4.0)
+    assert [words.split(")")[1] for words in job.words] == [" joined.", " has left."]
+
+
+def test_a_worker_that_joins_again_goes_on_as_it_was(job: SchedulerWithoutRuns) -> None:
+    job.joins(join_message(ANN), 0.0)
+    job.dies(ANN, 5.0)
+    job.scheduler.step(7.0)
+    job.joins(join_message(ANN, number=2), 20.0)
+    (ann,) = job.shown(30.0)
+    assert (ann.state, ann.seconds) == ("idle", 30.0)
+
+
+def test_a_refused_worker_is_told_of_with_the_reason(job: SchedulerWithoutRuns) -> None:
+    job.joins(join_message(ANN), 0.0)
+    other = msgspec.structs.replace(join_message(BOB), platform={"pybullet": "9"})
+    assert job.joins(other, 1.0).exception()
+    (_, refused) = job.events
+    assert (refused.kind, refused.worker) == ("worker", BOB)
+    assert "was refused" in refused.words
+    assert "pybullet" in refused.words
+
+
+def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWithoutRuns) -> None:
+    job.joins(join_message(ANN), 0.0)
+    (worker,) = job.scheduler.workers
+    job.says(5.0, progressed=False)
+    assert (worker.progress, job.shown(5.0)[0].seen) == (0.0, 0.0)
+    job.says(6.0, progressed=True)
+    assert worker.progress == 6.0
+
+
+@pytest.mark.parametrize("workers", [0, 1, WORKERS_PER_PAGE, WORKERS_PER_PAGE + 1])
+def test_each_worker_stands_on_one_page(job: SchedulerWithoutRuns, workers: int) -> None:
+    for number in range(workers):
+        job.joins(join_message(f"{number:032x}"), 0.0)
+    pages: list[WorkersPage] = job.scheduler.workers.pages(1.0)
+    assert [page.page for page in pages] == list(range(max(1, -(-workers // WORKERS_PER_PAGE))))
+    assert {page.pages for page in pages} == {len(pages)}
+    assert [int(worker.wid, 16) for page in pages for worker in page.workers] == list(range(workers))
+
+
+def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
+    ending = EarlyStop(10.0, now=100.0)
+    assert (ending.is_due(109.9), ending.is_due(110.0)) == (False, True)
+    assert ending.deadline == 110.0
+    assert not ending.is_over(1e9, is_safe=True)
+
+
+def test_a_job_without_a_limit_never_does() -> None:
+    ending = EarlyStop(None, now=0.0)
+    assert (ending.is_due(1e9), ending.deadline) == (False, inf)
+
+
+@pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST_STOP_SECONDS), (False, MOST_STOP_SECONDS)])
+def test_an_ending_waits_for_the_recorder_but_not_for_ever(is_safe: bool, patience: float) -> None:
+    ending = EarlyStop(10.0, now=0.0)
+    ending.begin(5.0, cancelled := Cancelled("mugs"))
+    assert ending.reason is cancelled
+    assert not ending.is_due(11.0)
+    assert ending.deadline == inf
+    assert not ending.is_over(4.99 + patience, is_safe=is_safe)
+    assert ending.is_over(5.0 + patience, is_safe=is_safe)

@@ -1,0 +1,410 @@
+"""The order of asks and tells, the budget, and replay."""
+
+import itertools
+import random
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.scheduler.search_plans import (
+    SHAPE,
+    Chain,
+    Plan,
+    Spy,
+    asked,
+    evaluate,
+    reference,
+    rows_of,
+)
+
+from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
+
+PLANS = [
+    Plan(population=p, evaluations=budget, overlaps=overlaps, in_flight=in_flight, trials=trials, seed=seed)
+    for seed, (p, budget, overlaps, in_flight, trials) in enumerate(
+        (
+            *itertools.product((1, 5, 7), (1, 14, 15, 23), ("count", "redraw"), (1, 2, 3), (0,)),
+            *itertools.product((1, 7), (1, 14, 23), ("count", "redraw"), (1, 3), (3,)),
+        )
+    )
+]
+
+
+def journal(pipeline: Pipeline, seed: int) -> bytes:
+    """Run to the end with rows that arrive in random order and portions."""
+    chance = random.Random(seed)  # noqa: S311 - dice, not secrets
+    waiting = list(asked(pipeline))
+    found = []
+    while pipeline.finished is None:
+        assert waiting, "nothing to evaluate, and no end"
+        chance.shuffle(waiting)
+        portion = [waiting.pop() for _ in range(min(len(waiting), chance.randint(1, 4)))]
+        found.append(pipeline.settle(np.array(portion)))
+        if chance.random() < 0.7 or not waiting:
+            waiting += list(asked(pipeline))
+    assert [stretch.first for stretch in found if len(stretch)] == _firsts(found)
+    return b"".join(stretch.rows.tobytes() for stretch in found)
+
+
+def _firsts(found: list) -> list[int]:
+    sizes = [len(stretch) for stretch in found if len(stretch)]
+    return [0, *itertools.accumulate(sizes)][: len(sizes)]
+
+
+def rows_in(blob: bytes) -> Rows:
+    return np.frombuffer(blob, dtype=SHAPE.dtype)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=str)
+def test_the_journal_is_the_same_whatever_the_order_of_arrival(plan: Plan) -> None:
+    expected = reference(plan)
+    for seed in range(3):
+        pipeline = plan.pipeline()
+        assert journal(pipeline, seed) == expected
+        assert pipeline.tally.evaluations == plan.evaluations
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=str)
+def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
+    """Also where it was recorded with a smaller budget: that journal is a beginning of this one."""
+    expected = rows_in(reference(plan))
+    for n in range(len(expected) + 1):
+        pipeline = plan.pipeline()
+        pipeline.replay(expected[: n // 2])
+        pipeline.replay(expected[n // 2 : n])
+        assert pipeline.tally.rows == n
+        rest = []
+        while len(rows := asked(pipeline)):
+            rest.append(pipeline.settle(rows[::-1]).rows.tobytes())
+        assert b"".join(rest) == expected[n:].tobytes()
+        assert pipeline.finished is not None
+
+
+@pytest.mark.parametrize("plan", [plan for plan in PLANS if plan.evaluations == 23], ids=str)
+def test_a_smaller_budget_gives_a_beginning_of_the_same_journal_or_is_known_not_to(plan: Plan) -> None:
+    whole = reference(plan)
+    spec = RunSpec(gripper="hand", object="thing", population=plan.population, evaluations=plan.evaluations)
+    extended = 0
+    for evaluations in range(1, 23):
+        smaller = replace(plan, evaluations=evaluations).pipeline()
+        part = journal(smaller, 0)
+        assert len(part) < len(whole)
+        if whole.startswith(part):
+            smaller.tally.check_budget(spec)
+            extended += 1
+        else:
+            with pytest.raises(ImpossibleValue, match="only whole generations can be extended"):
+                smaller.tally.check_budget(spec)
+    assert extended == 22 if plan.trials == 0 else extended > 0
+
+
+@pytest.mark.parametrize("trials", [0, 2])
+@pytest.mark.parametrize("overlaps", ["count", "redraw"])
+def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(overlaps, trials: int) -> None:
+    plan = Plan(population=5, evaluations=13, overlaps=overlaps, trials=trials, seed=3)
+    spec = RunSpec(gripper="hand", object="thing", population=5, overlaps=overlaps)
+    journals = {budget: reference(replace(plan, evaluations=budget)) for budget in range(1, 16)}
+    whole = rows_in(journals[13])
+    for n in range(len(whole) + 1):
+        tally = RunCounter(13, overlaps, trials)
+        tally.count(whole[:n])
+        for budget, expected in journals.items():
+            asked = msgspec.structs.replace(spec, evaluations=budget)
+            if expected.startswith(whole[:n].tobytes()):
+                tally.check_budget(asked)
+            else:
+                with pytest.raises(ImpossibleValue):
+                    tally.check_budget(asked)
+
+
+def test_the_last_row_of_the_journal_is_the_one_that_reaches_the_budget() -> None:
+    plan = Plan(population=9, evaluations=17, overlaps="redraw", seed=4)
+    found = rows_in(journal(plan.pipeline(), 1))
+    counts = found["outcome"] >= Outcome.MISSED
+    assert counts.sum() == 17
+    assert counts[-1]
+
+
+def test_counting_everything_asks_exactly_the_budget() -> None:
+    pipeline = Plan(population=10, evaluations=23).pipeline()
+    sizes = []
+    while len(rows := asked(pipeline)):
+        sizes.append(len(rows))
+        pipeline.settle(rows)
+    assert sizes == [10, 10, 3]
+
+
+def test_generations_in_flight_do_not_exceed_the_budget_together() -> None:
+    pipeline = Plan(population=10, evaluations=23, in_flight=5).pipeline()
+    assert len(asked(pipeline)) == 23
+
+
+def test_a_generation_is_asked_when_the_one_it_waits_for_is_told_even_if_nobody_fetches_it() -> None:
+    spy = Spy(4)
+    pipeline = Pipeline(spy, SHAPE, 1000, "count", generations_in_flight=2)
+    first, second = pipeline.ask(), pipeline.ask()
+    assert first is not None
+    assert second is not None
+    pipeline.settle(evaluate(rows_of(1, second.genomes)))
+    pipeline.settle(evaluate(rows_of(0, first.genomes)))
+    assert spy.calls == ["ask 0", "ask 1", "tell 0", "ask 2", "tell 1", "ask 3"]
+
+
+def test_the_generation_that_spends_the_budget_is_not_told() -> None:
+    spy = Spy(4)
+    pipeline = Pipeline(spy, SHAPE, 8, "count")
+    journal(pipeline, 0)
+    assert spy.calls == ["ask 0", "tell 0", "ask 1"]
+
+
+class Barren(Chain):
+    """Asks genomes that overlap, except for those of one generation."""
+
+    def __init__(self, fertile: int) -> None:
+        super().__init__(BARREN_GENOMES // BARREN, 0)
+        self._fertile = fertile
+
+    def ask(self, generation: int) -> Genomes:
+        genomes = super().ask(generation)
+        genomes[:, 0] = 0.2 if generation == self._fertile else -0.5
+        return genomes
+
+
+@pytest.mark.parametrize("fertile", [0, 5, BARREN - 1, BARREN])
+def test_a_run_ends_when_its_last_twenty_generations_counted_nothing(fertile: int) -> None:
+    pipeline = Pipeline(Barren(fertile), SHAPE, 100, "redraw", generations_in_flight=2)
+    found = rows_in(journal(pipeline, fertile))
+    assert pipeline.finished == "the last 1000 genomes, 20 generations, counted no evaluation"
+    last = BARREN - 1 if fertile >= BARREN else fertile + BARREN
+    assert found["generation"][-1] == last
+    again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", generations_in_flight=2)
+    again.replay(found)
+    assert (again.finished, again.ask()) == (pipeline.finished, None)
+
+
+def test_overlaps_that_count_do_not_end_a_run_early() -> None:
+    pipeline = Pipeline(Barren(-1), SHAPE, 3 * BARREN + 9, "count")
+    assert len(rows_in(journal(pipeline, 0))) == 3 * BARREN + 9
+
+
+def test_rows_that_come_again_are_ignored() -> None:
+    pipeline = Plan(population=6, evaluations=100).pipeline()
+    rows = asked(pipeline)
+    changed = rows.copy()
+    changed["nu"] += 1
+    assert len(pipeline.settle(rows[3:])) == 0
+    assert len(pipeline.settle(np.concatenate([changed[3:], rows[:1], changed[:1]]))) == 1
+    rest = pipeline.settle(rows[:3])
+    assert rest.rows.tobytes() == rows[1:].tobytes()
+    assert len(pipeline.settle(changed)) == 0
+
+
+def test_rows_that_nobody_asked_for_are_ignored() -> None:
+    pipeline = Plan(population=6, evaluations=100).pipeline()
+    rows = asked(pipeline)
+    strays = np.concatenate([rows[:3]] * 2)
+    strays["generation"] = [1, 2, 99, 0, 0, 0]
+    strays["index"][3:] = [6, 2**32 - 1, 0]
+    strays["trial"][5] = 1
+    assert len(pipeline.settle(strays)) == 0
+    assert pipeline.settle(rows).rows.tobytes() == rows.tobytes()
+
+
+def test_rows_beyond_the_end_are_not_journalled() -> None:
+    pipeline = Plan(population=6, evaluations=8, in_flight=2).pipeline()
+    rows = asked(pipeline)
+    assert len(pipeline.settle(rows)) == 8
+    assert len(pipeline.settle(rows)) == 0
+    assert pipeline.ask() is None
+
+
+def test_what_rows_cost_goes_with_the_next_that_become_final() -> None:
+    pipeline = Plan(population=6, evaluations=100).pipeline()
+    rows = asked(pipeline)
+    assert pipeline.settle(rows[4:], cpu_seconds=1.0).cpu_seconds == 0
+    assert pipeline.settle(rows[:2], cpu_seconds=0.5).cpu_seconds == 1.5
+    assert pipeline.settle(rows[2:4], cpu_seconds=0.25).cpu_seconds == 0.25
+
+
+def test_the_reason_of_an_error_comes_out_with_its_row() -> None:
+    pipeline = Plan(population=6, evaluations=100).pipeline()
+    rows = asked(pipeline)
+    rows[4]["outcome"] = Outcome.ERROR
+    assert pipeline.settle(rows[3:], failures=[Failure(row=1, reason="it burst")]).failures == ()
+    found = pipeline.settle(rows[:3])
+    assert found.failures == (Failure(row=4, reason="it burst"),)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("genome", 0.5), ("index", 7), ("trial", 1), ("generation", 1), ("genome", -0.0)]
+)
+def test_a_journal_of_another_run_is_refused_in_one_sentence(column: str, value: float) -> None:
+    plan = Plan(population=4, evaluations=40)
+    recorded = rows_in(reference(plan)).copy()
+    recorded[column][2] = value
+    message = rf"journal's {column} differs .* generation 0, index 2"
+    with pytest.raises(ReplayError, match=message) as caught:
+        plan.pipeline().replay(recorded)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_bit_of_one_genome_is_enough_to_refuse_a_journal() -> None:
+    plan = Plan(population=4, evaluations=40)
+    recorded = rows_in(reference(plan)).copy()
+    recorded["genome"].view(np.uint32)[33, 1] ^= 1
+    pipeline = plan.pipeline()
+    pipeline.replay(recorded[:33])
+    with pytest.raises(ReplayError, match="generation 8, index 1"):
+        pipeline.replay(recorded[33:])
+
+
+def test_a_changed_result_shows_in_what_is_asked_next() -> None:
+    plan = Plan(population=4, evaluations=40)
+    recorded = rows_in(reference(plan)).copy()
+    recorded["nu"][1] += 1
+    with pytest.raises(ReplayError, match=r"genome differs .* generation 1, index 0"):
+        plan.pipeline().replay(recorded)
+
+
+@pytest.mark.parametrize("overlaps", ["count", "redraw"])
+def test_a_journal_longer_than_the_budget_is_refused(overlaps) -> None:
+    plan = Plan(population=4, evaluations=30, overlaps=overlaps)
+    recorded = rows_in(reference(plan))
+    with pytest.raises(ReplayError, match="budget of 29 evaluations is spent"):
+        replace(plan, evaluations=29).pipeline().replay(recorded)
+
+
+class Fertile(Spy):
+    """Asks successes at even indices and misses at odd ones."""
+
+    def ask(self, generation: int) -> Genomes:
+        genomes = super().ask(generation)
+        genomes[:, 0] = np.where(np.arange(len(genomes)) % 2, 0.1, 0.6)
+        return genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        super().tell(generation, rows)
+        self.heard = rows
+
+
+def fertile(population: int = 4, evaluations: int = 100, trials: int = 3) -> tuple[Fertile, Pipeline]:
+    search = Fertile(population)
+    return search, Pipeline(search, SHAPE, evaluations, "count", trials=trials)
+
+
+def keys_of(rows: Rows) -> list[tuple[int, int]]:
+    return list(zip(rows["index"].tolist(), rows["trial"].tolist(), strict=True))
+
+
+def test_a_generation_is_journalled_as_nominal_rows_and_then_the_trials_of_its_successes() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    first = pipeline.settle(nominal)
+    trials = asked(pipeline)
+    second = pipeline.settle(trials[::-1])
+    assert keys_of(first.rows) == [(0, 0), (1, 0), (2, 0), (3, 0)]
+    assert keys_of(second.rows) == [(0, 1), (0, 2), (0, 3), (2, 1), (2, 2), (2, 3)]
+    assert (second.rows["genome"] == nominal["genome"][[0, 0, 0, 2, 2, 2]]).all()
+
+
+def test_the_trials_of_a_success_are_asked_when_the_nominal_rows_up_to_it_are_here() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal[2:])
+    assert pipeline.ask() is None
+    pipeline.settle(nominal[:1])
+    assert keys_of(asked(pipeline)) == [(0, 1), (0, 2), (0, 3)]
+    pipeline.settle(nominal[1:2])
+    assert keys_of(asked(pipeline)) == [(2, 1), (2, 2), (2, 3)]
+    assert pipeline.ask() is None
+
+
+def test_the_search_hears_the_sum_over_the_trials_as_the_fitness_of_a_success() -> None:
+    search, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    trials = asked(pipeline)
+    trials["outcome"], trials["fitness"] = Outcome.HELD, 2
+    trials["outcome"][4], trials["fitness"][4] = Outcome.ERROR, 0
+    assert search.calls == ["ask 0"]
+    pipeline.settle(trials)
+    assert search.calls == ["ask 0", "tell 0", "ask 1"]
+    assert search.heard["fitness"].tolist() == [6, 0, 4, 0]
+    heard = search.heard.copy()
+    heard["fitness"] = nominal["fitness"]
+    assert heard.tobytes() == nominal.tobytes()
+
+
+def test_a_run_ends_with_the_trials_of_the_rows_that_its_budget_reaches() -> None:
+    search, pipeline = fertile(evaluations=3)
+    assert len(pipeline.settle(asked(pipeline))) == 3
+    assert pipeline.finished is None
+    assert pipeline.tally.left == 0
+    assert len(pipeline.settle(asked(pipeline))) == 6
+    assert pipeline.finished == "the budget of 3 evaluations is spent"
+    assert (pipeline.tally.evaluations, pipeline.tally.trials, pipeline.tally.rows) == (3, 6, 9)
+    assert search.calls == ["ask 0"]
+
+
+def test_where_overlaps_are_redrawn_no_trial_is_asked_behind_the_row_that_ends_the_run() -> None:
+    plan = Plan(population=9, evaluations=3, overlaps="redraw", trials=3, seed=2)
+    pipeline = plan.pipeline()
+    pipeline.settle(asked(pipeline)[::-1])
+    end = pipeline.tally.rows
+    assert end < 9
+    assert asked(pipeline)["index"].max() < end
+
+
+def test_trials_that_nobody_asked_for_are_ignored() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    early = nominal.copy()
+    early["trial"] = 1
+    assert len(pipeline.settle(early)) == 0
+    assert pipeline.settle(nominal).rows.tobytes() == nominal.tobytes()
+    trials = asked(pipeline)
+    wrong = trials[:3].copy()
+    wrong["trial"] = [4, 60_000, 1]
+    wrong["index"][2] = 1  # no success
+    assert len(pipeline.settle(wrong)) == 0
+    assert len(pipeline.settle(trials[1:3])) == 0
+    assert len(pipeline.settle(trials[1:3])) == 0
+    assert pipeline.settle(trials[:1]).rows.tobytes() == trials[:3].tobytes()
+
+
+@pytest.mark.parametrize(("column", "value"), [("trial", 2), ("index", 1), ("genome", 0.25)])
+def test_a_journal_with_other_trials_is_refused(column: str, value: float) -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    recorded = np.concatenate([nominal, asked(pipeline)])
+    recorded[column][4] = value
+    with pytest.raises(ReplayError, match=rf"journal's {column} differs .* generation 0, index 0"):
+        fertile()[1].replay(recorded)
+
+
+def test_of_recorded_trials_only_the_missing_ones_are_asked_again() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    recorded = np.concatenate([nominal, asked(pipeline)[:4]])
+    _, resumed = fertile()
+    resumed.replay(recorded)
+    assert keys_of(asked(resumed)) == [(2, 2), (2, 3)]
+
+
+def test_a_generation_with_fifty_thousand_trials_is_told_when_the_last_is_here() -> None:
+    """Five hundred successes with a hundred trials each, in batches of twenty-five."""
+    search, pipeline = fertile(population=1000, evaluations=10_000, trials=100)
+    pipeline.settle(asked(pipeline))
+    trials = asked(pipeline)
+    assert len(trials) == 50_000
+    found = [len(pipeline.settle(trials[first : first + 25])) for first in range(0, len(trials), 25)]
+    assert sum(found) == 50_000
+    assert search.calls[-1] == "ask 1"

@@ -1,0 +1,238 @@
+import itertools
+
+import numpy as np
+import pytest
+from tests.coordinator.scheduler.search_plans import SHAPE
+
+from qdgrasp_coordinator.scheduler.recorder_client import (
+    DOUBT_SECONDS,
+    MESSAGE_ROWS,
+    MOST_UNCONFIRMED,
+    RESEND_AFTER,
+    Outbox,
+    RecorderClient,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
+from qdgrasp_protocol.messages import Failure, OpenRun
+from qdgrasp_protocol.rows import RowShape
+
+NARROW_SHAPE = RowShape(genes=1, joints=0)
+
+
+def stretch(first: int, n: int) -> JournalSlice:
+    rows = NARROW_SHAPE.empty(n)
+    rows["index"] = np.arange(first, first + n)
+    return JournalSlice(first, rows, 0.1 * n)
+
+
+def filled(*sizes: int, durable: int = 0) -> Outbox:
+    outbox = Outbox(durable)
+    for first, n in zip(itertools.accumulate(sizes, initial=durable), sizes, strict=False):
+        outbox.push(stretch(first, n))
+    return outbox
+
+
+def numbers(stretches: list[JournalSlice]) -> list[int]:
+    """The rows that are sent; what the slices say of themselves is checked."""
+    for one in stretches:
+        assert len(one) <= MESSAGE_ROWS
+        assert one.rows["index"].tolist() == list(range(one.first, one.stop))
+    return [number for one in stretches for number in range(one.first, one.stop)]
+
+
+def test_rows_are_sent_once_while_all_is_well() -> None:
+    outbox = filled(3, 4)
+    assert numbers(outbox.take_due(0.0)) == list(range(7))
+    assert outbox.take_due(0.1) == []
+    outbox.push(stretch(7, 2))
+    assert numbers(outbox.take_due(0.2)) == [7, 8]
+    outbox.confirm(9, 0.3)
+    assert outbox.is_empty
+    assert outbox.take_due(100.0) == []
+
+
+def test_many_rows_go_in_slices_and_small_stretches_together() -> None:
+    outbox = filled(*[7] * 400)
+    slices = outbox.take_due(0.0)
+    assert numbers(slices) == list(range(2800))
+    assert len(slices) == 3
+
+
+def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
+    outbox = filled(10)
+    outbox.take_due(5.0)
+    outbox.confirm(4, 6.0)
+    assert outbox.take_due(6.0 + RESEND_AFTER - 0.01) == []
+    assert numbers(outbox.take_due(6.0 + RESEND_AFTER)) == [4, 5, 6, 7, 8, 9]
+    assert outbox.take_due(6.0 + 2 * RESEND_AFTER - 0.01) == []
+
+
+def test_a_report_without_progress_puts_nothing_off() -> None:
+    outbox = filled(10)
+    outbox.take_due(0.0)
+    for tenth in range(20):
+        outbox.confirm(0, tenth / 10)
+    assert numbers(outbox.take_due(RESEND_AFTER)) == list(range(10))
+
+
+def test_time_without_anything_to_confirm_does_not_count() -> None:
+    outbox = filled(2)
+    outbox.take_due(0.0)
+    outbox.confirm(2, 0.1)
+    outbox.push(stretch(2, 2))
+    assert numbers(outbox.take_due(1000.0)) == [2, 3]
+    assert outbox.take_due(1000.0 + RESEND_AFTER / 2) == []
+
+
+def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once() -> None:
+    outbox = filled(10)
+    outbox.take_due(0.0)
+    outbox.confirm(3, 0.1)
+    outbox.resend(0.2)
+    assert numbers(outbox.take_due(0.2)) == list(range(3, 10))
+    assert outbox.take_due(0.2 + RESEND_AFTER / 2) == []
+
+
+def test_durable_rows_may_end_within_a_stretch() -> None:
+    outbox = filled(5, 5, 5)
+    outbox.take_due(0.0)
+    outbox.confirm(7, 0.1)
+    outbox.resend(0.2)
+    assert numbers(outbox.take_due(0.2)) == list(range(7, 15))
+
+
+def test_rows_may_be_durable_before_they_are_known_to_be_sent() -> None:
+    outbox = filled(5)
+    outbox.take_due(0.0)
+    outbox.resend(0.1)
+    outbox.confirm(5, 0.2)
+    assert outbox.take_due(0.3) == []
+    assert outbox.is_empty
+
+
+def test_numbers_go_on_from_what_was_durable_at_the_start() -> None:
+    outbox = filled(3, durable=50)
+    assert numbers(outbox.take_due(0.0)) == [50, 51, 52]
+    assert (outbox.confirmed, outbox.unconfirmed) == (50, 3)
+
+
+def test_it_is_full_when_too_much_is_unconfirmed() -> None:
+    outbox = filled(MOST_UNCONFIRMED)
+    assert not outbox.is_full
+    outbox.push(stretch(MOST_UNCONFIRMED, 1))
+    assert outbox.is_full
+    outbox.confirm(1, 0.0)
+    assert not outbox.is_full
+
+
+def test_a_gap_is_refused() -> None:
+    with pytest.raises(ValueError, match="row 3 was to be next, got 4"):
+        filled(3).push(stretch(4, 1))
+
+
+def test_reasons_of_errors_are_sent_with_their_rows() -> None:
+    outbox = Outbox(0)
+    for first in (0, MESSAGE_ROWS - 2):
+        n = MESSAGE_ROWS - 2 if first == 0 else 10
+        one = stretch(first, n)
+        outbox.push(JournalSlice(first, one.rows, 1.0, (Failure(row=5, reason=f"{first + 5}"),)))
+    sent = [
+        (part.first + failure.row, failure.reason)
+        for part in outbox.take_due(0.0)
+        for failure in part.failures
+    ]
+    assert sent == [(5, "5"), (MESSAGE_ROWS + 3, str(MESSAGE_ROWS + 3))]
+
+
+def test_an_overtaken_report_is_ignored() -> None:
+    outbox = filled(10)
+    outbox.take_due(0.0)
+    outbox.confirm(8, 0.1)
+    outbox.confirm(3, 0.2)
+    assert outbox.confirmed == 8
+    outbox.confirm(8, 1.0)
+    outbox.confirm(3, 1.0 + DOUBT_SECONDS)
+    assert outbox.confirmed == 8
+
+
+@pytest.mark.parametrize("number", [3, 11])
+def test_a_recorder_that_stays_at_another_number_is_believed(number: int) -> None:
+    outbox = filled(10)
+    outbox.take_due(0.0)
+    outbox.confirm(8, 0.1)
+    outbox.confirm(number, 1.0)
+    outbox.confirm(number, 0.9 + DOUBT_SECONDS)
+    with pytest.raises(RecorderFellBack, match=f"reports {number} durable rows, expected 8 to 10"):
+        outbox.confirm(number, 1.0 + DOUBT_SECONDS)
+
+
+RUN = OpenRun(run="one", spec=b"", scene="0" * 64, genes=4, joints=1, descriptors=3)
+
+
+def refuse(_query: Query) -> bytes:
+    raise Refused("rows 7 to 9 are not what was recorded")
+
+
+def wait() -> None:
+    raise AssertionError("the recorder answered")
+
+
+def test_a_recorder_that_refuses_is_quoted() -> None:
+    network, keys = MemoryNetwork(), Keys("many")
+    link = RecorderClient(network.session(), "many", SHAPE)
+    with network.session().answer(keys.open, refuse), pytest.raises(InputError, match="rows 7 to 9"):
+        link.open(RUN, 0, wait)
+    with network.session().answer(keys.log, refuse), pytest.raises(InputError, match="rows 7 to 9"):
+        link.recorded_rows(0, wait)
+
+
+def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
+    def replaced(_query: Query) -> bytes:
+        raise TookOver.refusal(1, 2)
+
+    network = MemoryNetwork()
+    link = RecorderClient(network.session(), "many", SHAPE)
+    with (
+        network.session().answer(Keys("many").open, replaced),
+        pytest.raises(TookOver, match=r"^Another coordinator of job 'many' took over \(epoch 2\)\.$"),
+    ):
+        link.open(RUN, 1, wait)
+
+
+class Deaf(MemoryBus):
+    """A session whose questions are lost or unanswered; it keeps their timeouts."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, is_lost: bool) -> None:
+        super().__init__(MemoryNetwork())
+        self.waited: list[float] = []
+        self._now = 0.0
+        self._is_lost = is_lost
+        monkeypatch.setattr("time.monotonic", lambda: self._now)
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        self.waited.append(timeout)
+        self._now += timeout if self._is_lost else 0.0
+        raise NoReply("nothing came")
+
+
+@pytest.mark.parametrize(
+    ("is_lost", "waited"), [(True, [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]), (False, [1.0] * 6)]
+)
+def test_a_question_that_was_lost_is_soon_asked_again_and_a_slow_recorder_has_time(
+    monkeypatch: pytest.MonkeyPatch, is_lost: bool, waited: list[float]
+) -> None:
+    class Enough(Exception):
+        """The test has seen enough."""
+
+    def look() -> None:
+        if len(bus.waited) == len(waited):
+            raise Enough
+
+    bus = Deaf(monkeypatch, is_lost=is_lost)
+    with pytest.raises(Enough):
+        RecorderClient(bus, "many", SHAPE).open(RUN, 0, look)
+    assert bus.waited == waited

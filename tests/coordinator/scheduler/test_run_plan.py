@@ -1,0 +1,193 @@
+"""From what is asked for to a run that can be carried out."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, SingleRunQueue, full_spec, make_bundle
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_protocol.errors import ImpossibleValue, JawNeeded
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+
+ASKED = {"gripper": "panda", "object": "tennis_ball"}
+
+
+@pytest.mark.parametrize("entry", METHODS.values(), ids=METHODS)
+def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
+    spec = full_spec({**ASKED, "method": entry.name})
+    assert (spec.population, spec.overlaps) == (entry.population, entry.overlaps)
+    assert spec.generations_in_flight == entry.generations_in_flight
+
+
+def test_without_a_method_a_run_has_the_default() -> None:
+    assert full_spec(dict(ASKED)) == full_spec({**ASKED, "method": "aimed"})
+
+
+def test_what_is_asked_for_stays() -> None:
+    spec = full_spec({**ASKED, "method": "cma_mae", "population": 60, "overlaps": "redraw"})
+    assert (spec.population, spec.overlaps) == (60, "redraw")
+
+
+@pytest.mark.parametrize(("key", "value"), [("population", 500), ("generations_in_flight", 2)])
+def test_what_the_method_cannot_do_is_refused(key, value) -> None:
+    with pytest.raises(ImpossibleValue, match=rf"^{key} must be .*cma_mae"):
+        full_spec({**ASKED, "method": "contact_cma_mae", key: value})
+
+
+def jawless(folder: Path) -> Path:
+    """The built-in Panda, not told to be a two-finger hand."""
+    built_in = Path(str(files("qdgrasp_assets") / "grippers"))
+    (folder / "panda.urdf").write_text((built_in / "panda.urdf").read_text())
+    toml = folder / "hand.toml"
+    before, _, jaw = (built_in / "panda.toml").read_text().partition("[jaw]")
+    toml.write_text(before + jaw[jaw.index("[joints") :])
+    return toml
+
+
+def test_a_hand_without_a_jaw_is_refused_by_antipodal_methods_alone(tmp_path) -> None:
+    asked = {**ASKED, "gripper": str(jawless(tmp_path))}
+    make_bundle(full_spec({**asked, "method": "approach_rand"}))
+    with pytest.raises(JawNeeded, match=r"'antipodal' is for two-finger hands, and the gripper 'hand'"):
+        make_bundle(full_spec({**asked, "method": "antipodal_me_scs"}))
+
+
+SHAPE = RowShape(genes=2, joints=1)
+N = 9
+
+
+class Heard:
+    """The compared rows."""
+
+    def __init__(self) -> None:
+        self.places: list[int] = []
+        self.rows: list[np.void] = []
+        self.reasons: list[str] = []
+
+    def __call__(self, place: int, row: np.void, reason: str) -> None:
+        self.places.append(place)
+        self.rows.append(row)
+        self.reasons.append(reason)
+
+
+@pytest.fixture
+def recorded() -> Rows:
+    """Rows of two generations, some of them trials of one grasp."""
+    rows = SHAPE.empty(N)
+    rows["generation"], rows["index"] = 3 + np.arange(N) // 6, np.arange(N) % 6
+    rows["trial"][4:] = np.arange(1, N - 3)
+    rows["genome"] = np.linspace(-1, 1, 2 * N).reshape(N, 2)
+    return rows
+
+
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
+def evaluated(repetition: ReevaluationPlan) -> Rows:
+    """Return the asked rows as a worker evaluates them."""
+    asked = repetition.ask()
+    assert asked is not None
+    rows = SHAPE.empty(len(asked.indices))
+    rows["generation"], rows["index"] = asked.number, asked.indices
+    rows["trial"], rows["genome"] = asked.trials, asked.genomes
+    rows["outcome"] = Outcome.HELD
+    return rows
+
+
+def test_each_row_is_asked_in_its_trial_once(recorded: Rows, heard: Heard) -> None:
+    repetition = ReevaluationPlan(recorded, heard)
+    asked = repetition.ask()
+    assert asked is not None
+    assert asked.trials.tolist() == recorded["trial"].tolist()
+    assert asked.genomes.tobytes() == recorded["genome"].tobytes()
+    assert len(set(asked.indices.tolist())) == N
+    assert repetition.ask() is None
+
+
+def test_rows_are_compared_with_those_of_their_places_in_any_order(recorded: Rows, heard: Heard) -> None:
+    repetition = ReevaluationPlan(recorded, heard)
+    shuffled = evaluated(repetition)[np.random.default_rng(0).permutation(N)]
+    for part in (shuffled[:4], shuffled[4:]):
+        assert len(repetition.settle(part)) == 0
+    assert sorted(heard.places) == list(range(N))
+    for place, row in zip(heard.places, heard.rows, strict=True):
+        assert row["genome"].tobytes() == recorded["genome"][place].tobytes()
+
+
+def test_a_row_that_comes_twice_is_compared_once(recorded: Rows, heard: Heard) -> None:
+    repetition = ReevaluationPlan(recorded, heard)
+    rows = evaluated(repetition)
+    for part in (rows[:5], rows[:5], rows[3:]):
+        repetition.settle(part)
+    assert heard.places == list(range(N))
+    assert repetition.tally.evaluations == N
+
+
+def test_it_is_over_with_the_last_row(recorded: Rows, heard: Heard) -> None:
+    repetition = ReevaluationPlan(recorded, heard)
+    rows = evaluated(repetition)
+    repetition.settle(rows[:-1])
+    assert repetition.finished is None
+    repetition.settle(rows[-1:])
+    assert repetition.finished == "all rows were evaluated again"
+    assert repetition.tally.left == 0
+
+
+def test_why_a_row_failed_is_told_with_it(recorded: Rows, heard: Heard) -> None:
+    repetition = ReevaluationPlan(recorded, heard)
+    rows = evaluated(repetition)[::-1]
+    repetition.settle(rows, failures=[Failure(row=1, reason="it burst")])
+    assert heard.reasons[heard.places.index(N - 2)] == "it burst"
+    assert [reason for reason in heard.reasons if reason] == ["it burst"]
+
+
+# The queue of a job with one run.
+
+MADE = object()
+MOST_INSTRUCTIONS = 100
+
+
+@contextmanager
+def before_instruction(number: int, function: Callable, act: Callable[[], None]) -> Iterator[None]:
+    """Act once before that instruction of a function, as another thread may."""
+    left = number
+
+    def traced(frame: FrameType, event: str, _: object) -> object:
+        nonlocal left
+        if frame.f_code is not function.__code__:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == -1:
+                act()
+        return traced
+
+    before = sys.gettrace()
+    sys.settrace(traced)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+def test_a_run_that_is_put_back_at_any_moment_is_made_once_again() -> None:
+    moments = []
+    for number in range(MOST_INSTRUCTIONS):
+        single = SingleRunQueue(lambda: MADE, 1)  # type: ignore[arg-type,return-value]
+        assert single.next() is MADE
+        with before_instruction(number, SingleRunQueue.next, lambda: moments.append(single.put_back("run"))):  # noqa: B023
+            made = [single.next()]
+        if len(moments) == number:  # there are not so many
+            break
+        made += [single.next(), single.next()]
+        assert made.count(MADE) == 1, f"put back before instruction {number}"
+    assert 3 < len(moments) < MOST_INSTRUCTIONS

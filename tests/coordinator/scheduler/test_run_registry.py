@@ -1,0 +1,130 @@
+"""Runs of a job are opened, replayed, put back and removed."""
+
+from collections.abc import Callable
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE
+from tests.coordinator.scheduler.fakes import FakeRunQueue, assignment
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
+
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_registry import (
+    ActiveRun,
+    LoaderEvent,
+    NoRunLeft,
+    RunLoader,
+    RunOpened,
+    RunRegistry,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.errors import ReplayError, RunFailed
+from qdgrasp_protocol.messages import Opened, OpenRun
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Rows
+
+PLAN = Plan(population=10, evaluations=40)
+ROWS = np.frombuffer(reference(PLAN), SHAPE.dtype)
+
+
+class Recorded(MemorySink):
+    """A record that holds rows from before, in pages."""
+
+    def __init__(self, rows: Rows, page: int) -> None:
+        super().__init__(SHAPE)
+        self._before = rows
+        self._page = page
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return Opened(epoch=1, durable=[len(self._before)], platform={})
+
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        return JournalSlice(first, self._before[first : first + self._page])
+
+
+def opened(plan: Plan, rows: Rows, page: int) -> ActiveRun:
+    run = ActiveRun(assignment("run", plan), Recorded(rows, page))
+    run.open(0, lambda: None)
+    return run
+
+
+@pytest.mark.parametrize("page", [1, 7, 1000])
+def test_a_run_goes_on_where_its_records_end(page: int) -> None:
+    assert opened(PLAN, ROWS[:23], page).tally.rows == 23
+    assert opened(PLAN, ROWS, page).is_done
+
+
+@pytest.mark.parametrize("page", [1, 10, 20, 40, 1000])
+def test_records_that_go_on_behind_the_end_of_the_run_are_refused_wherever_pages_end(page: int) -> None:
+    sooner = Plan(population=10, evaluations=20)
+    with pytest.raises(ReplayError, match=r"goes on after its row .* budget of 20 evaluations is spent"):
+        opened(sooner, ROWS, page)
+
+
+class Coming:
+    """Lanes whose news is heard when a test wants to."""
+
+    def __init__(self, *runs: str) -> None:
+        self._news: SimpleQueue[LoaderEvent] = SimpleQueue()
+        programme = FakeRunQueue({name: Plan(evaluations=40) for name in runs})
+        loader = RunLoader(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
+        self.runs = RunRegistry(programme, loader)
+
+    def ask(self) -> LoaderEvent:
+        """Have another run opened; gives what comes of it, which the runs have not heard."""
+        self.runs.open_another(1, is_wanted=True)
+        return self._news.get(timeout=PATIENCE)
+
+    def open(self) -> ActiveRun:
+        """Open the next run."""
+        news = self.ask()
+        assert isinstance(news, RunOpened)
+        self.runs.add(news.run)
+        return news.run
+
+
+@pytest.mark.parametrize("others", [(), ("other",)])
+def test_a_run_that_is_put_back_while_none_was_left_is_opened_again(others: tuple[str, ...]) -> None:
+    coming = Coming("run", *others)
+    run, *rest = (coming.open() for _ in ("run", *others))
+    assert coming.ask() == NoRunLeft()
+    coming.runs.reopen(run)  # before that is heard
+    coming.runs.no_run_left()
+    for one in rest:
+        coming.runs.remove(one)
+    assert not coming.runs.are_done
+    again = coming.open()
+    assert again.name == "run"
+    assert coming.ask() == NoRunLeft()
+    coming.runs.no_run_left()
+    coming.runs.remove(again)
+    assert coming.runs.are_done
+
+
+def test_what_remains_is_of_runs_that_are_not_over() -> None:
+    coming = Coming("run", "other", "third")
+
+    def remaining() -> int:
+        return coming.runs.status("job", 1, 0.0).remaining
+
+    assert remaining() == 3 * 40
+    run, other = coming.open(), coming.open()
+    run.tally.evaluations = 15
+    assert remaining() == 105
+    run.tally.finished = "it found enough"
+    assert remaining() == 80
+    coming.runs.remove(run)
+    assert remaining() == 80
+    coming.runs.add_failure(RunFailed("third", "Its mesh is no mesh."))
+    assert remaining() == 40
+    coming.runs.reopen(other)
+    assert remaining() == 40
+
+
+def test_a_run_that_is_put_back_is_opened_once() -> None:
+    coming = Coming("run", "other")
+    run = coming.open()
+    coming.runs.reopen(run)
+    assert [coming.open().name for _ in range(2)] == ["run", "other"]
+    assert coming.ask() == NoRunLeft()

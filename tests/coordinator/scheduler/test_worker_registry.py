@@ -1,0 +1,155 @@
+"""The workers of a job: indexes agree with a pass over all workers; rates are recent."""
+
+import copy
+import random
+
+import pytest
+from tests.coordinator.scheduler.leases import join_message
+
+from qdgrasp_coordinator.scheduler.worker_registry import MOST_GONE, RATE_SECONDS, RateMeter, WorkerRegistry
+
+SCENE = "0" * 64
+WORKERS = [f"{number:032x}" for number in range(6)]
+CREDIT = 2
+
+
+class Turmoil:
+    """Random events of a registry, as scheduler and dispatcher pass them on."""
+
+    def __init__(self, seed: int) -> None:
+        self.workers = WorkerRegistry()
+        self.now = 0.0
+        self._chance = random.Random(seed)  # noqa: S311
+        self._batches = 0
+        self._link_is_up = True
+
+    def happen(self) -> None:
+        wid = self._chance.choice(WORKERS)
+        self._chance.choice(
+            [
+                self._join,
+                self._lease,
+                self._lease,
+                self._lease,
+                self._release,
+                self._release,
+                lambda _: self._pass(),
+                lambda wid: self.workers.progressed(wid, self.now),
+                lambda wid: self.workers.on_token(wid, False, self.now),
+                self._join,
+                lambda wid: self.workers.on_token(wid, True, self.now),
+                lambda _: self._link(),
+                lambda wid: self.workers.drain(wid) if self._chance.random() < 0.02 else None,
+                lambda _: self.workers.lease_timeout.measure(self._chance.choice([0.1, 2.0, 5.0])),
+            ]
+        )(wid)
+
+    def _join(self, wid: str) -> None:
+        worker = self.workers.get(wid)
+        self.workers.join(join_message(wid, worker.join.number + 1 if worker else 1, CREDIT), self.now)
+
+    def _lease(self, _: str) -> None:
+        worker = next(self.workers.idle(), None)
+        if worker is not None:
+            self._batches += 1
+            self.workers.hold(worker, self._batches.to_bytes(16), SCENE, self.now)
+
+    def _release(self, wid: str) -> None:
+        worker = self.workers.get(wid)
+        for batch in list(worker.batches)[:1] if worker else ():
+            self.workers.release(wid, batch)
+
+    def _pass(self) -> None:
+        self.now += self._chance.choice([0.1, 1.0, 7.0])
+
+    def _link(self) -> None:
+        self._link_is_up = not self._link_is_up
+        self.workers.on_link(self._link_is_up, self.now)
+
+    # By a pass over all workers.
+
+    @property
+    def deadline(self) -> float:
+        limit = self.workers.lease_timeout.limit
+        deadlines = [worker.deadline(limit) for worker in self.workers] if self._link_is_up else []
+        return min(deadlines, default=float("inf"))
+
+    @property
+    def late(self) -> set[str]:
+        limit = self.workers.lease_timeout.limit
+        return {
+            worker.wid for worker in self.workers if self._link_is_up and self.now >= worker.deadline(limit)
+        }
+
+    @property
+    def free(self) -> set[str]:
+        well = any(worker.is_well for worker in self.workers)
+        return {worker.wid for worker in self.workers if worker.has_credit and not (worker.is_stuck and well)}
+
+
+def leased(workers: WorkerRegistry) -> set[str]:
+    """Workers that would be leased batches if there were work enough."""
+    workers = copy.deepcopy(workers)
+    found = set()
+    for number, worker in enumerate(workers.idle()):
+        workers.hold(worker, b"%16d" % number, SCENE, 0.0)
+        found.add(worker.wid)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_indexes_agree_with_a_pass_over_all_workers(seed: int) -> None:
+    turmoil = Turmoil(seed)
+    workers = turmoil.workers
+    for _ in range(300):
+        turmoil.happen()
+        assert len(workers) == sum(worker.is_well for worker in workers)
+        assert leased(workers) == turmoil.free
+        assert workers.next_deadline() <= turmoil.deadline
+        late = turmoil.late
+        assert {lost.worker.wid for lost in workers.overdue(turmoil.now)} == late
+
+
+def test_an_overdue_worker_names_what_it_held_and_holds_it_no_more() -> None:
+    workers = WorkerRegistry()
+    workers.on_token(WORKERS[0], True, 0.0)
+    workers.join(join_message(WORKERS[0]), 0.0)
+    worker = workers.get(WORKERS[0])
+    assert worker is not None
+    workers.hold(worker, b"a" * 16, SCENE, 0.0)
+    workers.on_token(WORKERS[0], False, 1.0)
+    (lost,) = workers.overdue(100.0)
+    assert (lost.worker.wid, lost.batches) == (WORKERS[0], [b"a" * 16])
+    assert workers.get(WORKERS[0]) is None
+    assert workers.next_deadline() == float("inf")
+
+
+def test_no_more_workers_that_are_gone_are_kept_than_can_be_shown() -> None:
+    workers = WorkerRegistry()
+    for number in range(2 * MOST_GONE):
+        workers.on_token(f"{number:032x}", True, 0.0)
+        workers.join(join_message(f"{number:032x}"), 0.0)
+        workers.on_token(f"{number:032x}", False, 0.0)
+    assert len(workers.overdue(1.0)) == 2 * MOST_GONE
+    assert sum(len(page.workers) for page in workers.pages(1.0)) == MOST_GONE
+
+
+@pytest.mark.parametrize("seconds", [1, 5, 60])
+def test_a_steady_speed_is_given_from_the_beginning(seconds: int) -> None:
+    speed = RateMeter(100.0)
+    for step in range(1, 20 * seconds + 1):
+        speed.count(1, 100.0 + step / 20)
+    assert speed.rate(100.0 + seconds) == pytest.approx(20, rel=0.03)
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    speed = RateMeter(0.0)
+    speed.count(1000, 1.0)
+    assert speed.rate(2.0) > 50
+    assert speed.rate(10 * RATE_SECONDS) < 0.02
+
+
+def test_nothing_was_counted_before_there_was_time() -> None:
+    speed = RateMeter(5.0)
+    speed.count(10, 5.0)
+    assert speed.rate(5.0) == 0.0

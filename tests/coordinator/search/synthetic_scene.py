@@ -1,0 +1,221 @@
+"""A make-believe object for searches: a box whose grasps are a formula.
+
+A hand looks at the box with its approach axis; it succeeds where its fingers reach over the surface, with
+little lean and rolled along an edge, and overlaps where they reach over it otherwise. Noise that the pose
+itself decides makes one of two like poses fail. Rows come back with what a worker would tell: the position
+with the features of the prior `aimed` behind it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qdgrasp_assets.genes import AIMED, FEATURES, MOST_CANDIDATES, STEEPEST
+from qdgrasp_assets.geometry.rotation import conjugate, dot, from_frame, multiply, tangents, turned, unit
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.search.base import SearchSpace
+from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
+
+SIZE = np.array([0.04, 0.06, 0.1])
+PALM, DEEPEST = 0.06, 0.05
+"""From the base to the palm, and from the palm to the fingertips [m]."""
+AXIS = np.array([1.0, 0.0, 0.0])
+LOOSE = 0.007
+TURN = 0.15
+
+
+@dataclass(frozen=True)
+class Poses:
+    positions: np.ndarray
+    contacts: np.ndarray
+    normals: np.ndarray
+    rolls: np.ndarray
+
+    def __getitem__(self, chosen) -> "Poses":
+        return Poses(*(column[chosen] for column in vars(self).values()))
+
+    @property
+    def away(self) -> np.ndarray:
+        return self.positions - self.contacts
+
+    @property
+    def distances(self) -> np.ndarray:
+        return np.sqrt(dot(self.away, self.away))
+
+    @property
+    def facing(self) -> np.ndarray:
+        """Cosine of nu."""
+        return np.clip(dot(self.away, self.normals) / np.maximum(self.distances, 1e-9), -1, 1)
+
+    @property
+    def asides(self) -> np.ndarray:
+        return turned(*tangents(-self.away / self.distances[..., None]), self.rolls)[0]
+
+    @property
+    def quaternions(self) -> np.ndarray:
+        directions = -self.away / self.distances[..., None]
+        at_rest = from_frame(*tangents(AXIS[None]), AXIS[None])
+        frames = from_frame(*turned(*tangents(directions), self.rolls), directions)
+        return multiply(frames, conjugate(np.broadcast_to(at_rest, frames.shape)))
+
+    @property
+    def depths(self) -> np.ndarray:
+        """Reach of the fingers over the surface, 0 to 1; outside of that no pose."""
+        return 1 - (self.distances - PALM) / DEEPEST
+
+    @property
+    def skews(self) -> np.ndarray:
+        """Misalignment of the fingers along the box, 0 and up."""
+        along = np.abs(self.asides).max(axis=-1)
+        return np.arccos(np.clip(along, -1, 1)) / 0.8 + np.arccos(self.facing) / 1.2
+
+    @property
+    def is_there(self) -> np.ndarray:
+        return (self.depths >= 0) & (self.depths <= 1)
+
+    @property
+    def overlaps(self) -> np.ndarray:
+        clear = (np.abs(self.positions) > SIZE / 2 + 0.03).any(axis=-1)
+        return ~clear | ((self.depths > 0.2) & (self.skews > 0.6))
+
+    @property
+    def outcomes(self) -> np.ndarray:
+        noise = np.modf(np.abs(self.positions).sum(axis=-1) * 1e6)[0]
+        good = (self.depths > 0.2) & (self.skews + 0.5 * noise < 0.75)
+        held = np.where(self.skews < 0.2, Outcome.HELD, Outcome.DROPPED)
+        found = np.where(good, held, Outcome.MISSED)
+        return np.where(self.is_there, np.where(self.overlaps, Outcome.OVERLAP, found), Outcome.DEAD_END)
+
+    @property
+    def features(self) -> np.ndarray:
+        swept = np.clip(self.depths - 0.2 * self.skews, 0, 1)
+        zeros = np.zeros_like(swept)
+        return np.stack([swept, swept, self.facing, 1 - self.depths, zeros, zeros + 1], axis=-1)
+
+
+def space(prior: str, posture: tuple[str, ...] = ()) -> SearchSpace:
+    """The space of genomes of `prior`, "aimed" or "contact"."""
+    reach = PALM + DEEPEST
+    box = (-SIZE / 2 - reach, SIZE / 2 + reach)
+    own = _aimed(box) if prior == AIMED else _contact()
+    layout = Layout(prior, own + tuple(Gene(name, 0.0, 1.0) for name in posture))
+    return SearchSpace(layout, box, tuple(AXIS), (PALM, reach))
+
+
+def shape(where: SearchSpace) -> RowShape:
+    return RowShape(len(where.layout), 1, 3 + len(FEATURES))
+
+
+def evaluate(where: SearchSpace, generation: int, genomes: np.ndarray) -> Rows:
+    """Rows that are a function of the genomes alone."""
+    rows = shape(where).empty(len(genomes))
+    rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
+    values = where.layout.values(genomes)
+    poses, proposals = _candidates(genomes, values) if where.layout.prior == AIMED else (_cone(values), 1)
+    rows["outcome"] = np.where(np.less(proposals, 0), Outcome.DEAD_END, poses.outcomes)
+    rows["proposals"] = np.abs(proposals)
+    rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
+    rows["descriptor"] = np.concatenate([poses.positions, poses.features], axis=1)
+    rows["base_to_object"] = np.concatenate([poses.positions, poses.quaternions], axis=1)
+    rows["surface_point"] = poses.contacts
+    return rows
+
+
+def play(
+    search, where: SearchSpace, evaluations: int, overlaps: str = "redraw", rows_at_most: int = 10**6
+) -> Rows:
+    """The rows of a search's generations until so many evaluations are counted."""
+    told: list[Rows] = []
+    counted = rows = 0
+    while counted < evaluations and rows < rows_at_most:
+        told.append(evaluate(where, len(told), search.ask(len(told))))
+        search.tell(len(told) - 1, told[-1])
+        least = Outcome.MISSED if overlaps == "redraw" else Outcome.ERROR
+        counted += int((told[-1]["outcome"] >= least).sum())
+        rows += len(told[-1])
+    return np.concatenate(told)
+
+
+def covered(rows: Rows) -> int:
+    """Number of cells that hold a success."""
+    found = rows[rows["outcome"] >= Outcome.DROPPED]["descriptor"][:, :3]
+    return len(np.unique(cells(found), axis=0))
+
+
+def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The points of the box's surface nearest to `points` (..., 3), with their normals."""
+    inside = np.clip(points, -SIZE / 2, SIZE / 2)
+    depth = SIZE / 2 - np.abs(inside)
+    axis = depth.argmin(axis=-1)[..., None]
+    side = np.where(np.take_along_axis(inside, axis, -1) < 0, -1.0, 1.0)
+    normals = np.zeros_like(inside)
+    np.put_along_axis(normals, axis, side, -1)
+    on = inside.copy()
+    np.put_along_axis(on, axis, side * (SIZE / 2)[axis], -1)
+    return on, normals
+
+
+def _aimed(box) -> tuple[Gene, ...]:
+    return (
+        *(Gene(name, *ends) for name, *ends in zip("xyz", *box, strict=True)),
+        *(Gene(name, -size / 2, size / 2) for name, size in zip("xyz", SIZE, strict=True)),
+        Gene("omega", 0.0, 2 * np.pi),
+        Gene("looseness", 0.0, 1.0),
+        Gene("candidates", 1.0, MOST_CANDIDATES),
+        *(Gene(name, -STEEPEST, STEEPEST) for name in FEATURES),
+    )
+
+
+def _contact() -> tuple[Gene, ...]:
+    finder = (Gene(name, -size / 2, size / 2) for name, size in zip("xyz", SIZE, strict=True))
+    turns = (Gene(name, 0.0, 2 * np.pi) for name in ("xi", "omega"))
+    return (*finder, Gene("nu", 0.0, np.pi), Gene("d", 0.0, DEEPEST), *turns)
+
+
+def _cone(values: np.ndarray) -> Poses:
+    nu, d, xi, omega = values[:, 3:7].T
+    contacts, normals = nearest(values[:, :3])
+    aside, _ = turned(*tangents(normals), xi)
+    outward = np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
+    return Poses(contacts + (PALM + d)[:, None] * outward, contacts, normals, omega)
+
+
+def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndarray]:
+    """The best candidate of each genome, and how many it had; less than 0: none was worth it."""
+    chosen = [_choose(*pair) for pair in zip(genomes, values, strict=True)]
+    poses = [pose for pose, _ in chosen]
+    stacked = Poses(*(np.stack(column) for column in zip(*(vars(p).values() for p in poses), strict=True)))
+    return stacked, np.array([proposals for _, proposals in chosen])
+
+
+def _choose(genome: np.ndarray, values: np.ndarray) -> tuple[Poses, int]:
+    generator = np.random.default_rng(np.frombuffer(genome.tobytes(), np.uint32))
+    n, looseness = int(np.rint(values[8])), values[7]
+    scatter = float(n > 1)
+    middle = cells(values[None, :3]) / 100 if n > 1 else values[None, :3]
+    positions = middle + scatter * generator.uniform(-0.005, 0.005, (n, 3))
+    hints = values[3:6] + scatter * generator.normal(0, LOOSE, (n, 3))
+    anywhere = generator.uniform(-SIZE / 2, SIZE / 2, (n, 3))
+    is_loose = generator.random(n) < looseness
+    contacts, normals = nearest(np.where(is_loose[:, None], anywhere, hints))
+    way = (values[3:6] - values[:3])[None]
+    aside, _ = turned(*tangents(unit(way)), values[6:7])
+    first, second = tangents(unit(contacts - positions))
+    kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter * generator.normal(0, TURN, n)
+    poses = Poses(positions, contacts, normals, np.where(is_loose, generator.uniform(0, 2 * np.pi, n), kept))
+    weights = values[9:15] if values[9:15].any() else np.eye(len(FEATURES))[0]
+    order = np.argsort(-(poses.features @ weights), kind="stable")
+    ranked = poses[order]
+    ways_on = ranked.outcomes >= Outcome.MISSED
+    if weights[-1] == 0:
+        return ranked[int(ways_on.argmax() if ways_on.any() else ranked.is_there.argmax())], n
+    ways_on &= ranked.features @ weights >= 0
+    return ranked[int(ways_on.argmax())], n if ways_on.any() else -n
+
+
+BOX = (np.full(3, -0.2), np.full(3, 0.2))
+
+
+def plain(genes: int) -> SearchSpace:
+    """A space of genes that stand for themselves, around a box of 40 cm."""
+    return SearchSpace(Layout("contact", tuple(Gene(f"gene {i}", -1.0, 1.0) for i in range(genes))), BOX)

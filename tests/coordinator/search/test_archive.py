@@ -1,0 +1,113 @@
+"""The optimisation archive against a dictionary of cells."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.search.archive import EliteArchive
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+
+SHAPE = RowShape(genes=3, joints=1)
+BOX = (np.array([-0.052, -0.048, -0.05]), np.array([0.052, 0.031, 0.07]))
+
+
+def rows(outcomes: list[Outcome], positions: list[list[float]]) -> Rows:
+    """Rows whose first gene tells them apart."""
+    made = SHAPE.empty(len(outcomes))
+    made["outcome"] = outcomes
+    made["fitness"] = np.maximum(made["outcome"].astype(float) - Outcome.DROPPED, 0)
+    made["descriptor"] = positions
+    made["genome"][:, 0] = np.arange(len(outcomes)) / 100
+    return made
+
+
+def firsts(archive: EliteArchive) -> list[float]:
+    """The first gene of each elite."""
+    return [round(float(gene) * 100) for gene in archive.genomes(archive.elites.places)[:, 0]]
+
+
+def random_rows(seed: int, n: int) -> Rows:
+    generator = np.random.default_rng(seed)
+    outcomes = [Outcome(value) for value in generator.integers(0, 8, n)]
+    made = rows(outcomes, generator.uniform(-0.1, 0.1, (n, 3)).astype(np.float32).tolist())
+    made["genome"] = generator.uniform(-1, 1, (n, 3))
+    return made
+
+
+def model(batches: list[Rows]) -> dict[tuple[int, ...], np.void]:
+    """The same archive as a loop over rows: better replaces, a tie keeps the elder."""
+    low, high = cells(np.stack(BOX))
+    found: dict[tuple[int, ...], np.void] = {}
+    for row in np.concatenate(batches):
+        cell = cells(row["descriptor"][None])[0]
+        if row["outcome"] < Outcome.MISSED or (cell < low).any() or (cell > high).any():
+            continue
+        elder = found.get(tuple(cell))
+        if elder is None or quality(row) > quality(elder):
+            found[tuple(cell)] = row
+    return dict(sorted(found.items()))
+
+
+def quality(row: np.void) -> float:
+    return float(row["fitness"]) if row["outcome"] >= Outcome.DROPPED else -1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
+    batches = [random_rows(10 * seed + number, 400) for number in range(4)]
+    archive = EliteArchive(3, BOX)
+    for batch in batches:
+        archive.insert(batch)
+    expected = model(batches)
+    elites = archive.elites
+    genomes = archive.genomes(elites.places)
+    assert np.array_equal(genomes, np.stack([row["genome"] for row in expected.values()]))
+    successful = [row["outcome"] >= Outcome.DROPPED for row in expected.values()]
+    assert elites.successful.tolist() == successful
+    assert (len(archive), archive.elites.successful.sum()) == (len(expected), sum(successful))
+
+
+def test_of_equals_in_one_batch_the_first_stays() -> None:
+    archive = EliteArchive(3, BOX)
+    archive.insert(rows([Outcome.MISSED] * 3 + [Outcome.HELD] * 3, [[0.0, 0.0, 0.0]] * 6))
+    assert firsts(archive) == [3]
+
+
+def test_of_equals_in_different_batches_the_elder_stays() -> None:
+    archive = EliteArchive(3, BOX)
+    batch = rows([Outcome.SHAKEN] * 2, [[0.0, 0.0, 0.0]] * 2)
+    archive.insert(batch[:1])
+    archive.insert(batch[1:])
+    assert firsts(archive) == [0]
+
+
+def test_a_success_that_survives_no_shake_replaces_a_failure() -> None:
+    archive = EliteArchive(3, BOX)
+    archive.insert(rows([Outcome.BRUSHED, Outcome.DROPPED], [[0.0, 0.0, 0.0]] * 2))
+    assert firsts(archive) == [1]
+    assert archive.elites.successful.tolist() == [True]
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP])
+def test_what_was_not_simulated_is_not_kept(outcome: Outcome) -> None:
+    archive = EliteArchive(3, BOX)
+    archive.insert(rows([outcome], [[0.0, 0.0, 0.0]]))
+    assert (len(archive), archive.outside) == (0, 0)
+
+
+def test_positions_outside_the_box_are_counted_and_left_out() -> None:
+    archive = EliteArchive(3, BOX)
+    inside = [[-0.0549, 0.0, 0.0], [0.0, 0.0349, 0.0], [0.0, 0.0, 0.0749]]
+    outside = [[-0.0551, 0.0, 0.0], [0.0, 0.0351, 0.0], [0.0, 0.0, 0.0751], [9.0, 9.0, 9.0]]
+    archive.insert(rows([Outcome.HELD] * 7, inside + outside))
+    assert (len(archive), archive.outside) == (3, 4)
+
+
+def test_every_cell_of_the_box_is_told_apart() -> None:
+    low, high = cells(np.stack(BOX))
+    grid = np.stack(np.meshgrid(*map(np.arange, low, high + 1), indexing="ij"), axis=-1).reshape(-1, 3)
+    archive = EliteArchive(3, BOX)
+    for shift in (-0.0049, 0.0049, 0.0):
+        archive.insert(rows([Outcome.HELD] * len(grid), (grid / 100 + shift).tolist()))
+    assert (len(archive), archive.outside) == (len(grid), 0)
+    assert firsts(archive) == list(range(len(grid)))

@@ -1,0 +1,131 @@
+"""CMA_MAE: what its emitters are told, and that they are asked the same again."""
+
+import hashlib
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.search.cma_mae import EMITTERS, CmaMae, check
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec
+
+SHAPE = RowShape(genes=4, joints=1)
+BOX = (np.full(3, -0.2), np.full(3, 0.2))
+ELSEWHERE = "from tests.coordinator.search.test_cma_mae import asked; print(asked())"
+
+
+def spec(population: int = 150, seed: int = 0, in_flight: int = 1) -> RunSpec:
+    return RunSpec(
+        gripper="hand",
+        object="thing",
+        method="cma_mae",
+        population=population,
+        seed=seed,
+        generations_in_flight=in_flight,
+    )
+
+
+def evaluated(genomes: np.ndarray, outcome: Outcome | None = None) -> Rows:
+    """Rows of genomes: a greater last gene is a better one, unless all come out the same."""
+    rows = SHAPE.empty(len(genomes))
+    rows["genome"] = genomes
+    steps = [Outcome.OVERLAP, Outcome.MISSED, Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD]
+    rows["outcome"] = [steps[place] for place in np.searchsorted([0.0, 0.5, 0.7, 0.9], genomes[:, 3])]
+    if outcome is not None:
+        rows["outcome"] = outcome
+    rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
+    rows["descriptor"] = genomes[:, :3] * np.float32(0.2)
+    return rows
+
+
+def play(search: CmaMae, generations: int, outcome: Outcome | None = None) -> list[np.ndarray]:
+    all_asked = []
+    for generation in range(generations):
+        all_asked.append(search.ask(generation))
+        search.tell(generation, evaluated(all_asked[-1], outcome))
+    return all_asked
+
+
+def asked() -> str:
+    """The sha256 over what is asked in 30 generations, restarts of emitters among them."""
+    genomes = play(CmaMae(spec(30), SHAPE.genes, BOX), 30)
+    return hashlib.sha256(b"".join(one.tobytes() for one in genomes)).hexdigest()
+
+
+def test_a_fresh_process_asks_the_same_bits() -> None:
+    command = [sys.executable, "-c", ELSEWHERE]
+    home = Path(__file__).parents[3]
+    there = subprocess.run(command, check=True, capture_output=True, text=True, timeout=200, cwd=home)
+    assert there.stdout.strip() == asked()
+
+
+@pytest.mark.parametrize("population", [30, 60, 540])
+def test_fifteen_emitters_share_the_population(population: int) -> None:
+    genomes = CmaMae(spec(population), SHAPE.genes, BOX).ask(0)
+    centres = genomes.reshape(EMITTERS, -1, SHAPE.genes).mean(axis=1)
+    assert len(genomes) == population
+    assert len(np.unique(centres, axis=0)) == EMITTERS
+
+
+def test_emitters_start_all_over_the_cube() -> None:
+    starts = [CmaMae(spec(seed=seed), SHAPE.genes, BOX).ask(0).reshape(EMITTERS, -1, 4) for seed in range(30)]
+    centres = np.concatenate(starts).mean(axis=1)
+    assert np.abs(centres.mean(axis=0)).max() < 0.1
+    assert (centres.std(axis=0) > 0.4).all()
+
+
+def test_it_finds_more_and_more_successes() -> None:
+    shares = [(genomes[:, 3] > 0.5).mean() for genomes in play(CmaMae(spec(), SHAPE.genes, BOX), 25)]
+    assert np.mean(shares[-5:]) > 2 * shares[0]
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP])
+def test_what_was_rejected_is_never_inserted(outcome: Outcome) -> None:
+    search = CmaMae(spec(), SHAPE.genes, BOX)
+    play(search, 3)
+    before = len(search)
+    play(search, 3, outcome)
+    assert len(search) == before > 0
+
+
+def test_it_goes_on_while_everything_is_rejected_from_the_first() -> None:
+    search = CmaMae(spec(30), SHAPE.genes, BOX)
+    with warnings.catch_warnings(action="error"):
+        genomes = play(search, 4, Outcome.OVERLAP)
+    assert len(search) == 0
+    assert len({one.tobytes() for one in genomes}) == 4
+    play(search, 2)
+    assert len(search) > 0
+
+
+def test_a_miss_is_worth_more_than_what_was_rejected() -> None:
+    search = CmaMae(spec(), SHAPE.genes, BOX)
+    play(search, 1, Outcome.MISSED)
+    assert len(search) > 0
+
+
+def test_positions_outside_the_box_are_not_inserted() -> None:
+    search = CmaMae(spec(), SHAPE.genes, BOX)
+    rows = evaluated(search.ask(0), Outcome.HELD)
+    rows["descriptor"][:, 0] = 0.21
+    rows["descriptor"][0] = 0.1
+    search.tell(0, rows)
+    assert len(search) == 1
+
+
+@pytest.mark.parametrize("population", [1, 15, 40, 500])
+def test_a_population_that_cannot_be_shared_is_refused(population: int) -> None:
+    with pytest.raises(
+        ImpossibleValue, match=r"^population must be a multiple of 15, at least 30, for cma_mae"
+    ):
+        check(spec(population))
+
+
+def test_a_second_generation_in_flight_is_refused() -> None:
+    with pytest.raises(ImpossibleValue, match=r"^generations_in_flight must be 1 for cma_mae.*got 2"):
+        CmaMae(spec(in_flight=2), SHAPE.genes, BOX)

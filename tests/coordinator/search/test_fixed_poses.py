@@ -1,0 +1,226 @@
+"""Poses in a spec, each asked once."""
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.search.synthetic_scene import plain
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.search.fixed_poses import as_given, postures, read_poses, scores, write_scores
+from qdgrasp_coordinator.search.registry import METHODS, check_spec, method
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.rows import GIVEN, Outcome, RowShape
+from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.object_geometry import ObjectSurface
+
+SPEC_POSES = tuple(
+    tuple(float(str(x)) for x in row) for row in np.random.default_rng(2).normal(size=(7, 9)).astype("f4")
+)
+SPEC = RunSpec(gripper="panda", object="mug", method="given", poses=SPEC_POSES, evaluations=7, population=3)
+
+
+def test_the_poses_of_a_spec_are_asked_in_their_order_bit_for_bit() -> None:
+    search = method("given").build(from_toml(to_toml(SPEC)), plain(9))
+    asked = [search.ask(generation) for generation in range(4)]
+    assert [len(genomes) for genomes in asked] == [3, 3, 1, 0]
+    assert (
+        np.concatenate(asked).tobytes() == np.random.default_rng(2).normal(size=(7, 9)).astype("f4").tobytes()
+    )
+
+
+def test_each_pose_has_a_line_of_the_spec() -> None:
+    lines = to_toml(SPEC).splitlines()
+    assert lines[-9] == "poses = ["
+    assert [len(line.split(",")) for line in lines[-8:-1]] == [10] * 7
+
+
+def test_poses_are_for_the_method_given_and_needed_by_it() -> None:
+    check_spec(SPEC)
+    with pytest.raises(ImpossibleValue, match="left out for method 'me_scs'"):
+        check_spec(msgspec.structs.replace(SPEC, method="me_scs"))
+    with pytest.raises(ImpossibleValue, match="lists of numbers for method 'given'"):
+        full_spec({"gripper": "panda", "object": "mug", "method": "given"})
+    assert "given" not in METHODS
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"evaluations": 8}, "at most 7, one for each pose"),
+        ({"poses": (*SPEC_POSES[:6], (*SPEC_POSES[6][:8], float("inf")))}, "finite"),
+        ({"poses": (*SPEC_POSES[:6], SPEC_POSES[6][:8])}, "lists of 9 numbers"),
+    ],
+)
+def test_poses_that_cannot_be_scored_are_refused(change: dict, words: str) -> None:
+    with pytest.raises(ImpossibleValue, match=words):
+        method("given").build(msgspec.structs.replace(SPEC, **change), plain(9))
+
+
+POSES = {
+    "base_position": np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]]),
+    "base_quaternion_xyzw": np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]),
+}
+
+
+def saved(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def test_positions_and_quaternions_are_enough(tmp_path):
+    poses = read_poses(saved(tmp_path / "poses.npz", **POSES, notes=np.arange(5)))
+    assert len(poses) == 2
+    assert (poses.synergies == -1).all()
+    assert np.isnan(poses.spreads).all()
+
+
+def test_no_synergy_and_no_spread_are_accepted_for_every_hand(tmp_path):
+    arrays = {**POSES, "synergy": np.array([-1, -1], np.int8), "spread": np.full((2, 2), np.nan)}
+    assert len(read_poses(saved(tmp_path / "poses.npz", **arrays))) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"base_position": np.zeros((2, 2))}, "base_position must be numbers of shape (n, 3), got (2, 2)"),
+        (
+            {"base_position": np.zeros((3, 3))},
+            "base_quaternion_xyzw must be numbers of shape (3, 4), got (2, 4)",
+        ),
+        ({"base_position": np.zeros((2, 3), complex)}, "its type is complex128"),
+        ({"base_position": np.full((2, 3), 1e30)}, "no more than 1000 m away; lengths are metres, got 1e+30"),
+        ({"base_position": np.full((2, 3), np.nan)}, "not finite"),
+        ({"base_quaternion_xyzw": np.zeros((2, 4))}, "length zero"),
+        ({"synergy": np.zeros(3, np.int8)}, "synergy"),
+        ({"synergy": np.array(["thumb", "index"])}, "synergy"),
+        ({"synergy": np.array([np.inf, 0.0])}, "synergy must be integers, got inf"),
+        ({"synergy": np.array([0.5, 0.0])}, "synergy must be integers, got 0.5"),
+        ({"synergy": np.array([1e300, 0.0])}, "synergy must be integers, got 1e+300"),
+        ({"spread": np.zeros(2)}, "spread must be numbers of shape (2, k), got (2,)"),
+        ({"spread": np.full((2, 2), np.inf)}, "spread holds a number that is infinite"),
+        ({"base_position": np.zeros((0, 3)), "base_quaternion_xyzw": np.zeros((0, 4))}, "no poses"),
+    ],
+)
+def test_arrays_that_cannot_be_are_named(tmp_path, change, words):
+    with pytest.raises(InputError, match=r".") as raised:
+        read_poses(saved(tmp_path / "poses.npz", **(POSES | change)))
+    assert words in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("hand", "asked", "words"),
+    [
+        ("panda", {"synergy": np.array([9, 0])}, "synergy must be -1, for the hand has none, got 9"),
+        ("panda", {"synergy": np.array([-2, -1])}, "synergy must be -1, for the hand has none, got -2"),
+        (
+            "allegro",
+            {"synergy": np.array([3, 4])},
+            "synergy must be -1 (none) or 0 to 3 for this hand, got 4",
+        ),
+        (
+            "panda",
+            {"spread": np.array([[np.nan], [0.3]])},
+            "spread must be NaN, for the hand has no free joints",
+        ),
+        (
+            "barrett",
+            {"spread": np.full((2, 3), 0.3)},
+            "spread must be NaN but in the first 2 columns, got 0.3",
+        ),
+    ],
+)
+def test_what_a_hand_does_not_have_is_asked_of_no_hand(tmp_path, hand, asked, words):
+    poses = read_poses(saved(tmp_path / "poses.npz", **POSES, **asked))
+    scene = build_scene(RunSpec(gripper=hand, object="tennis_ball"))
+    with pytest.raises(InputError) as raised:
+        poses.genomes(scene)
+    assert f"{tmp_path / 'poses.npz'}: {words}" in str(raised.value)
+
+
+def test_labels_and_free_joints_that_are_not_said_stand_for_the_open_hand_and_all_its_joints(tmp_path):
+    silent = {"synergy": np.full(2, np.nan), "spread": np.full((2, 3), np.nan)}
+    scene = build_scene(RunSpec(gripper="barrett", object="tennis_ball"))
+    plain, said = (
+        read_poses(saved(tmp_path / name, **POSES, **asked)).genomes(scene)
+        for name, asked in {"plain.npz": {}, "said.npz": silent}.items()
+    )
+    assert plain.tobytes() == said.tobytes()
+
+
+def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
+    with pytest.raises(InputError, match=r"base_quaternion_xyzw.*base_position"):
+        read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut short"])
+def test_a_file_that_is_no_npz_is_refused_in_one_sentence(tmp_path, content):
+    (tmp_path / "poses.npz").write_bytes(content)
+    with pytest.raises(InputError, match=r"poses\.npz"):
+        read_poses(tmp_path / "poses.npz")
+
+
+def test_a_lone_array_is_no_npz(tmp_path):
+    np.save(tmp_path / "poses.npy", POSES["base_position"])
+    with pytest.raises(InputError, match="not an npz file"):
+        read_poses(tmp_path / "poses.npy")
+
+
+def test_pickled_arrays_are_never_loaded(tmp_path):
+    np.savez(tmp_path / "poses.npz", base_position=np.array([{}], dtype=object))
+    with pytest.raises(InputError):
+        read_poses(tmp_path / "poses.npz")
+
+
+def test_scores_are_false_and_zero_for_overlaps(tmp_path):
+    rows = RowShape(genes=7, joints=2).empty(3)
+    rows["outcome"] = [Outcome.OVERLAP, Outcome.BRUSHED, Outcome.HELD]
+    rows["fitness"] = [0, 0, 2]
+    found = scores(rows)
+    assert found["valid"].tolist() == [False, True, True]
+    assert found["touched"].tolist() == [False, True, True]
+    assert found["success"].tolist() == [False, False, True]
+    assert found["fitness"].tolist() == [0, 0, 2]
+    assert found["fitness"].dtype == np.uint8
+    write_scores(tmp_path / "scores.npz", rows)
+    with np.load(tmp_path / "scores.npz", allow_pickle=False) as file:
+        assert set(file.files) == set(found)
+
+
+@pytest.mark.parametrize("prior", ["contact", "spherical"])
+@pytest.mark.parametrize("hand", ["panda", "barrett", "shadow"])
+def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: str) -> None:
+    """Bit for bit, so that their trials are disturbed in the same way; and so once more."""
+    scene, random = build_scene(RunSpec(gripper=hand, object="tennis_ball")), np.random.default_rng(3)
+    surface = ObjectSurface(scene)
+    genomes = random.uniform(-1, 1, (200, len(layout(scene, prior)))).astype(np.float32)
+    expected = Decoder(scene, prior, surface)(genomes)
+    for known in (prior, GIVEN):
+        rows = RowShape(genomes.shape[1], len(scene.gripper.joints)).empty(200)
+        rows["genome"] = genomes
+        rows["base_to_object"] = np.hstack([expected.positions, expected.quaternions])
+        assert postures(scene, known, rows).tobytes() == expected.joints.tobytes()
+        genomes = as_given(scene, known, rows)
+        found = Decoder(scene, GIVEN, surface)(genomes)
+        for column in ("positions", "quaternions", "joints", "synergies"):
+            assert getattr(found, column).tobytes() == getattr(expected, column).tobytes()
+
+
+def test_scores_of_poses_in_trials_tell_their_eta() -> None:
+    rows = RowShape(genes=7, joints=2).empty(6)
+    rows["index"], rows["trial"] = [0, 1, 2, 1, 1, 1], [0, 0, 0, 1, 2, 3]
+    rows["outcome"] = [
+        Outcome.MISSED,
+        Outcome.HELD,
+        Outcome.OVERLAP,
+        Outcome.HELD,
+        Outcome.SHAKEN,
+        Outcome.ERROR,
+    ]
+    rows["fitness"] = [0, 2, 0, 2, 1, 0]
+    found = scores(rows, trials=3)
+    assert found["eta"].tolist() == [0, 0.5, 0]
+    assert found["success"].tolist() == [False, True, False]
+    assert "eta" not in scores(rows[:3])

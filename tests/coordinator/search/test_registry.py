@@ -1,0 +1,214 @@
+"""Rules that every search keeps to."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.coordinator.search import synthetic_scene
+from tests.coordinator.search.synthetic_scene import plain
+
+from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
+from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
+from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, method
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec
+
+GENES = 7
+SHAPE = RowShape(genes=GENES, joints=2)
+GENERATIONS = 6
+POPULATION = 60
+SEARCHES = list({entry.build: entry for entry in METHODS.values()}.values())
+"""One method of each search: the priors, which tell the others apart, mean nothing here."""
+OVER_THE_CUBE = [entry for entry in SEARCHES if entry is not AIMED and not entry.name.endswith("cma_mae")]
+"""Those that start with genomes drawn uniformly."""
+
+
+def spec(seed: int = 0) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", seed=seed, population=POPULATION)
+
+
+def space_of(entry: Method) -> SearchSpace:
+    """A space of its genomes, whose meaning matters to the search that aims alone."""
+    return synthetic_scene.space(entry.prior) if entry is AIMED else plain(GENES)
+
+
+def shape_of(entry: Method) -> RowShape:
+    return synthetic_scene.shape(space_of(entry)) if entry is AIMED else SHAPE
+
+
+def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
+    """Rows whose results are a function of the genomes: a third each overlap, fail, succeed."""
+    rows = shape.empty(len(genomes))
+    rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
+    share = (genomes[:, 3] + 1) / 2
+    rows["outcome"] = np.searchsorted([0, 0, 0.3, 0.5, 0.7, 0.8, 0.9], share, side="right")
+    rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
+    rows["descriptor"][:, :3] = genomes[:, :3] * np.float32(0.2)
+    rows["base_to_object"][:, 6] = 1
+    return rows
+
+
+def asked(search: SearchAlgorithm, shape: RowShape) -> list[np.ndarray]:
+    """The genomes that a search asks in its first generations."""
+    all_asked = []
+    for generation in range(GENERATIONS):
+        genomes = search.ask(generation)
+        all_asked.append(genomes.copy())
+        search.tell(generation, evaluated(shape, generation, genomes))
+    return all_asked
+
+
+@pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
+class TestEverySearch:
+    @pytest.fixture
+    def build(self, entry: Method) -> Callable[..., SearchAlgorithm]:
+        return lambda seed=0: entry.build(spec(seed), space_of(entry))
+
+    @pytest.fixture
+    def shape(self, entry: Method) -> RowShape:
+        return shape_of(entry)
+
+    def test_a_generation_has_the_population_in_float32_within_the_cube(self, build, shape) -> None:
+        for genomes in asked(build(), shape):
+            assert genomes.shape == (POPULATION, shape.genes)
+            assert genomes.dtype == np.float32
+            assert np.abs(genomes).max() <= 1
+
+    def test_the_same_seed_asks_the_same(self, build, shape) -> None:
+        assert all(map(np.array_equal, asked(build(), shape), asked(build(), shape)))
+
+    def test_another_seed_asks_something_else_in_every_generation(self, build, shape) -> None:
+        assert not any(map(np.array_equal, asked(build(0), shape), asked(build(1), shape)))
+
+    def test_no_generation_repeats_another(self, build, shape) -> None:
+        genomes = [one.tobytes() for one in asked(build(), shape)]
+        assert len(set(genomes)) == GENERATIONS
+
+    def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build, shape) -> None:
+        one, other = build(), build()
+        for generation in range(3):
+            rows = evaluated(shape, generation, one.ask(generation))
+            other.tell(generation, evaluated(shape, generation, other.ask(generation)))
+            one.tell(generation, rows)
+            rows[:] = np.zeros((), dtype=rows.dtype)
+        assert np.array_equal(one.ask(3), other.ask(3))
+
+    def test_the_order_of_arrival_changes_nothing(self, build, shape, entry: Method) -> None:
+        journals = []
+        for order in (np.sort, lambda values: values[::-1], np.random.default_rng(0).permutation):
+            pipeline = Pipeline(build(), shape, 5 * POPULATION + 13, entry.overlaps)
+            journals.append(b"".join(_journal(pipeline, shape, order)))
+        assert journals[0] == journals[1] == journals[2]
+
+    @pytest.mark.parametrize("recorded", [1, POPULATION, 3 * POPULATION + 7])
+    def test_a_recorded_beginning_goes_on_to_the_same_journal(
+        self, build, shape, entry: Method, recorded: int
+    ) -> None:
+        budget = 5 * POPULATION + 13
+        whole = b"".join(_journal(Pipeline(build(), shape, budget, entry.overlaps), shape, np.sort))
+        rows = np.frombuffer(whole, dtype=shape.dtype)
+        pipeline = Pipeline(build(), shape, budget, entry.overlaps)
+        pipeline.replay(rows[:recorded])
+        assert b"".join(_journal(pipeline, shape, np.sort)) == rows[recorded:].tobytes()
+
+
+def _journal(pipeline: Pipeline, shape: RowShape, order: Callable[[np.ndarray], np.ndarray]):
+    while (generation := pipeline.ask()) is not None:
+        rows = _rows(shape, generation)
+        for place in order(np.arange(len(rows))):
+            yield pipeline.settle(rows[place : place + 1]).rows.tobytes()
+
+
+def _rows(shape: RowShape, generation: Generation) -> Rows:
+    rows = evaluated(shape, generation.number, generation.genomes)
+    rows["index"] = generation.indices
+    return rows
+
+
+@pytest.mark.parametrize("entry", OVER_THE_CUBE, ids=lambda entry: entry.name)
+def test_it_starts_uniform_over_the_cube(entry: Method) -> None:
+    many = np.concatenate([entry.build(spec(seed), plain(GENES)).ask(0) for seed in range(40)])
+    assert np.abs(many.mean(axis=0)).max() < 0.06
+    assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
+
+
+@pytest.mark.parametrize("entry", PAPER, ids=lambda entry: entry.name)
+def test_the_line_of_a_method_of_the_paper_is_complete(entry: Method) -> None:
+    assert entry.name.startswith(f"{entry.prior}_") or entry.prior == "spherical"
+    assert "Huber" in entry.summary
+    assert (entry.overlaps, entry.generations_in_flight) == ("count", 1)
+    assert entry.population == (540 if entry.name.endswith("cma_mae") else 500)
+    entry.check(RunSpec(gripper="hand", object="thing", method=entry.name, population=entry.population))
+
+
+def test_methods_of_one_search_differ_in_their_prior_alone() -> None:
+    for entry in PAPER:
+        (first,) = [one for one in SEARCHES if one.build is entry.build]
+        assert (entry.check, entry.overlaps, entry.population) == (
+            first.check,
+            first.overlaps,
+            first.population,
+        )
+
+
+def test_the_methods_of_the_paper_are_there() -> None:
+    priors = ("contact_", "approach_", "antipodal_")
+    everywhere = {f"{prior}{name}" for prior in (*priors, "") for name in ("me_rand", "me_scs", "cma_mae")}
+    assert {entry.name for entry in PAPER} == everywhere | {f"{prior}rand" for prior in priors}
+    assert set(METHODS) == {entry.name for entry in PAPER} | {AIMED.name}
+    assert all(name == entry.name for name, entry in METHODS.items())
+
+
+def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:
+    with pytest.raises(UnknownName, match=r"Unknown method 'contact_me_sc'.*'contact_me_scs'.*approach_rand"):
+        method("contact_me_sc")
+
+
+@pytest.mark.parametrize("n", [1, 9, 10, 11, 25])
+def test_given_poses_are_asked_once_each_in_their_order(n: int) -> None:
+    poses = np.arange(n * 7, dtype=np.float32).reshape(n, 7)
+    search = FixedPoseSearch(poses, population=10)
+    generations = [search.ask(number) for number in range(5)]
+    assert max(map(len, generations)) <= 10
+    assert np.array_equal(np.concatenate(generations), poses)
+
+
+def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
+    poses = np.arange(25 * 7, dtype=np.float32).reshape(25, 7)
+    pipeline = Pipeline(FixedPoseSearch(poses, population=10), SHAPE, 25, "count", generations_in_flight=2)
+    rows = []
+    while (generation := pipeline.ask()) is not None:
+        rows.append(pipeline.settle(_rows(SHAPE, generation)).rows)
+    assert np.array_equal(np.concatenate(rows)["genome"], poses)
+    assert pipeline.finished == "the budget of 25 evaluations is spent"
+
+
+def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
+    pipeline = Pipeline(FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
+    generation = pipeline.ask()
+    assert generation is not None
+    assert len(pipeline.settle(_rows(SHAPE, generation))) == 5
+    assert pipeline.finished == "the search has nothing left to ask"
+
+
+def test_a_key_always_gives_the_same_numbers() -> None:
+    one, other = keyed_generator(7, "parents", 3), keyed_generator(7, "parents", 3)
+    assert one.random(8).tolist() == other.random(8).tolist()
+
+
+def test_seed_purpose_and_generation_all_change_the_numbers() -> None:
+    keys = itertools.product((0, 1, 2**32, 2**62 + 1), ("parents", "mutation"), (0, 1, 2, 2**32 - 1))
+    firsts = [keyed_generator(*key).random() for key in keys]
+    assert len(set(firsts)) == len(firsts)
+
+
+def test_the_numbers_stay_the_same_from_version_to_version() -> None:
+    """Journals hold what was drawn: were this to change, no old run could be resumed."""
+    assert keyed_generator(0, "uniform", 0).integers(0, 2**32, 3).tolist() == [
+        4054646954,
+        1409545429,
+        458180423,
+    ]

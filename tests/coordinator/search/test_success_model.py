@@ -1,0 +1,212 @@
+"""Logistic regression of the latest examples."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.genes import FEATURES
+from qdgrasp_coordinator.search.success_model import (
+    FIT_INTERVAL,
+    LEAST_EXAMPLES,
+    LEAST_SHARE,
+    LEAST_WANTED,
+    WANTED,
+    WEIGHT_GRAIN,
+    CandidateRanker,
+    LogisticRegression,
+    SuccessThreshold,
+    fit,
+    scale_to_gene_range,
+)
+from qdgrasp_protocol.rows import Outcome, RowShape
+
+TRUE = np.array([3.0, -1.0, 0.5, 0.0, -2.0, 0.7])
+UNKNOWN, PLAIN = np.zeros(6), np.ones(6)
+
+
+def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Features (n, 6), the last constant, and successes that follow `TRUE`."""
+    random = np.random.default_rng(seed)
+    features = np.concatenate([random.uniform(-1, 1, (n, 5)), np.ones((n, 1))], axis=1)
+    return features, random.random(n) < 1 / (1 + np.exp(-features @ TRUE))
+
+
+def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
+    assert fit(*poses(20_000), UNKNOWN, PLAIN) == pytest.approx(TRUE, abs=0.15)
+
+
+def test_features_that_tell_everything_leave_it_finite() -> None:
+    features, _ = poses(500)
+    weights = fit(features, features[:, 0] > 0, UNKNOWN, PLAIN)
+    assert np.isfinite(weights).all()
+    assert weights[0] > 3 * np.abs(weights[1:]).max()
+
+
+def test_nothing_is_learned_of_one_kind_of_outcome() -> None:
+    model = LogisticRegression(UNKNOWN)
+    features, _ = poses(FIT_INTERVAL * 2)
+    model.learn(features, np.ones(len(features), bool))
+    assert not model.weights.any()
+    model.learn(features[:LEAST_EXAMPLES], np.zeros(LEAST_EXAMPLES, bool))
+    assert model.weights.any()
+
+
+def test_likelihoods_are_those_of_the_examples() -> None:
+    model = LogisticRegression(UNKNOWN)
+    features, successes = poses(2000)
+    model.learn(features, successes)
+    likely = model.likely(features)
+    for low in (0.0, 0.2, 0.4, 0.6, 0.8):
+        is_like = (likely >= low) & (likely < low + 0.2)
+        assert successes[is_like].mean() == pytest.approx(likely[is_like].mean(), abs=0.08)
+
+
+def test_in_its_own_units_a_small_feature_tells_as_much_as_a_large_one() -> None:
+    features, successes = poses(2000)
+    small = features * ([1e-3] * 5 + [1.0])
+    large_model, small_model = (LogisticRegression(UNKNOWN, own_units=True) for _ in range(2))
+    large_model.learn(features, successes)
+    small_model.learn(small, successes)
+    assert small_model.likely(small) == pytest.approx(large_model.likely(features), abs=0.02)
+
+
+def test_it_forgets_what_is_long_ago() -> None:
+    model = LogisticRegression(UNKNOWN)
+    features, successes = poses(3000)
+    model.learn(features, ~successes)
+    assert model.weights[0] < 0
+    for block in range(10):
+        model.learn(features[block * 250 :][:250], successes[block * 250 :][:250])
+    assert model.weights[0] > 0
+
+
+def test_blocks_of_any_length_say_the_same() -> None:
+    one, other = LogisticRegression(UNKNOWN), LogisticRegression(UNKNOWN)
+    features, successes = poses(5000)
+    one.learn(features, successes)
+    for place in range(0, 5000, FIT_INTERVAL * 10):
+        block = slice(place, place + FIT_INTERVAL * 10)
+        other.learn(features[block], successes[block])
+    assert np.abs(one.weights - other.weights).max() < 0.3
+
+
+def test_weights_are_whole_grains() -> None:
+    model = LogisticRegression(UNKNOWN)
+    model.learn(*poses(FIT_INTERVAL))
+    assert (model.weights * WEIGHT_GRAIN == np.rint(model.weights * WEIGHT_GRAIN)).all()
+
+
+def test_what_it_is_taught_holds_until_examples_say_otherwise() -> None:
+    taught, untaught = LogisticRegression(TRUE), LogisticRegression(UNKNOWN)
+    features, successes = poses(FIT_INTERVAL)
+    assert taught.likely(features) == pytest.approx(1 / (1 + np.exp(-features @ TRUE)), abs=0.02)
+    taught.learn(features, successes)
+    untaught.learn(features, successes)
+    assert np.abs(taught.weights - TRUE).max() < np.abs(untaught.weights - TRUE).max()
+    for _ in range(8):
+        taught.learn(features, ~successes)
+    assert taught.weights[0] < 0
+
+
+N = len(FEATURES)
+SHAPE = RowShape(genes=9 + N, joints=1, descriptors=3 + N)
+
+
+def test_what_makes_success_has_weight() -> None:
+    random = np.random.default_rng(0)
+    rows = SHAPE.empty(1000)
+    features = np.concatenate([random.random((1000, N - 1)), np.ones((1000, 1))], axis=1)
+    rows["descriptor"][:, 3:] = features
+    rows["outcome"] = np.where(features[:, 1] - features[:, 4] > 0, Outcome.SHAKEN, Outcome.BRUSHED)
+    ranker = CandidateRanker()
+    assert not ranker.wanting(np.array([0.9])).any()
+    ranker.learn(rows)
+    order = np.argsort(ranker.wanting(np.array([0.5]))[0, :-1])
+    assert (order[0], order[-1]) == (4, 1)
+
+
+def test_what_is_likelier_than_wanted_scores_above_zero() -> None:
+    random = np.random.default_rng(0)
+    rows = SHAPE.empty(1000)
+    rows["descriptor"][:, 3] = random.random(1000)
+    rows["descriptor"][:, -1] = 1.0
+    rows["outcome"] = np.where(random.random(1000) < rows["descriptor"][:, 3], Outcome.HELD, Outcome.BRUSHED)
+    ranker = CandidateRanker()
+    ranker.learn(rows)
+    for wanted in (0.3, 0.5, 0.8):
+        weights = ranker.wanting(np.array([wanted]))[0]
+        is_enough = rows["descriptor"][:, 3:] @ weights >= 0
+        least = rows["descriptor"][is_enough, 3].min()
+        assert least == pytest.approx(wanted, abs=0.12)
+
+
+def test_a_weight_for_the_constant_is_never_zero() -> None:
+    """It would ask for nothing."""
+    ranker = CandidateRanker()
+    ranker._model.weights = np.eye(N)[0]
+    assert ranker.wanting(np.array([0.5]))[0, -1] > 0
+
+
+def test_who_wants_nothing_is_not_choosy_and_ranks_alike() -> None:
+    ranker = CandidateRanker()
+    ranker._model.weights = np.arange(N, dtype=np.float64)
+    anything, choosy = ranker.wanting(np.array([0.0, 0.3]))
+    assert anything[-1] == 0 != choosy[-1]
+    assert anything[:-1].tolist() == choosy[:-1].tolist()
+
+
+def test_weights_fit_into_their_genes_in_the_same_proportions() -> None:
+    weights = scale_to_gene_range(
+        np.array([[30.0, -3.0, 0.0, 15.0, 0.0, 7.5], [7.0, -3.0, 0.0, 1.0, 0.0, 5.0]])
+    )
+    assert weights[0] == pytest.approx([8, -0.8, 0, 4, 0, 2])
+    assert weights[1].tolist() == [7, -3, 0, 1, 0, 5]
+
+
+NONE, ALL = np.zeros(50, bool), np.ones(50, bool)
+
+
+def wanted(threshold: SuccessThreshold, dead_ends: int = 0) -> float:
+    return float(threshold.wanted(np.array([dead_ends], np.int32))[0])
+
+
+def test_less_is_wanted_of_a_cell_after_each_dead_end() -> None:
+    each = [wanted(SuccessThreshold(), dead_ends) for dead_ends in range(5)]
+    assert each[0] == WANTED
+    assert (np.diff(each) < 0).all()
+
+
+def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
+    threshold = SuccessThreshold()
+    for _ in range(19):  # a run ends after 20 generations without an evaluation
+        threshold.update(NONE)
+    assert wanted(threshold) < 0.15
+    threshold.update(ALL)
+    assert wanted(threshold) < 0.15
+    for _ in range(20):
+        threshold.update(ALL)
+    assert wanted(threshold) == pytest.approx(WANTED)
+
+
+def test_enough_simulations_change_nothing() -> None:
+    threshold = SuccessThreshold()
+    threshold.update(np.arange(50) < LEAST_SHARE * 50)
+    assert wanted(threshold) == WANTED
+
+
+def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
+    threshold = SuccessThreshold()
+    for _ in range(10_000):
+        threshold.update(NONE)
+    assert wanted(threshold, 10**6) == wanted(threshold) == LEAST_WANTED
+    for _ in range(100):
+        threshold.update(ALL)
+    assert wanted(threshold) == pytest.approx(WANTED)
+
+
+def test_it_knows_the_share_that_got_through_lately() -> None:
+    threshold = SuccessThreshold()
+    shares = [threshold.share]
+    for through in (NONE, np.arange(50) < 10, ALL):
+        threshold.update(through)
+        shares.append(threshold.share)
+    assert shares == [1.0, LEAST_SHARE, 0.2, 1.0]

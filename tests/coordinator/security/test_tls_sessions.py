@@ -1,0 +1,148 @@
+"""Sessions over mutual TLS: who gets one, and what is said where there is none."""
+
+import shutil
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from tests.common import PATIENCE
+from tests.coordinator.security.conftest import HOSTS, encrypted_endpoint
+
+from qdgrasp_coordinator.security import authority
+from qdgrasp_coordinator.security.access_probe import temporary_certificate
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.errors import EndpointError, SecurityError
+from qdgrasp_protocol.session import Credentials, Endpoint, Role, handshake_error
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+LAST = 100
+Change = Callable[[Path], object]
+
+
+@pytest.mark.parametrize("host", HOSTS)
+@pytest.mark.parametrize("role", [role for role in Role if role is not Role.ROUTER])
+def test_every_role_gets_a_session_by_name_and_by_address(
+    secured: str, folder: Path, role: Role, host: str
+) -> None:
+    endpoint = secured.replace("127.0.0.1", host)
+    with ZenohBus.connect(endpoint, PATIENCE, credentials=Credentials.find(folder, role)):
+        pass
+
+
+def test_another_authoritys_certificate_is_refused_and_named(secured: str, folder: Path) -> None:
+    ours, theirs = SecurityFolder(folder).authority, authority.create_authority(1)
+    with (
+        temporary_certificate(theirs, Role.WORKER.common_name, trusts=ours) as shown,
+        pytest.raises(EndpointError, match=r"it does not take .*worker\.pem \(tlsv1 alert"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_of_another_authority_is_not_trusted(secured: str) -> None:
+    theirs = authority.create_authority(1)
+    with (
+        temporary_certificate(theirs, Role.WORKER.common_name) as shown,
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_that_is_reached_by_a_name_not_its_own_is_not_trusted(folder: Path) -> None:
+    elsewhere = encrypted_endpoint().replace("127.0.0.1", "127.0.0.2")
+    with (
+        ZenohBus.router(elsewhere, credentials=Credentials.find(folder, Role.ROUTER)),
+        pytest.raises(EndpointError, match=r"not valid for '127\.0\.0\.2'"),
+    ):
+        ZenohBus.connect(elsewhere, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_a_workers_certificate_does_not_make_a_router(folder: Path, tmp_path: Path) -> None:
+    """Somebody with a stolen worker's key cannot stand in the router's place."""
+    forged = Path(shutil.copytree(folder, tmp_path / "forged"))
+    for kind in ("pem", "key"):
+        shutil.copy(folder / f"worker.{kind}", forged / f"router.{kind}")
+    endpoint = encrypted_endpoint()
+    with (
+        ZenohBus.router(endpoint, credentials=Credentials.find(forged, Role.ROUTER)),
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(endpoint, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tmp_path: Path) -> None:
+    broken = Path(shutil.copytree(folder, tmp_path / "broken"))
+    shutil.copy(folder / "monitor.key", broken / "worker.key")
+    reason = handshake_error(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
+    assert "worker.pem and its key cannot be used" in reason
+
+
+def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
+    secured: str, folder: Path
+) -> None:
+    key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
+    with (
+        ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.RECORDER)) as recorder,
+        ZenohBus.connect(
+            secured, PATIENCE, credentials=Credentials.find(folder, Role.COORDINATOR)
+        ) as coordinator,
+        coordinator.subscribe(key, lambda sample: heard.put(len(sample.payload))),
+    ):
+        sizes = []
+        while not sizes or sizes[-1] != LAST:
+            for size in (4096, 4097, 1 << 20, 16 << 20, 20 << 20, LAST):
+                recorder.put(key, bytes(size), encoding="application/octet-stream")
+            sizes.append(heard.get(timeout=PATIENCE))
+    assert set(sizes) <= {4096, LAST}
+
+
+def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, folder: Path) -> None:
+    links = SimpleQueue[bool]()
+    issued = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=5)
+    ours = SecurityFolder(folder).authority
+    with (
+        temporary_certificate(ours, Role.WORKER.common_name, now=issued) as shown,
+        ZenohBus.connect(secured, PATIENCE, credentials=shown) as worker,
+        worker.on_link(links.put),
+    ):
+        assert links.get(timeout=PATIENCE) is False
+
+
+def other(name: str) -> Change:
+    """Another role's file in the place of the router's."""
+    return lambda folder: shutil.copy(folder / f"worker.{name}", folder / f"router.{name}")
+
+
+def text(name: str, old: str, new: str) -> Change:
+    """Something else in the router's configuration."""
+
+    def change(folder: Path) -> None:
+        said = (folder / name).read_text()
+        assert old in said
+        (folder / name).write_text(said.replace(old, new))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (other("key"), "Cannot listen on .*: zenoh says '.*KeyMismatch'"),
+        (text("router.json5", '"enabled": true', '"enabled": false'), "does not deny what it does not allow"),
+        (text("router.json5", '"deny"', '"allow"'), "does not deny what it does not allow"),
+        (text("router.json5", '"put"', '"pud"'), "is not a configuration that zenoh takes: unknown variant"),
+        (text("router.json5", "{", "["), "is not a configuration that zenoh takes"),
+        (text("router.json5", '"id": "worker gives (put)"', '"id": "x"'), "Access control not enabled"),
+    ],
+)
+def test_a_router_with_a_damaged_folder_does_not_open(
+    folder: Path, tmp_path: Path, change: Change, words: str
+) -> None:
+    damaged = Path(shutil.copytree(folder, tmp_path / "damaged"))
+    change(damaged)
+    with pytest.raises((EndpointError, SecurityError), match=words) as caught:
+        ZenohBus.router(encrypted_endpoint(), credentials=Credentials.find(damaged, Role.ROUTER))
+    assert ".cargo" not in str(caught.value)
+    assert "\n" not in str(caught.value)

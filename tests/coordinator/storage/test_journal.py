@@ -1,0 +1,354 @@
+import itertools
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from tests.common import PATIENCE
+
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import journal_digest
+from qdgrasp_protocol.errors import DiskFull, FolderError
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = RowShape(genes=7, joints=2)
+SPEC = RunSpec(gripper="panda", object="mug", evaluations=100)
+IDENTITY = JournalIdentity("run", to_toml(SPEC), "ab" * 32, SHAPE)
+
+
+def make_rows(n: int, seed: int = 0) -> Rows:
+    """Rows of all outcomes, in journal order."""
+    random = np.random.default_rng(seed)
+    rows = np.frombuffer(random.integers(0, 64, n * SHAPE.dtype.itemsize, np.uint8), SHAPE.dtype).copy()
+    rows["generation"], rows["index"], rows["trial"] = np.arange(n) // 50, np.arange(n) % 50, 0
+    rows["outcome"] = random.integers(Outcome.DEAD_END, Outcome.HELD, n, endpoint=True)
+    rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)
+    for name in ("descriptor", "base_to_object"):
+        rows[name] = random.uniform(-0.3, 0.3, rows[name].shape)
+    return rows
+
+
+def record(folder: Path, rows: Rows, sizes: list[int]) -> None:
+    """Record rows in blocks of these sizes."""
+    with JournalWriter.create(folder, IDENTITY) as journal:
+        journal.begin_epoch(1, 1000.0)
+        first = 0
+        for size in sizes:
+            journal.append(
+                JournalSlice(first, rows[first : first + size], cpu_seconds=size / 10), 1, 1000.0 + first
+            )
+            first += size
+
+
+def test_what_is_recorded_is_read_again_byte_for_byte(tmp_path: Path) -> None:
+    rows = make_rows(300)
+    record(tmp_path, rows, [1, 99, 200])
+    with Journal.open(tmp_path) as journal:
+        assert np.concatenate(list(journal.blocks())).tobytes() == rows.tobytes()
+        assert journal.count == 300
+        assert (journal.run, journal.scene, journal.shape, journal.spec) == ("run", "ab" * 32, SHAPE, SPEC)
+        assert journal.cpu_seconds == pytest.approx(30.0)
+
+
+@given(first=st.integers(0, 130), limit=st.integers(0, 130))
+def test_any_page_of_rows_is_that_slice_of_the_journal(
+    tmp_path_factory: pytest.TempPathFactory, first: int, limit: int
+) -> None:
+    folder = tmp_path_factory.getbasetemp() / "pages"
+    rows = make_rows(120)
+    if not folder.exists():
+        folder.mkdir()
+        record(folder, rows, [7, 1, 50, 62])
+    with Journal.open(folder) as journal:
+        assert journal.rows(first, limit).tobytes() == rows[first : first + limit].tobytes()
+
+
+def test_the_digest_is_of_rows_and_not_of_blocks_or_costs(tmp_path: Path) -> None:
+    rows, digests = make_rows(200), set()
+    for number, sizes in enumerate([[200], [1] * 200, [13, 87, 100]]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        record(folder, rows, sizes)
+        with Journal.open(folder) as journal:
+            digests.add(journal_digest(journal))
+    assert len(digests) == 1
+    assert all(len(text) == 64 for text in digests)
+
+
+def test_the_digest_changes_with_any_bit_of_any_column(tmp_path: Path) -> None:
+    digests = set()
+    offsets = [offset for _, offset, *_ in (SHAPE.dtype.fields or {}).values()]
+    for offset in [None, *offsets]:
+        raw = bytearray(make_rows(20).tobytes())
+        if offset is not None:
+            raw[19 * SHAPE.dtype.itemsize + offset] ^= 1
+        folder = tmp_path / str(offset)
+        folder.mkdir()
+        record(folder, np.frombuffer(raw, SHAPE.dtype), [20])
+        with Journal.open(folder) as journal:
+            digests.add(journal_digest(journal))
+    assert len(digests) == 1 + len(offsets)
+
+
+def test_every_success_is_kept_with_fitness_zero_too(tmp_path: Path) -> None:
+    rows = make_rows(300)
+    record(tmp_path, rows, [100, 200])
+    expected = rows[rows["outcome"] >= Outcome.DROPPED]
+    assert (expected["fitness"] == 0).any()
+    with Journal.open(tmp_path) as journal:
+        assert journal.successes().tobytes() == expected.tobytes()
+
+
+def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
+    rows = make_rows(300)
+    record(tmp_path, rows, [100, 200])
+    at = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
+    with sqlite3.connect(tmp_path / FILE) as database:
+        database.row_factory = sqlite3.Row
+        table = database.execute("SELECT * FROM successes ORDER BY row").fetchall()
+    assert [line["row"] for line in table] == at.tolist()
+    for name in ("generation", "index", "trial", "outcome", "fitness", "nu", "contacts", "penetration"):
+        assert_array_equal([line[name] for line in table], rows[name][at])
+    poses = [[line[name] for name in ("x", "y", "z", "qx", "qy", "qz", "qw")] for line in table]
+    assert_array_equal(np.float32(poses), rows["base_to_object"][at])
+    found = [[line[name] for name in ("cell_x", "cell_y", "cell_z")] for line in table]
+    assert_array_equal(found, cells(rows["descriptor"][at]))
+
+
+def test_trials_are_rows_and_no_successes_of_their_own(tmp_path: Path) -> None:
+    rows = make_rows(60)
+    rows["outcome"] = Outcome.HELD
+    rows["trial"] = np.arange(60) % 3
+    record(tmp_path, rows, [25, 35])
+    with Journal.open(tmp_path) as journal:
+        assert journal.successes().tobytes() == rows[::3].tobytes()
+        assert journal.count == 60
+    with sqlite3.connect(tmp_path / FILE) as database:
+        assert database.execute("SELECT row FROM successes ORDER BY row").fetchall() == [
+            (row,) for row in range(0, 60, 3)
+        ]
+
+
+def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
+    rows = make_rows(30)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        for first in (0, 10, 20):
+            failures = (Failure(row=3, reason=f"aborted {first}"),)
+            journal.append(JournalSlice(first, rows[first : first + 10], failures=failures), 1, 0.0)
+        assert journal.errors() == {3: "aborted 0", 13: "aborted 10", 23: "aborted 20"}
+        page = journal.slice(12, 10)
+    assert [(failure.row, failure.reason) for failure in page.failures] == [(1, "aborted 10")]
+
+
+def test_rows_that_are_not_the_next_are_refused(tmp_path: Path) -> None:
+    rows = make_rows(10)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        for first in (1, 5):
+            with pytest.raises(ValueError, match="row 0 is next"):
+                journal.append(JournalSlice(first, rows), 1, 0.0)
+        assert journal.count == 0
+
+
+def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path: Path) -> None:
+    rows = make_rows(20)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        assert journal.wall_seconds == 0.0
+        journal.begin_epoch(1, 100.0)
+        journal.append(JournalSlice(0, rows[:10]), 1, 103.0)
+        journal.begin_epoch(2, 5000.0)
+        journal.begin_epoch(2, 5001.0)
+        journal.append(JournalSlice(10, rows[10:]), 2, 5004.0)
+        assert journal.wall_seconds == 7.0
+
+
+def test_the_platform_is_known_once_there_are_rows(tmp_path: Path) -> None:
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        journal.set_platform({"pybullet": "3.2.7"})
+        assert journal.platform == {}
+        journal.append(JournalSlice(0, make_rows(1)), 1, 0.0)
+        assert journal.platform == {"pybullet": "3.2.7"}
+
+
+def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) -> None:
+    rows = make_rows(20)
+    with JournalWriter.create(tmp_path, IDENTITY) as writer:
+        writer.append(JournalSlice(0, rows[:10]), 1, 0.0)
+        with Journal.open(tmp_path) as early:
+            writer.append(JournalSlice(10, rows[10:]), 1, 0.0)
+            assert (early.count, len(early.rows(0, 100))) == (10, 10)
+        with Journal.open(tmp_path) as late:
+            assert late.count == 20
+
+
+def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from importlib import util\n"
+        f"spec = util.spec_from_file_location('journal_tests', {__file__!r})\n"
+        "tests = util.module_from_spec(spec); spec.loader.exec_module(tests)\n"
+        f"writer = tests.JournalWriter.create(Path({str(tmp_path)!r}), tests.IDENTITY)\n"
+        "writer.append(tests.JournalSlice(0, tests.make_rows(50)), 1, 0.0)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE)
+    assert done.returncode == -signal.SIGKILL
+    with Journal.open(tmp_path) as journal:
+        assert journal.rows(0, 100).tobytes() == make_rows(50).tobytes()
+    with JournalWriter.open(tmp_path) as writer:
+        writer.append(JournalSlice(50, make_rows(50)), 1, 0.0)
+        assert writer.count == 100
+
+
+def test_a_full_disk_takes_nothing_and_what_was_there_stays(tmp_path: Path) -> None:
+    rows = make_rows(3000)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        journal.append(JournalSlice(0, rows[:100]), 1, 0.0)
+        pages = journal._database.execute("PRAGMA page_count").fetchone()[0]
+        journal._database.execute(f"PRAGMA max_page_count = {pages + 5}")
+        with pytest.raises(DiskFull, match="no room"):
+            journal.append(JournalSlice(100, rows[100:]), 1, 0.0)
+        assert journal.count == 100
+        assert journal.rows(0, 5000).tobytes() == rows[:100].tobytes()
+        journal._database.execute("PRAGMA max_page_count = 100000")
+        journal.append(JournalSlice(100, rows[100:]), 1, 0.0)
+        assert journal.rows(0, 5000).tobytes() == rows.tobytes()
+
+
+def test_the_spec_can_be_given_another_budget(tmp_path: Path) -> None:
+    longer = RunSpec(gripper="panda", object="mug", evaluations=200)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        journal.set_spec(to_toml(longer))
+        assert journal.spec == longer
+
+
+def test_the_journal_of_a_run_that_has_not_begun_is_empty() -> None:
+    with Journal.empty(IDENTITY) as journal:
+        assert (journal.count, journal.cpu_seconds, journal.wall_seconds, journal.platform) == (0, 0, 0, {})
+        assert list(journal.blocks()) == []
+        assert len(journal.successes()) == 0
+        assert journal.spec == SPEC
+
+
+class TestRefusals:
+    def test_a_folder_without_a_journal_is_named(self, tmp_path: Path) -> None:
+        for opener in (Journal.open, JournalWriter.open):
+            with pytest.raises(FolderError, match="holds no journal"):
+                opener(tmp_path)
+
+    @pytest.mark.parametrize("content", [b"", b"not a database, but long enough to look like one" * 100])
+    def test_a_file_that_is_no_journal_is_refused(self, tmp_path: Path, content: bytes) -> None:
+        (tmp_path / FILE).write_bytes(content)
+        for opener in (Journal.open, JournalWriter.open):
+            with pytest.raises(FolderError, match="not a journal of qdgrasp"):
+                opener(tmp_path)
+
+    def test_another_programs_database_is_refused_and_not_touched(self, tmp_path: Path) -> None:
+        with sqlite3.connect(tmp_path / FILE) as database:
+            database.execute("CREATE TABLE mine (a)")
+        before = (tmp_path / FILE).read_bytes()
+        for opener in (Journal.open, JournalWriter.open):
+            with pytest.raises(FolderError, match="not a journal of qdgrasp"):
+                opener(tmp_path)
+        assert (tmp_path / FILE).read_bytes() == before
+
+    def test_a_journal_of_a_newer_format_is_refused_by_its_number(self, tmp_path: Path) -> None:
+        record(tmp_path, make_rows(1), [1])
+        with sqlite3.connect(tmp_path / FILE) as database:
+            database.execute("PRAGMA user_version = 7")
+        for opener in (Journal.open, JournalWriter.open):
+            with pytest.raises(FolderError, match="is of format 7, this version of qdgrasp reads format 1"):
+                opener(tmp_path)
+
+    def test_a_torn_file_is_said_to_be_damaged(self, tmp_path: Path) -> None:
+        record(tmp_path, make_rows(3000), [3000])
+        size = (tmp_path / FILE).stat().st_size
+        os.truncate(tmp_path / FILE, size // 2 // 4096 * 4096)
+        with pytest.raises(FolderError, match="is damaged"), Journal.open(tmp_path) as journal:
+            list(journal.blocks())
+
+    def test_an_altered_row_is_said_to_be_damaged(self, tmp_path: Path) -> None:
+        rows = make_rows(100)
+        record(tmp_path, rows, [50, 50])
+        content = bytearray((tmp_path / FILE).read_bytes())
+        content[content.index(rows[70:72].tobytes())] ^= 1
+        (tmp_path / FILE).write_bytes(content)
+        with Journal.open(tmp_path) as journal:
+            assert len(journal.rows(0, 50)) == 50
+            with pytest.raises(FolderError, match="rows 50 to 99 are not what was recorded"):
+                journal.rows(60, 1)
+
+    def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
+        record(tmp_path, make_rows(30), [10, 10, 10])
+        with sqlite3.connect(tmp_path / FILE) as database:
+            database.execute("DELETE FROM blocks WHERE first = 10")
+        with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="is damaged"):
+            list(journal.blocks())
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> None:
+    rows = make_rows(20)
+    record(tmp_path, rows, [20])
+    tmp_path.chmod(0o555)
+    try:
+        with Journal.open(tmp_path) as journal:
+            assert journal.rows(0, 100).tobytes() == rows.tobytes()
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(20), [10, 10])
+    with Journal.open(tmp_path) as journal:
+        left = journal.slices()
+        assert len(next(left)) == 10
+    left.close()  # type: ignore[attr-defined]  # what a generator has, and an iterator need not
+
+
+def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(10), [10])
+    with Journal.open(tmp_path) as journal:
+        pass
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        journal.successes()
+
+
+def ten_rows() -> JournalSlice:
+    rows = RowShape(genes=1, joints=0).empty(10)
+    rows["index"] = np.arange(10)
+    failures = tuple(Failure(row=row, reason=f"row {row}") for row in (0, 4, 9))
+    return JournalSlice(100, rows, 5.0, failures)
+
+
+@pytest.mark.parametrize(("first", "stop"), [(100, 110), (100, 104), (104, 110), (103, 106), (90, 200)])
+def test_a_part_has_the_rows_and_failures_of_its_numbers(first: int, stop: int) -> None:
+    part = ten_rows().part(first, stop)
+    first, stop = max(first, 100), min(stop, 110)
+    assert (part.first, part.stop) == (first, stop)
+    assert part.rows["index"].tolist() == list(range(first - 100, stop - 100))
+    assert part.cpu_seconds == pytest.approx((stop - first) / 2)
+    for failure in part.failures:
+        assert failure.reason == f"row {part.rows[failure.row]['index']}"
+    assert len(part.failures) == sum(first <= 100 + row < stop for row in (0, 4, 9))
+
+
+@pytest.mark.parametrize("cuts", [[100, 110], [100, 101, 110], [100, 103, 104, 109, 110]])
+def test_parts_join_to_the_whole(cuts: list[int]) -> None:
+    whole = ten_rows()
+    parts = [whole.part(first, stop) for first, stop in itertools.pairwise(cuts)]
+    again = join_slices(parts)
+    assert (again.first, again.stop, again.failures) == (whole.first, whole.stop, whole.failures)
+    assert again.rows.tobytes() == whole.rows.tobytes()
+    assert again.cpu_seconds == pytest.approx(whole.cpu_seconds)

@@ -1,0 +1,295 @@
+"""Outputs: what may be written where, and that it appears whole or not at all."""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from qdgrasp_coordinator.storage import outputs
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output, SharedFolder, WholeOutput
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import DiskFull, OutputError
+from qdgrasp_protocol.spec import run_spec
+
+KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder, SharedFolder]
+FULL = OSError(28, "No space left on device")
+ADVICE = "name another path with --out"
+each_kind = pytest.mark.parametrize("kind", KINDS)
+each_whole = pytest.mark.parametrize("kind", [OutFile, OutFolder])
+
+
+def refused(output: Output) -> str:
+    with pytest.raises(OutputError) as error:
+        output.check()
+    assert error.value.exit_code == 2
+    return str(error.value)
+
+
+def there(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def fill(made: Path, kind: Callable[[Path], Output]) -> None:
+    """Write what is to be written: a file, or a folder with one."""
+    if kind is OutFolder:
+        made.mkdir()
+        made /= "inside"
+    made.write_text("new")
+
+
+def fail(output: WholeOutput, error: BaseException) -> None:
+    """Write it, and fail when it is nearly done."""
+    with output.writing() as made:
+        fill(made, type(output))
+        raise error
+
+
+def put(folder: SharedFolder, files: dict[str, str], error: Exception | None = None) -> None:
+    """Put files with these words into a folder, and fail when it is nearly done."""
+    with folder.filling() as made:
+        for name, words in files.items():
+            (made / name).write_text(words)
+        if error:
+            raise error
+
+
+@each_kind
+def test_nothing_is_made_by_looking(kind: Callable[[Path], Output], tmp_path: Path) -> None:
+    kind(tmp_path / "a" / "b" / "out").check()
+    assert there(tmp_path) == []
+
+
+@each_whole
+def test_folders_on_the_way_are_made_for_what_is_written(
+    kind: Callable[[Path], WholeOutput], tmp_path: Path
+) -> None:
+    with kind(tmp_path / "a" / "b" / "out").writing() as made:
+        assert made.name == "out"
+        fill(made, kind)
+    assert [path for path in there(tmp_path) if path != "a/b/out/inside"] == ["a", "a/b", "a/b/out"]
+
+
+@each_whole
+def test_what_fails_leaves_nothing_not_even_the_folders_on_the_way(
+    kind: Callable[[Path], WholeOutput], tmp_path: Path
+) -> None:
+    (tmp_path / "a").mkdir()
+    with pytest.raises(KeyboardInterrupt):
+        fail(kind(tmp_path / "a" / "b" / "c" / "out"), KeyboardInterrupt())
+    assert there(tmp_path) == ["a"]
+
+
+def test_a_folder_on_the_way_that_somebody_else_has_used_meanwhile_stays(tmp_path: Path) -> None:
+    with suppress(KeyboardInterrupt), OutFile(tmp_path / "a" / "b" / "out").writing():
+        (tmp_path / "a" / "other").touch()
+        raise KeyboardInterrupt
+    assert there(tmp_path) == ["a", "a/other"]
+
+
+@each_kind
+def test_what_lies_below_a_file_is_refused(kind: Callable[[Path], Output], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" / "a" / "out"
+    assert refused(kind(out)) == f"{out} lies below {tmp_path / 'file'}, which is a file; {ADVICE}."
+
+
+@each_kind
+def test_what_lies_below_a_link_to_nothing_is_refused(kind: Callable[[Path], Output], tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    assert "which is a link to nothing" in refused(kind(tmp_path / "link" / "out"))
+
+
+@each_kind
+def test_a_folder_that_may_not_be_written_in_is_named(
+    kind: Callable[[Path], Output], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != tmp_path)
+    out = tmp_path / "a" / "out"
+    assert refused(kind(out)) == f"{out} cannot be written: {tmp_path} is not to be written in; {ADVICE}."
+
+
+@each_kind
+def test_a_name_that_none_can_have_is_refused(kind: Callable[[Path], Output], tmp_path: Path) -> None:
+    assert f"cannot be written: file name too long; {ADVICE}" in refused(kind(tmp_path / ("x" * 300)))
+
+
+@each_whole
+def test_a_name_may_be_as_long_as_names_can_be(kind: Callable[[Path], WholeOutput], tmp_path: Path) -> None:
+    name = "\u00e4" * 127  # 254 bytes
+    with kind(tmp_path / name).writing() as made:
+        fill(made, kind)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.skipif(os.getuid() == 0, reason="root may look everywhere")
+@each_kind
+def test_a_folder_that_nobody_may_look_into_is_refused(
+    kind: Callable[[Path], Output], tmp_path: Path
+) -> None:
+    (tmp_path / "closed").mkdir(0)
+    assert "cannot be written" in refused(kind(tmp_path / "closed" / "out"))
+
+
+@pytest.mark.parametrize("force", [False, True, None])
+def test_a_file_takes_the_place_of_an_ordinary_file_alone(tmp_path: Path, force: bool | None) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), ("", "a folder")):
+        said = refused(OutFile(tmp_path / name, force=force))
+        assert said == f"{tmp_path / name} is {what}, where a file is to be written; {ADVICE}."
+
+
+@pytest.mark.parametrize("force", [False, True, None])
+def test_a_folder_takes_the_place_of_no_file(tmp_path: Path, force: bool | None) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path)
+    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), ("file", "a file")):
+        said = refused(OutFolder(tmp_path / name, force=force, is_kind=lambda _: True))
+        assert said == f"{tmp_path / name} is {what}, where a folder is to be written; {ADVICE}."
+
+
+@pytest.mark.parametrize(
+    ("force", "words"),
+    [
+        (False, f"is there already; {ADVICE}, or replace it with --force."),
+        (None, f"is there already; {ADVICE}."),
+    ],
+)
+def test_a_file_that_is_there_stays_unless_it_is_forced(
+    tmp_path: Path, force: bool | None, words: str
+) -> None:
+    out = tmp_path / "out"
+    out.write_text("old")
+    with pytest.raises(OutputError) as error:
+        OutFile(out, force=force).write(b"new")
+    assert str(error.value) == f"{out} {words}"
+    assert out.read_text() == "old"
+    OutFile(out, force=True).write(b"new")
+    assert (out.read_text(), there(tmp_path)) == ("new", ["out"])
+
+
+@pytest.mark.parametrize("force", [False, True, None])
+@each_whole
+def test_nothing_takes_the_place_of_a_part_of_a_run(
+    kind: Callable[..., Output], tmp_path: Path, force: bool | None
+) -> None:
+    run = RunFolder.create(tmp_path / "run", run_spec({"gripper": "panda", "object": "mug"}), None).path
+    for name in (*there(run), "scene.bundle", "run.sqlite", "run.sqlite-wal", "lock", "ranking.csv"):
+        said = refused(kind(run / name, force=force))
+        assert said == f"{run / name} is part of a run or of a campaign; {ADVICE}."
+    kind(run / "grasps.csv", force=force).check()
+    kind(tmp_path / "spec.toml", force=force).check()
+
+
+@pytest.mark.parametrize("force", [False, True, None])
+def test_a_file_takes_the_place_of_none_that_is_read(tmp_path: Path, force: bool | None) -> None:
+    (tmp_path / "read").write_text("mine")
+    (tmp_path / "again").hardlink_to(tmp_path / "read")
+    for name in ("read", "again"):
+        output = OutFile(tmp_path / name, force=force, inputs=(tmp_path / "nowhere", tmp_path / "read"))
+        assert refused(output) == f"{tmp_path / name} is a file that is read here; {ADVICE}."
+    OutFile(tmp_path / "new", inputs=(tmp_path / "nowhere", tmp_path / "read")).check()
+
+
+@pytest.mark.parametrize("mark", ["job.json", "campaign.toml", "scene.bundle", "run.sqlite"])
+def test_a_run_that_lacks_other_files_is_one_too(mark: str, tmp_path: Path) -> None:
+    (tmp_path / mark).write_text("mine")
+    assert "is part of a run" in refused(OutFile(tmp_path / mark, force=True))
+
+
+def test_a_file_that_came_while_the_work_was_done_stays(tmp_path: Path) -> None:
+    output = OutFile(tmp_path / "out")
+    output.check()
+    (tmp_path / "out").write_text("old")
+    with pytest.raises(OutputError, match="is there already"):
+        output.write(b"new")
+    assert there(tmp_path) == ["out"]
+
+
+def test_a_name_ends_as_it_must(tmp_path: Path) -> None:
+    output = OutFile(tmp_path / "a.jpg", suffixes=(".png", ".gif"))
+    assert refused(output) == f"{tmp_path / 'a.jpg'} must end with .png or .gif; {ADVICE}."
+    OutFile(tmp_path / "A.PNG", suffixes=(".png", ".gif")).check()
+
+
+def test_an_empty_folder_becomes_what_is_written(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with OutFolder(tmp_path / "out").writing() as made:
+        fill(made, OutFolder)
+    assert there(tmp_path) == ["out", "out/inside"]
+
+
+def test_a_folder_with_other_files_stays_whatever_is_forced(tmp_path: Path) -> None:
+    for name in "dcba":
+        (tmp_path / name).touch()
+    for force in (None, False, True):
+        assert refused(OutFolder(tmp_path, force=force)) == (
+            f"{tmp_path} holds other files (a, b, c and 1 more); {ADVICE}."
+        )
+
+
+def test_a_folder_of_the_kind_is_replaced_by_force_alone_and_as_a_whole(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "old").touch()
+    assert "or replace it with --force" in refused(
+        OutFolder(tmp_path / "out", force=False, is_kind=lambda _: True)
+    )
+    forced = OutFolder(tmp_path / "out", force=True, is_kind=lambda _: True)
+    with pytest.raises(KeyboardInterrupt):
+        fail(forced, KeyboardInterrupt())
+    assert there(tmp_path) == ["out", "out/old"]
+    with forced.writing() as made:
+        fill(made, OutFolder)
+    assert there(tmp_path) == ["out", "out/inside"]
+
+
+def test_files_are_put_beside_others_in_a_shared_folder_all_or_none(tmp_path: Path) -> None:
+    folder = SharedFolder(tmp_path / "a" / "out")
+    put(folder, {"one": "1"})
+    with pytest.raises(DiskFull):
+        put(folder, {"one": "again", "two": "2"}, FULL)
+    assert (there(tmp_path), (tmp_path / "a/out/one").read_text()) == (["a", "a/out", "a/out/one"], "1")
+    put(folder, {"one": "1 again", "three": "3"})
+    assert there(tmp_path) == ["a", "a/out", "a/out/one", "a/out/three"]
+    assert (tmp_path / "a" / "out" / "one").read_text() == "1 again"
+
+
+def test_none_is_put_into_a_shared_folder_where_one_is_in_the_place_of_something_else(tmp_path: Path) -> None:
+    (tmp_path / "two").mkdir()
+    with pytest.raises(OutputError, match="two is a folder"):
+        put(SharedFolder(tmp_path), {"one": "1", "two": "2"})
+    assert there(tmp_path) == ["two"]
+
+
+def test_a_shared_folder_of_another_kind_is_left_alone(tmp_path: Path) -> None:
+    folder = SharedFolder(tmp_path, is_kind=lambda path: (path / "mark").exists())
+    folder.check()
+    (tmp_path / "other").touch()
+    assert refused(folder) == f"{tmp_path} holds other files (other); {ADVICE}."
+    (tmp_path / "mark").touch()
+    folder.check()
+
+
+def test_a_shared_folder_is_no_file_and_may_be_a_link(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path)
+    (tmp_path / "broken").symlink_to(tmp_path / "nowhere")
+    SharedFolder(tmp_path / "link").check()
+    assert "is a file, where a folder is to be written" in refused(SharedFolder(tmp_path / "file"))
+    assert "is a link to nothing, where a folder" in refused(SharedFolder(tmp_path / "broken"))
+
+
+def test_a_full_disk_is_told_of_and_nothing_is_left(tmp_path: Path) -> None:
+    with pytest.raises(DiskFull, match="no room to write in"):
+        fail(OutFile(tmp_path / "a" / "out"), FULL)
+    assert there(tmp_path) == []
+
+
+def test_what_is_to_be_done_instead_may_be_said_otherwise(tmp_path: Path) -> None:
+    (tmp_path / "out").touch()
+    said = refused(OutFile(tmp_path / "out", "choose another name", force=None))
+    assert said == f"{tmp_path / 'out'} is there already; choose another name."

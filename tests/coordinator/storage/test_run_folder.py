@@ -1,0 +1,298 @@
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
+
+from qdgrasp_assets.scene import Bundle, pack_scene
+from qdgrasp_coordinator.campaign.merge_prune import merge_runs
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import (
+    PlatformDiffers,
+    RunFolder,
+    admit_platform,
+    platform_differences,
+    provenance,
+    provenances,
+)
+from qdgrasp_protocol.errors import FolderError, OtherRun
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SPEC = RunSpec(gripper="panda", object="mug")
+BUNDLE = Bundle(b"scene", "7ac9b4c4f4f4ab3e9b0c0cd1b4a3a7ef5a3dc1e4e2b2f7a6d0c5b8d2a1e0f9c8")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path / "My run 1", SPEC, BUNDLE)
+
+
+def test_a_new_folder_holds_the_spec_the_scene_and_the_job(folder: RunFolder) -> None:
+    again = RunFolder.open(folder.path)
+    assert again.spec == SPEC
+    assert again.bundle().payload == b"scene"
+    assert (again.job.name, again.job.epoch) == ("my-run-1", 0)
+    assert again.job.logs.is_dir()
+    assert sorted(entry.name for entry in folder.path.parent.iterdir()) == ["My run 1"]
+
+
+def test_the_job_may_have_a_name_of_its_own(tmp_path: Path) -> None:
+    assert RunFolder.create(tmp_path / "a" / "b", SPEC, None, job="mugs").job.name == "mugs"
+
+
+def test_an_empty_folder_may_become_a_runs(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    assert RunFolder.create(tmp_path / "run", SPEC, BUNDLE).spec == SPEC
+
+
+def test_another_run_is_never_overwritten_and_its_resume_is_named(folder: RunFolder) -> None:
+    for refuse in (RunFolder.check_free, lambda path: RunFolder.create(path, SPEC, BUNDLE)):
+        with pytest.raises(FolderError, match=f"`qdgrasp resume {folder.path}`"):
+            refuse(folder.path)
+
+
+def test_no_run_is_begun_in_the_folder_of_another(folder: RunFolder) -> None:
+    with pytest.raises(FolderError, match=f"would lie in {folder.path}, the folder of a run"):
+        RunFolder.check_free(folder.path / "new" / "run")
+    RunFolder.check_free(folder.path / ".." / "new")
+
+
+def test_other_files_are_never_mixed_with_a_run(tmp_path: Path) -> None:
+    for name in "dcba":
+        (tmp_path / name).touch()
+    with pytest.raises(FolderError, match=r"holds other files \(a, b, c and 1 more\)"):
+        RunFolder.create(tmp_path, SPEC, BUNDLE)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "b", "c", "d"]
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "run").touch()
+    with pytest.raises(FolderError, match="is a file"):
+        RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    with pytest.raises(FolderError, match=r"lies below .*, which is a file"):
+        RunFolder.create(tmp_path / "run" / "below", SPEC, BUNDLE)
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds no run"):
+        RunFolder.open(tmp_path)
+    with pytest.raises(FolderError, match="There is no folder"):
+        RunFolder.open(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(("missing", "there"), [("spec.toml", "job.json"), ("job.json", "spec.toml")])
+def test_what_a_run_s_folder_lacks_is_named(folder: RunFolder, missing: str, there: str) -> None:
+    (folder.path / missing).unlink()
+    with pytest.raises(FolderError) as error:
+        RunFolder.open(folder.path)
+    assert str(error.value) == (
+        f"{folder.path} holds no whole run: it has {there}, but no {missing}; restore that from a copy."
+    )
+
+
+def test_a_creation_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "rename", full)
+    with pytest.raises(FolderError, match="no room to write"):
+        RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_epoch_survives(folder: RunFolder) -> None:
+    folder.job.set_epoch(41)
+    again = RunFolder.open(folder.path)
+    assert (again.job.epoch, again.job.name) == (41, "my-run-1")
+
+
+def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, tmp_path: Path) -> None:
+    again = JobFolder.create(tmp_path / "campaign", folder.job.name)
+    assert len({folder.job.identity, again.identity, ""}) == 3
+    before = again.identity
+    again.set_epoch(2)
+    assert again.identity == before
+
+
+def test_the_folder_of_an_earlier_version_gets_an_identity_with_its_next_turn(folder: RunFolder) -> None:
+    (folder.path / "job.json").write_text('{"job": "a", "epoch": 3}')
+    assert (folder.job.epoch, folder.job.identity) == (3, "")
+    folder.job.set_epoch(4)
+    known = folder.job.identity
+    folder.job.set_epoch(5)
+    assert known == folder.job.identity != ""
+
+
+def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
+    (folder.path / "job.json").write_text('{"job": "a", "epoch"')
+    with pytest.raises(FolderError, match=r"job\.json is damaged"):
+        assert folder.job.epoch
+
+
+def test_a_damaged_scene_is_named(folder: RunFolder) -> None:
+    with pytest.raises(FolderError, match=r"scene\.bundle cannot be read"):
+        folder.scene()
+
+
+def test_a_spec_can_be_rewritten(folder: RunFolder) -> None:
+    longer = RunSpec(gripper="panda", object="mug", evaluations=20_000)
+    folder.rewrite_spec(longer)
+    assert RunFolder.open(folder.path).spec == longer
+
+
+def test_the_endpoint_is_known_from_when_it_is_written_until_it_is_forgotten(folder: RunFolder) -> None:
+    assert folder.job.endpoint is None
+    folder.job.write_endpoint("tcp/127.0.0.1:7447")
+    assert RunFolder.open(folder.path).job.endpoint == "tcp/127.0.0.1:7447"
+    folder.job.forget_endpoint()
+    folder.job.forget_endpoint()
+    assert folder.job.endpoint is None
+
+
+def test_a_journal_that_no_recorder_has_opened_is_empty(folder: RunFolder) -> None:
+    with folder.journal() as journal:
+        assert journal.count == 0
+        assert journal.spec == SPEC
+
+
+def recorded(folder: RunFolder, spec: RunSpec = SPEC) -> RunFolder:
+    """The folder with a journal."""
+    identity = JournalIdentity("run", to_toml(spec), folder.bundle().digest, RowShape(7, 2))
+    JournalWriter.create(folder.path, identity).close()
+    return folder
+
+
+def test_a_recorded_journal_is_read(folder: RunFolder) -> None:
+    with recorded(folder).journal() as journal:
+        assert journal.scene == folder.bundle().digest
+
+
+def test_a_journal_is_its_folder_s_own_with_any_budget_and_without_its_scene(folder: RunFolder) -> None:
+    recorded(folder).rewrite_spec(msgspec.structs.replace(SPEC, evaluations=20_000))
+    with (folder.path / "spec.toml").open("a") as spec:
+        spec.write("# a note\n")
+    folder.journal().close()
+    (folder.path / "scene.bundle").unlink()
+    folder.journal().close()
+
+
+def test_a_journal_of_another_run_is_refused(folder: RunFolder) -> None:
+    recorded(folder).rewrite_spec(RunSpec(gripper="allegro", object="mug", seed=3))
+    with pytest.raises(OtherRun) as error:
+        folder.journal()
+    assert str(error.value) == (
+        f"{folder.path}/run.sqlite is the journal of a run with gripper panda, seed 0, and "
+        f"{folder.path}/spec.toml is of a run with gripper allegro, seed 3: "
+        "restore one of the two from a copy."
+    )
+
+
+def test_a_journal_of_another_scene_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
+    bundle = pack_scene(make_scene())
+    folder = recorded(RunFolder.create(tmp_path / "run", SPEC, bundle))
+    other = pack_scene(make_scene("claw"))
+    folder.add_bundle(other.payload)
+    with pytest.raises(OtherRun) as error:
+        folder.journal()
+    assert str(error.value) == (
+        f"{folder.path}/run.sqlite is the journal of scene {bundle.digest[:12]} (panda on mug), and "
+        f"{folder.path}/scene.bundle is of scene {other.digest[:12]} (claw on block): "
+        "restore one of the two from a copy."
+    )
+
+
+HOLD = """
+import sys; from pathlib import Path; from qdgrasp_coordinator.storage.job_folder import hold_lock
+with hold_lock(Path(sys.argv[1])):
+    print("held", flush=True); sys.stdin.read()
+"""
+
+
+def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"):
+            folder.job.check_not_in_use()
+        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"), folder.job.lock():
+            pass
+        holder.kill()
+        holder.wait()
+    folder.job.check_not_in_use()
+    with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
+        folder.job.check_not_in_use()
+
+
+def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(
+    tmp_path: Path,
+) -> None:
+    left, held = (tmp_path / f".run.{number}.part" for number in (1, 2))
+    for part in (left, held):
+        part.mkdir()
+        (part / "spec.toml").write_text("half")
+    handle = os.open(held, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    os.close(handle)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [held.name, "run"]
+
+
+def run(path: Path, scene_maker: SceneMaker, seed: int) -> RunFolder:
+    return record(path, scene_maker(), random_rows(100, seed=seed), evaluations=100, seed=seed)
+
+
+def test_the_rows_of_a_run_are_its_own(tmp_path: Path, make_scene: SceneMaker) -> None:
+    folder = run(tmp_path / "one", make_scene, 0)
+    with folder.journal() as journal:
+        (only,) = provenances(folder, journal)
+        assert provenance(folder, journal, 99) == only
+    assert (only.run, only.rows, only.spec) == ("one", range(100), folder.spec)
+
+
+def test_the_rows_of_a_merged_folder_are_those_of_its_runs(tmp_path: Path, make_scene: SceneMaker) -> None:
+    folders = [run(tmp_path / f"s{seed}", make_scene, seed) for seed in (0, 1)]
+    merge_runs(folders, tmp_path / "both")
+    merged = RunFolder.open(tmp_path / "both")
+    with merged.journal() as journal:
+        found = provenances(merged, journal)
+        assert [one.run for one in found] == ["s0", "s1"]
+        assert found[-1].rows.stop == journal.count
+        for one, folder in zip(found, folders, strict=True):
+            assert one.spec == folder.spec
+            with folder.journal() as whole:
+                expected = np.concatenate([successes(rows) for rows in whole.kept()])
+            rows = np.concatenate(list(journal.kept(one.rows.start, one.rows.stop)))
+            assert rows.tobytes() == expected.tobytes()
+            assert provenance(merged, journal, one.rows.start) == one
+
+
+JOB_PLATFORM = {"qdgrasp": "0.1.0", "numpy": "2.4.6", "code": "ab" * 32}
+
+
+def test_the_first_worker_says_the_platform_of_the_job() -> None:
+    assert admit_platform({}, JOB_PLATFORM) == JOB_PLATFORM
+
+
+def test_the_version_of_the_package_is_kept_and_not_compared() -> None:
+    later = JOB_PLATFORM | {"qdgrasp": "0.2.0"}
+    assert admit_platform(JOB_PLATFORM, later) == JOB_PLATFORM
+    assert platform_differences(JOB_PLATFORM, later) == ""
+
+
+@pytest.mark.parametrize("other", [{"numpy": "2.5.0"}, {"code": "cd" * 32}, {"machine": "aarch64"}])
+def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, str]) -> None:
+    (name,) = other
+    with pytest.raises(PlatformDiffers, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
+        admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})

@@ -1,0 +1,195 @@
+"""Sentences of commands, and exit codes of impossible command lines and of signals."""
+
+import signal
+import subprocess
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+import typer
+from tests.common import PATIENCE
+from typer.exceptions import TyperException
+
+from qdgrasp_protocol.cli_support import usage_error
+from qdgrasp_protocol.text import counted, first_few, join_numbers, parse_numbers, quoted
+
+
+class Part(StrEnum):
+    ALL = "all"
+    SOME = "some"
+
+
+app = typer.Typer()
+inner = typer.Typer(no_args_is_help=True)
+app.add_typer(inner, name="hand")
+
+
+@app.command()
+def show(
+    grasp: Annotated[int, typer.Option(min=0)],
+    offset: Annotated[float, typer.Option(min=0)] = 0.0,
+    part: Part = Part.ALL,
+) -> None:
+    """Be there."""
+
+
+@inner.command()
+def new(name: str) -> None:
+    """Be there too."""
+
+
+@inner.command()
+def other() -> None:
+    """Be a second one."""
+
+
+def said(*words: str) -> str:
+    with pytest.raises(TyperException) as raised:
+        app(words, prog_name="program", standalone_mode=False)
+    return usage_error(raised.value, "program")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (
+            ("show", "--grasp", "-1"),
+            "Invalid value for '--grasp': it must be greater than or equal to 0, got '-1'. "
+            "See `program show --help`.",
+        ),
+        (
+            ("show", "--grasp", "1", "--offset", "nan"),
+            "Invalid value for '--offset': it must be greater than or equal to 0, got 'nan'. "
+            "See `program show --help`.",
+        ),
+        (
+            ("show", "--grasp", "1", "--part", "foo"),
+            "Invalid value for '--part': 'foo' is not one of 'all', 'some'. See `program show --help`.",
+        ),
+        (("show",), "Missing option '--grasp'. See `program show --help`."),
+        (("hand", "new"), "Missing argument 'name'. See `program hand new --help`."),
+        (("hand", "foo"), "No such command 'foo'. See `program hand --help`."),
+        (("foo",), "No such command 'foo'. See `program --help`."),
+    ],
+)
+def test_a_sentence_says_what_is_wrong_and_which_help_tells_more(
+    words: tuple[str, ...], sentence: str
+) -> None:
+    assert said(*words) == sentence
+
+
+def test_a_number_that_is_none_is_told_with_what_came() -> None:
+    words = said("show", "--grasp", "many")
+    assert "it must be a valid integer" in words
+    assert words.endswith("got 'many'. See `program show --help`.")
+
+
+def test_an_error_that_knows_no_command_names_the_program() -> None:
+    assert usage_error(typer.BadParameter("--out is missing: name a file."), "program") == (
+        "Invalid value: --out is missing: name a file. See `program --help`."
+    )
+
+
+DEAF = """
+import ctypes, signal
+import typer
+from qdgrasp_protocol import cli_support as commands
+app = typer.Typer()
+commands.SIGNAL_GRACE = 0.3
+@app.command()
+def command() -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    print("ready", flush=True)
+    ctypes.CDLL(None).sleep(3600)
+commands.run_command(app, "deaf")
+"""
+LIVING = """
+import time
+import typer
+from qdgrasp_protocol import cli_support as commands
+from qdgrasp_protocol.process import lifetime
+app = typer.Typer()
+commands.SIGNAL_GRACE = 0.3
+@app.command()
+def command() -> None:
+    with lifetime("living") as stop:
+        print("ready", flush=True)
+        while not stop.is_set:
+            time.sleep(0.01)
+        time.sleep(1.0)
+        print("done", flush=True)
+    raise typer.Exit(stop.exit_code)
+commands.run_command(app, "living")
+"""
+
+
+def signalled(code: str, number: int) -> tuple[int, str, str]:
+    """The exit of a program that is sent a signal as soon as it is ready."""
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        out, err = process.communicate(timeout=PATIENCE)
+    return process.returncode, out, err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_in_a_call_that_hears_nothing_is_ended_by_force(number: int) -> None:
+    assert signalled(DEAF, number) == (128 + number, "", "")
+
+
+def test_a_command_that_takes_its_time_to_stop_in_order_is_left_to_it() -> None:
+    assert signalled(LIVING, signal.SIGTERM) == (128 + signal.SIGTERM, "done\n", "")
+
+
+EXECUTING = """
+import signal
+import typer
+from qdgrasp_protocol.cli_support import run_command
+app = typer.Typer()
+@app.command()
+def command() -> None:
+    exec("signal.raise_signal({number})")
+run_command(app, "executing")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_within_a_text_that_is_executed_has_its_exit_code_too(number: int, tmp_path: Path) -> None:
+    (tmp_path / "executing.py").write_text(EXECUTING.format(number=int(number)))
+    command = [sys.executable, "-m", "executing"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(0, ""), (1, "a"), (2, "a, b"), (3, "a, b and 1 more"), (5, "a, b and 3 more")]
+)
+def test_of_many_names_some_are_told_and_how_many_more(count: int, words: str) -> None:
+    assert first_few(list("abcde")[:count], 2) == words
+
+
+def test_names_of_others_are_quoted() -> None:
+    assert quoted(["a b", ""]) == ["'a b'", "''"]
+
+
+def test_numbers_are_told_as_a_person_writes_them_and_read_again() -> None:
+    assert join_numbers([0.0, -1.0, 0.25, 1e-9]) == "0, -1, 0.25, 1e-09"
+    assert parse_numbers(join_numbers([0.0, -1.0, 0.25, 1e-9])) == [0.0, -1.0, 0.25, 1e-9]
+
+
+@pytest.mark.parametrize("text", ["", "up", "1,", "1,two", "1 2", "1;2"])
+def test_what_holds_anything_but_numbers_holds_none(text: str) -> None:
+    assert parse_numbers(text) == []
+
+
+def test_one_thing_is_told_from_several() -> None:
+    assert [counted(n, "run") for n in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
+    assert counted(1, "success", "successes") == "1 success"
+    assert counted(2000, "success", "successes", "{:,}".format) == "2,000 successes"
+    assert counted(1, "run is", "runs are") == "1 run is"

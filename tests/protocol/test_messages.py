@@ -1,0 +1,252 @@
+"""Messages survive the trip, and nothing else is taken for one; genomes and their values."""
+
+import math
+import random
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Join, Joined, Message, Recordable, Recorded, Result, shorten
+from qdgrasp_protocol.rows import Gene, Layout
+
+KINDS = [
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
+]
+
+
+def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
+    """Values that a field's type allows."""
+    match kind:
+        case msgspec.inspect.Metadata():
+            return values(kind.type)
+        case msgspec.inspect.IntType():
+            return st.integers(kind.ge or 0, kind.le)
+        case msgspec.inspect.FloatType():
+            return st.floats(kind.ge, kind.le)
+        case msgspec.inspect.StrType(pattern=str(pattern)):
+            return st.from_regex(pattern.replace(r"\A", "^").replace(r"\Z", "$"), fullmatch=True)
+        case msgspec.inspect.StrType():
+            return st.text(max_size=300).map(shorten)
+        case msgspec.inspect.LiteralType():
+            return st.sampled_from(kind.values)
+        case msgspec.inspect.BytesType():
+            return st.binary(min_size=kind.min_length or 0, max_size=kind.max_length or 100)
+        case msgspec.inspect.BoolType():
+            return st.booleans()
+        case msgspec.inspect.ListType():
+            return st.lists(values(kind.item_type), max_size=5)
+        case msgspec.inspect.DictType():
+            return st.dictionaries(values(kind.key_type), values(kind.value_type), max_size=5)
+        case msgspec.inspect.StructType():
+            return structs(kind.cls)
+    raise AssertionError(f"no values for {kind}")
+
+
+def structs(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
+    """Messages of a kind, or parts of them, as the schema allows."""
+    info = msgspec.inspect.type_info(kind)
+    assert isinstance(info, msgspec.inspect.StructType)
+    return st.builds(kind, **{field.name: values(field.type) for field in info.fields})
+
+
+ANY_MESSAGE = st.one_of([structs(kind) for kind in KINDS])
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(ANY_MESSAGE)
+def test_every_kind_of_message_survives_the_trip(message: Message) -> None:
+    assert messages.decode(messages.encode(message), type(message)) == message
+
+
+def test_every_kind_has_an_encoding_of_its_own() -> None:
+    assert len(KINDS) >= 12
+    assert len({messages.encoding(kind) for kind in KINDS}) == len(KINDS)
+    assert messages.encoding(Result) == "application/msgpack;qdgrasp.result.v1"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_message_says_its_name_on_the_wire_itself(kind: type[Message]) -> None:
+    assert vars(kind)["wire_name"]
+
+
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(ANY_MESSAGE, st.integers(0, 2**32))
+def test_what_was_altered_on_the_way_is_a_message_or_a_message_error(original: Message, seed: int) -> None:
+    payload, chance, refusals = messages.encode(original), random.Random(seed), []  # noqa: S311
+    for _ in range(100):  # of 200 messages: 20 000 payloads
+        try:
+            messages.decode(mutated(payload, chance), chance.choice([type(original), *KINDS]))
+        except MessageError as error:
+            refusals.append(str(error))
+    assert all(refusal.isprintable() and len(refusal) < 300 for refusal in refusals)
+
+
+def mutated(payload: bytes, chance: random.Random) -> bytes:
+    """A payload with some bytes replaced, removed, repeated or added."""
+    altered = bytearray(payload)
+    for _ in range(chance.randint(1, 4)):
+        at, to = sorted((chance.randint(0, len(altered)), chance.randint(0, len(altered))))
+        match chance.randint(0, 4):
+            case 0:
+                altered[at : at + 1] = bytes([chance.randrange(256)])
+            case 1:
+                altered[at : at + 1] = bytes(
+                    [chance.choice([0x80, 0x90, 0xC0, 0xC1, 0xC9, 0xDD, 0xDF, 0xFF])]
+                )
+            case 2:
+                del altered[at : min(to, at + 20)]
+            case 3:
+                altered[at:at] = altered[at : min(to, at + 20)]
+            case 4:
+                del altered[at:]
+    return bytes(altered)
+
+
+REPORT = {"v": 1, "epoch": 1, "run": "run", "durable": 1, "trouble": ""}
+JOINED = {"v": 1, "epoch": 1, "drop": []}
+ROWS = {"v": 1, "epoch": 1, "run": "run", "first": 0, "n": 0, "genes": 1, "joints": 1, "descriptors": 3}
+ROWS |= {"columns": {}, "cpu_seconds": 1.0}
+
+
+@pytest.mark.parametrize(
+    "payload",
+    {
+        "nothing": b"",
+        "never used": b"\xc1",
+        "1 MB of empty lists": b"\x90" * (1 << 20),
+        "1 MB of empty lists in lists": b"\xdc\x01\x00" + (b"\xdc\x0f\xff" + b"\x90" * 4095) * 256,
+        "lists in lists in lists": b"\x91" * 5000,
+        "maps in maps": b"\x81\xa1a" * 5000,
+        "a list said to be long": b"\xdd\xff\xff\xff\xff",
+        "a map said to be big": b"\xdf\xff\xff\xff\xff",
+        "a list too long": msgpack.packb([0] * 4097),
+        "a map too big": msgpack.packb({str(i): 0 for i in range(33)}),
+        "a text too long": msgpack.packb("x" * 257),
+        "a text that is none": b"\xa2\xff\xfe",
+        "a blob too long": msgpack.packb(b"x" * ((1 << 20) + 1)),
+        "an extension": msgpack.packb(msgpack.ExtType(5, b"x")),
+        "an empty extension": b"\xc7\x00\x05",
+        "a time": msgpack.packb(msgpack.Timestamp(1, 1)),
+        "a key that is a number": msgpack.packb({1: 1}),
+        "a key that is a blob": msgpack.packb({b"v": 1}),
+        "two objects": msgpack.packb(REPORT) + b"\x00",
+        "half an object": msgpack.packb(REPORT)[:-1],
+        "a list": msgpack.packb([1, 2]),
+        "17 MB": bytes(17 << 20),
+    }.values(),
+    ids=lambda payload: f"{payload[:8].hex()}-{len(payload)}",
+)
+def test_what_is_no_message_within_the_limits_is_refused(payload: bytes) -> None:
+    for kind in (Recorded, Joined, Result):
+        with pytest.raises(MessageError):
+            messages.decode(payload, kind)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"more": 1},
+        {"v": 0},
+        {"v": 2},
+        {"epoch": -1},
+        {"epoch": 2**63},
+        {"epoch": 1.0},
+        {"epoch": True},
+        {"epoch": None},
+        {"run": ""},
+        {"run": "Run"},
+        {"run": "run\n"},
+        {"run": "a/b"},
+        {"run": b"run"},
+        {"trouble": "x" * 201},
+    ],
+)
+def test_a_field_outside_the_schema_is_refused(change: dict[str, object]) -> None:
+    messages.decode(msgpack.packb(REPORT), Recorded)
+    with pytest.raises(MessageError, match="not a recorded"):
+        messages.decode(msgpack.packb(REPORT | change), Recorded)
+
+
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf, -1.0, "1", None])
+def test_a_number_that_is_not_finite_and_positive_is_refused(seconds: object) -> None:
+    messages.decode(msgpack.packb(ROWS), Recordable)
+    with pytest.raises(MessageError, match="cpu_seconds"):
+        messages.decode(msgpack.packb(ROWS | {"cpu_seconds": seconds}), Recordable)
+
+
+@pytest.mark.parametrize("batch", [b"x" * 15, b"x" * 17, "AAAAAAAAAAAAAAAAAAAAAA==", 16 * [0]])
+def test_a_batch_id_is_sixteen_bytes_and_nothing_else(batch: object) -> None:
+    with pytest.raises(MessageError, match="drop"):
+        messages.decode(msgpack.packb(JOINED | {"drop": [batch]}), Joined)
+
+
+def test_a_missing_field_is_named() -> None:
+    for name in ("epoch", "run", "durable"):
+        with pytest.raises(MessageError, match=name):
+            messages.decode(msgpack.packb({k: v for k, v in REPORT.items() if k != name}), Recorded)
+
+
+def test_what_others_wrote_is_repeated_without_control_characters_and_not_at_length() -> None:
+    evil = "\x1b[2J\n" + 200 * "ü"
+    with pytest.raises(MessageError) as caught:
+        messages.decode(msgpack.packb(REPORT | {evil[:100]: 1}), Recorded)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 250
+
+
+@given(st.text(max_size=400))
+def test_words_for_a_person_fit_into_a_message_in_any_language(text: str) -> None:
+    failure = Failure(row=0, reason=shorten(text))
+    report = Recorded(epoch=1, run="run", durable=0, trouble=failure.reason)
+    assert messages.decode(messages.encode(report), Recorded) == report
+    assert text.startswith(shorten(text))
+    assert len(shorten(text)) >= min(len(text), 50)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xdc\xff\xff" + b"\x90" * 0xFFFF + b"\x90" * 9,
+        b"\x92" + (b"\xdc\xff\xff" + b"\x90" * 0xFFFF) * 2,
+        b"\xdd\x04\x00\x00\x00" + bytes(64 << 20),
+        b"\x91" * 100_000,
+        b"",
+    ],
+    ids=["more than one", "many lists", "a long list", "lists in lists", "nothing"],
+)
+def test_a_scene_that_unfolds_without_end_is_refused(payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        messages.check_bundle(payload)
+
+
+@pytest.mark.parametrize("host", ["", "\x1b[2J", "two words", "line\n", 256 * "x"])
+def test_a_worker_names_its_host_in_one_plain_word(host: str) -> None:
+    join = {"versions": [1], "wid": 32 * "0", "number": 1, "credit": 1, "held": [], "pid": 1, "platform": {}}
+    assert messages.decode(msgpack.packb(join | {"host": "node-7.lab"}), Join).host == "node-7.lab"
+    with pytest.raises(MessageError, match="host"):
+        messages.decode(msgpack.packb(join | {"host": host}), Join)
+
+
+LAYOUT = Layout("contact", (Gene("x", -0.13, 0.21), Gene("omega", 0.0, 2 * np.pi), Gene("synergy", 0.0, 0.0)))
+
+
+def test_genomes_of_values_stand_for_these_values() -> None:
+    genomes = np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32)
+    values = LAYOUT.values(genomes)
+    assert LAYOUT.values(LAYOUT.genomes(values)) == pytest.approx(values, abs=1e-6)
+    assert LAYOUT.genomes(values).dtype == np.float32
+
+
+def test_values_outside_their_interval_become_its_borders() -> None:
+    genomes = LAYOUT.genomes(np.array([[-0.14, 7.0, 0.0], [0.3, -0.1, 0.0]]))
+    assert genomes.tolist() == [[-1, 1, 0], [1, -1, 0]]
+    assert LAYOUT.values(genomes)[0, 0] == -0.13

@@ -1,0 +1,499 @@
+"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome."""
+
+import csv
+import heapq
+import itertools
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from math import inf, isnan, nan
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
+from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
+from qdgrasp_protocol.messages import VERSION, Join, Result
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
+
+SHAPE = RowShape(genes=1, joints=0, descriptors=3)
+CREDIT = 2
+LATENCY = 0.002
+"""Seconds that a message takes."""
+HANDLING = 50e-6
+"""Time of the coordinator's thread per batch [s]."""
+AT_ONCE = 256
+"""Messages that it takes between two looks at what may be leased."""
+LEASE = 4.0
+"""Seconds after which a frozen worker's token vanishes."""
+REPLACED, FROZEN = 5.0, 20.0
+"""Seconds until a worker that died is replaced, and that one is frozen."""
+MANY = 10**9
+
+
+@dataclass(frozen=True)
+class Crew:
+    """The workers."""
+
+    workers: int
+    row_seconds: float = 0.02
+    """The mean time of a row [s]."""
+    spread: float = 0.0
+    """The deviation of the logarithm of the workers' speeds."""
+    life: float = inf
+    """The mean time until a worker dies [s]; another one joins after `REPLACED` seconds."""
+    freeze: float = inf
+    """The mean time until a worker is frozen for `FROZEN` seconds [s]."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """The runs that the workers carry out."""
+
+    runs: int = 1
+    population: int = 500
+    in_flight: int = 1
+    batch_size: int | None = None
+
+
+@dataclass
+class Figures:
+    """Measured figures of a fleet."""
+
+    utilisation: float
+    """The share of the workers' time that went into rows that count."""
+    age: float
+    """The median time from the ask of a generation to its tell [s]; NaN: none was told."""
+    outstanding: float
+    """Batches leased and not settled, on average."""
+    rows_per_second: float
+    rows_per_batch: float
+
+
+class Timed:
+    """A search that notes when it is asked and told."""
+
+    def __init__(self, population: int, fleet: "Fleet") -> None:
+        self._genomes = np.zeros((population, SHAPE.genes), dtype=np.float32)
+        self._fleet = fleet
+        self._asked: deque[float] = deque()
+
+    def ask(self, generation: int) -> Genomes:
+        self._asked.append(self._fleet.now)
+        return self._genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self._fleet.ages.append((self._fleet.now, self._fleet.now - self._asked.popleft()))
+
+
+@dataclass(eq=False)
+class Hand:
+    """A worker, as a queue."""
+
+    wid: str
+    speed: float
+    number: int = 1
+    free_at: float = 0.0
+    pending: dict[bytes, float] = field(default_factory=dict)
+    """When the result of each batch it holds is there."""
+    is_over: bool = False
+
+
+class Fleet:
+    """A job's coordinator and its workers."""
+
+    def __init__(self, crew: Crew, task: Task, seed: int = 0) -> None:
+        self.now = 0.0
+        self.ages: list[tuple[float, float]] = []
+        self._crew = crew
+        self._chance = np.random.default_rng(seed)
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = itertools.count()
+        self._inbox: deque[Callable[[], None]] = deque()
+        self._is_at_work = False
+        self._useful: list[tuple[float, float, int]] = []
+        """When batches were settled, what they took, and their rows."""
+        self._leased: list[tuple[float, int]] = []
+        self._workers = WorkerRegistry()
+        self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
+        self._pipelines = {
+            f"run-{n}": Pipeline(Timed(task.population, self), SHAPE, MANY, "count", task.in_flight)
+            for n in range(task.runs)
+        }
+        self._told = set(self._pipelines)
+        """Runs that may have something to ask."""
+        self._hands: dict[str, Hand] = {}
+        for _ in range(crew.workers):
+            self._at(self._begin(), self._hire)
+
+    def play(self, seconds: float, most: int) -> Figures:
+        """Figures of the second half of so many seconds, or of so many settled batches if sooner."""
+        while self.now < seconds and len(self._useful) < most:
+            self.now, _, call = heapq.heappop(self._events)
+            call()
+        return self._figures(self.now / 2, self.now)
+
+    def _figures(self, begin: float, end: float) -> Figures:
+        useful = [(min(took, at - begin), rows) for at, took, rows in self._useful if at > begin]
+        rows = sum(n for _, n in useful)
+        ages = [age for time, age in self.ages if time >= begin] or [nan]
+        return Figures(
+            utilisation=sum(took for took, _ in useful) / (end - begin) / self._crew.workers,
+            age=float(np.median(ages)),
+            outstanding=float(np.mean([n for time, n in self._leased if time >= begin])),
+            rows_per_second=rows / (end - begin),
+            rows_per_batch=rows / max(1, len(useful)),
+        )
+
+    # Time.
+
+    def _at(self, time: float, call: Callable[[], None]) -> None:
+        if time < inf:
+            heapq.heappush(self._events, (time, next(self._count), call))
+
+    def _send(self, call: Callable[[], None]) -> None:
+        """Let the coordinator hear something."""
+        self._at(self.now + LATENCY, lambda: self._arrive(call))
+
+    def _arrive(self, call: Callable[[], None]) -> None:
+        self._inbox.append(call)
+        if not self._is_at_work:
+            self._is_at_work = True
+            self._at(self.now, self._turn)
+
+    # The coordinator.
+
+    def _turn(self) -> None:
+        """Process what came, and do what can be done, as the service does."""
+        n = min(len(self._inbox), AT_ONCE)
+        for _ in range(n):
+            self._inbox.popleft()()
+        self._at(self.now + n * HANDLING, self._step)
+
+    def _step(self) -> None:
+        for lost in self._workers.overdue(self.now):
+            self._dispatcher.requeue(lost.batches)
+        self._ask()
+        for lease in self._dispatcher.leases(self.now):
+            self._at(self.now + LATENCY, lambda lease=lease: self._take(lease))  # type: ignore[misc]
+        self._leased.append((self.now, self._dispatcher.counters["leased"] - len(self._useful)))
+        self._is_at_work = bool(self._inbox)
+        if self._inbox:
+            self._at(self.now, self._turn)
+        elif self._workers.next_deadline() < inf:
+            self._at(max(self.now, self._workers.next_deadline()) + 0.01, lambda: self._arrive(_nothing))
+
+    def _ask(self) -> None:
+        """Queue what may be asked; what rows cost is known from the first one on."""
+        waiting = self._dispatcher._queue._runs
+        is_first = not waiting
+        told, self._told = self._told, set()
+        for run in sorted(told):
+            while (asked := self._pipelines[run].ask()) is not None:
+                self._dispatcher.submit(RunRef(run, "scene", "prior"), asked)
+        for rows in waiting.values() if is_first else ():
+            rows.sizer.measure(50, 50 * self._crew.row_seconds)
+
+    def _settle(self, hand: Hand, lease: Lease, seconds: float) -> None:
+        batch = lease.batch
+        rows = SHAPE.empty(len(batch))
+        rows["outcome"] = Outcome.MISSED
+        result = Result(
+            epoch=1,
+            run=batch.run.run,
+            generation=batch.rows.number,
+            batch=batch.id,
+            attempt=lease.attempt,
+            wid=hand.wid,
+            n=len(batch),
+            joints=0,
+            descriptors=3,
+            columns={},
+            cpu_seconds=seconds,
+        )
+        settled = self._dispatcher.settle(hand.wid, result, rows, self.now)
+        if settled.rows is not None:
+            self._pipelines[batch.run.run].settle(settled.rows, seconds)
+            self._told.add(batch.run.run)
+            self._useful.append((self.now, seconds, len(batch)))
+        if settled.superseded is not None and settled.superseded in self._hands:
+            self._hands[settled.superseded].pending.pop(batch.id, None)
+
+    # The workers.
+
+    def _hire(self) -> None:
+        wid = f"{next(self._count):032x}"
+        hand = self._hands[wid] = Hand(wid, float(np.exp(self._chance.normal(0, self._crew.spread))))
+        self._join(hand)
+        self._at(self.now + self._time(self._crew.life), lambda: self._die(hand))
+        self._at(self.now + self._time(self._crew.freeze), lambda: self._freeze(hand))
+
+    def _begin(self) -> float:
+        """When a worker of the beginning is there: at once, or when it thaws."""
+        is_frozen = self._chance.random() < FROZEN / (FROZEN + self._crew.freeze)
+        return float(self._chance.uniform(0, FROZEN)) if is_frozen else 0.0
+
+    def _time(self, mean: float) -> float:
+        return float(self._chance.exponential(mean)) if mean < inf else inf
+
+    def _join(self, hand: Hand) -> None:
+        self._send(lambda: self._admit(hand))
+
+    def _admit(self, hand: Hand) -> None:
+        self._workers.on_token(hand.wid, True, self.now)
+        join = Join(
+            versions=[VERSION],
+            wid=hand.wid,
+            number=hand.number,
+            credit=CREDIT,
+            held=list(hand.pending),
+            host="",
+            pid=1,
+            platform={},
+        )
+        for batch in self._dispatcher.join(join, self.now):
+            hand.pending.pop(batch, None)
+
+    def _take(self, lease: Lease) -> None:
+        """A worker evaluates a batch, behind what it has."""
+        hand = self._hands.get(lease.wid)
+        if hand is None or lease.join != hand.number:
+            return
+        n = len(lease.batch)
+        noise = self._chance.gamma(n) / n
+        seconds = n * self._crew.row_seconds * hand.speed * noise
+        hand.free_at = max(hand.free_at, self.now) + seconds
+        hand.pending[lease.batch.id] = hand.free_at
+        self._at(hand.free_at, lambda: self._finish(hand, lease, seconds))
+
+    def _finish(self, hand: Hand, lease: Lease, seconds: float) -> None:
+        due = hand.pending.get(lease.batch.id)
+        if hand.is_over or due is None:
+            return
+        if self.now < due:  # it was frozen meanwhile
+            self._at(due, lambda: self._finish(hand, lease, seconds))
+            return
+        del hand.pending[lease.batch.id]
+        self._send(lambda: self._settle(hand, lease, seconds))
+
+    def _die(self, hand: Hand) -> None:
+        hand.is_over = True
+        del self._hands[hand.wid]
+        self._send(lambda: self._lose_token(hand))
+        self._at(self.now + REPLACED, self._hire)
+
+    def _lose_token(self, hand: Hand) -> None:
+        self._workers.on_token(hand.wid, False, self.now)
+
+    def _freeze(self, hand: Hand) -> None:
+        """Stand still; the token vanishes, and with the link back the worker joins again."""
+        if hand.is_over:
+            return
+        hand.pending = {batch: due + FROZEN for batch, due in hand.pending.items()}
+        hand.free_at = max(hand.free_at, self.now) + FROZEN
+        self._at(self.now + LEASE, lambda: self._send(lambda: self._lose_token(hand)))
+        self._at(self.now + FROZEN, lambda: self._thaw(hand))
+        self._at(self.now + FROZEN + self._time(self._crew.freeze), lambda: self._freeze(hand))
+
+    def _thaw(self, hand: Hand) -> None:
+        if not hand.is_over:
+            hand.number += 1
+            self._join(hand)
+
+
+def _nothing() -> None:
+    """Nothing happened but time."""
+
+
+SIZES = (10, 30, 100, 300, 1000, 3000, 10_000)
+"""Workers."""
+TURNS = 8
+"""Generations that a point takes, roughly; the second half counts."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Lines that are compared."""
+
+    name: str
+    sizes: tuple[int, ...]
+    seconds: float
+    """Least duration of a point."""
+    most: int
+    """Batches that a point takes at most, beside two for each worker."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a panel."""
+
+    panel: Panel
+    name: str
+    task: Task
+    crew: dict[str, float]
+
+
+RUNS = Panel("runs", SIZES, 1.0, 10_000)
+BATCHES = Panel("batches", (100, 1000, 10_000), 1.0, 10_000)
+CREWS = Panel("crews", (10, 100, 1000), 40.0, 15_000)
+PANELS = (RUNS, BATCHES, CREWS)
+
+
+def _runs() -> Iterable[Line]:
+    for population, in_flight in ((500, 1), (500, 2), (500, 4), (4096, 1)):
+        yield Line(RUNS, f"1 run, {in_flight} x {population}", Task(1, population, in_flight), {})
+    for runs in (16, 64, 256):
+        yield Line(RUNS, f"{runs} runs, 1 x 500", Task(runs), {})
+
+
+def _batches() -> Iterable[Line]:
+    for size in (None, 1, 16, 64):
+        name = "as measured" if size is None else "1 row" if size == 1 else f"{size} rows"
+        yield Line(BATCHES, name, Task(64, batch_size=size), {})
+
+
+def _crews() -> Iterable[Line]:
+    crews = {"alike": {}, "3 times apart": {"spread": 0.55}, "some freeze": {"freeze": 300.0}}
+    for task, what in ((Task(1, 500, 2), "1 run"), (Task(64), "64 runs")):
+        for name, crew in crews.items():
+            yield Line(CREWS, f"{what}: {name}", task, crew)
+
+
+LINES = [*_runs(), *_batches(), *_crews()]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One line at one size."""
+
+    panel: str
+    line: str
+    workers: int
+    figures: Figures
+
+
+def measure(line: Line, workers: int) -> Point:
+    """A point, over so long that every run is at its usual work."""
+    task, crew = line.task, Crew(workers, **line.crew)
+    work = task.runs * task.population * task.in_flight * crew.row_seconds
+    seconds = max(TURNS * work / workers, line.panel.seconds)
+    figures = Fleet(crew, task, seed=workers).play(seconds, line.panel.most + 2 * workers)
+    return Point(line.panel.name, line.name, workers, figures)
+
+
+def points() -> Iterable[Point]:
+    """All points, those of few workers first."""
+    for size in SIZES:
+        for line in LINES:
+            if size in line.panel.sizes:
+                yield measure(line, size)
+
+
+def write(points: Sequence[Point], file: Path) -> None:
+    """The points as a table."""
+    with file.open("w", newline="") as out:
+        rows = [{"panel": p.panel, "line": p.line, "workers": p.workers} | asdict(p.figures) for p in points]
+        table = csv.DictWriter(out, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows([_rounded(row) for row in rows])
+
+
+def read(file: Path) -> list[Point]:
+    """The points of a table."""
+    with file.open(newline="") as lines:
+        return [
+            Point(
+                row.pop("panel"),
+                row.pop("line"),
+                int(row.pop("workers")),
+                Figures(**{name: float(value or nan) for name, value in row.items()}),
+            )
+            for row in csv.DictReader(lines)
+        ]
+
+
+def _rounded(row: dict[str, object]) -> dict[str, object]:
+    """Four digits; nothing where nothing was seen."""
+    return {
+        name: ("" if isnan(value) else f"{value:.4g}") if isinstance(value, float) else value
+        for name, value in row.items()
+    }
+
+
+TITLES = {
+    "runs": "Share of time that counts, by what is in flight",
+    "batches": "64 runs, by rows in a batch",
+    "crews": "1 run of 2 x 500, and 64 runs, where workers differ or freeze",
+    "age": "From the ask of a generation to its tell (colours: both)",
+}
+PLACES = {"batches": "upper right", "crews": "center right", "age": "upper right"}
+HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
+"""Of Okabe and Ito."""
+
+
+def make(folder: Path) -> int:
+    """Measure all points that are not in the folder's table, and draw them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table = folder / "curves.csv"
+    if not table.exists():
+        found: list[Point] = []
+        for point in points():
+            found.append(point)
+            write(found, table)
+    draw(read(table)).savefig(folder / "curves.png", dpi=130)
+    return 0
+
+
+def draw(found: Sequence[Point]) -> Figure:
+    """Four panels."""
+    figure = Figure(figsize=(11, 7.6), layout="constrained")
+    (runs, age), (batches, crews) = figure.subplots(2, 2)
+    _share(runs, RUNS, found)
+    _age(age, found)
+    _share(batches, BATCHES, found)
+    _share(crews, CREWS, found)
+    return figure
+
+
+def _share(axes: Axes, panel: Panel, found: Sequence[Point]) -> None:
+    _lines(axes, panel, found, "utilisation", 100.0)
+    axes.set_ylim(0, 103)
+    axes.set_ylabel("share of the workers' time that counts [%]", color=FAINT)
+    _dress(axes, panel.name)
+
+
+def _age(axes: Axes, found: Sequence[Point]) -> None:
+    _lines(axes, RUNS, found, "age", 1.0)
+    axes.set_yscale("log")
+    axes.set_ylabel("seconds", color=FAINT)
+    _dress(axes, "age")
+
+
+def _lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, scale: float) -> None:
+    names = [line.name for line in LINES if line.panel == panel]
+    for place, name in enumerate(names):
+        of_line = [point for point in found if (point.panel, point.line) == (panel.name, name)]
+        sizes = [point.workers for point in of_line]
+        values = [scale * getattr(point.figures, figure) for point in of_line]
+        is_second = panel == CREWS and place >= len(names) // 2
+        colour = HUES[place % (len(names) // 2)] if panel == CREWS else HUES[place]
+        axes.plot(sizes, values, "--" if is_second else "-", color=colour, marker="o", ms=3.5, label=name)
+
+
+def _dress(axes: Axes, what: str) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(SIZES[0] * 0.85, SIZES[-1] * 1.18)
+    axes.set_xticks(SIZES, [f"{size:,}".replace(",", " ") for size in SIZES])
+    axes.minorticks_off()
+    axes.set_xlabel("workers", color=FAINT)
+    axes.set_title(TITLES[what], loc="left", fontsize=10.5, color=INK)
+    axes.grid(color=RULE, lw=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=FAINT, labelsize=8.5)
+    if what != "runs":  # the lines are those of the panel beside it
+        axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)

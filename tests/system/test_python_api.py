@@ -1,0 +1,267 @@
+"""Programs that bring their own optimiser, or their own evaluator: with real processes on a real bus."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE, own_endpoint
+from tests.system.commands import Commands, says
+
+import qdgrasp
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_coordinator.storage.run_folder import journal_digest
+from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
+from qdgrasp_protocol.session import Role
+from qdgrasp_worker.evaluator import Evaluator
+
+SCENE = {"gripper": "panda", "object": "tennis_ball"}
+ONE, TWO = qdgrasp.Place(workers=1), qdgrasp.Place(workers=2, batch_size=7)
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Iterator[Commands]:
+    started = Commands(tmp_path)
+    yield started
+    started.end_all()
+
+
+@pytest.fixture(scope="module")
+def evaluations() -> Iterator[qdgrasp.Evaluations]:
+    with qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE) as evaluations:
+        yield evaluations
+
+
+@pytest.fixture(scope="module")
+def near(evaluations: qdgrasp.Evaluations) -> np.ndarray:
+    """Genomes of which many are grasps."""
+    genomes = np.random.default_rng(3).uniform(-1, 1, (40, len(evaluations.layout))).astype(np.float32)
+    genomes[:20, 3:5] = (-1.0, -0.5)
+    return genomes
+
+
+class Steps:
+    """Steps from the best so far; raises in a generation if it is told to."""
+
+    def __init__(self, layout: qdgrasp.Layout, fails_in: int | None = None) -> None:
+        self.best = np.zeros((0, len(layout)), np.float32)
+        self.fails_in = fails_in
+        self.told: list[int] = []
+
+    def ask(self, generation: int) -> np.ndarray:
+        random = np.random.default_rng([1, generation])
+        if not len(self.best):
+            return random.uniform(-1, 1, (30, self.best.shape[1]))
+        parents = self.best[random.integers(len(self.best), size=30)]
+        return np.clip(parents + random.normal(0, 0.2, parents.shape), -1, 1)
+
+    def tell(self, generation: int, rows: qdgrasp.Rows) -> None:
+        if generation == self.fails_in:
+            raise ZeroDivisionError
+        self.told.append(generation)
+        self.best = rows["genome"][np.argsort(-rows["fitness"], kind="stable")[:5]]
+
+
+def digest_of(path: Path) -> str:
+    from qdgrasp_coordinator.storage.run_folder import RunFolder
+
+    with RunFolder.open(path).journal() as journal:
+        return journal_digest(journal)
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> qdgrasp.Run:
+    """A run with a search of a program's own."""
+    out = tmp_path_factory.mktemp("mine") / "run"
+    return qdgrasp.optimise(Steps, out, evaluations=140, prior="approach", place=ONE, **SCENE)
+
+
+# Evaluations.
+
+
+def test_rows_are_those_of_the_simulator(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
+    rows = evaluations.evaluate(near)
+    with Evaluator(build_scene(evaluations.spec)) as evaluator:
+        expected = evaluator.evaluate("approach", near, np.zeros(len(near), np.uint16)).rows
+    assert (rows["outcome"] >= qdgrasp.Outcome.DROPPED).any()
+    for column in ("genome", "outcome", "fitness", "base_to_object", "joints"):
+        assert rows[column].tobytes() == expected[column].tobytes(), column
+
+
+def test_how_genomes_are_grouped_changes_nothing(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
+    whole = evaluations.evaluate(near)
+    parts = np.concatenate([evaluations.evaluate(near[:13]), evaluations.evaluate(near[13:])])
+    for column in ("genome", "outcome", "fitness", "joints"):
+        assert parts[column].tobytes() == whole[column].tobytes(), column
+
+
+def test_no_genomes_give_no_rows(evaluations: qdgrasp.Evaluations) -> None:
+    assert len(evaluations.evaluate(np.zeros((0, len(evaluations.layout))))) == 0
+
+
+def test_times_that_are_over_leave_the_next_call_in_order(
+    evaluations: qdgrasp.Evaluations, near: np.ndarray
+) -> None:
+    for asked in (near, near[5:], near[:2]):
+        with pytest.raises(TimeoutError):
+            evaluations.evaluate(asked, timeout=0.0)
+    assert evaluations.evaluate(near[:3])["genome"].tobytes() == near[:3].tobytes()
+
+
+def test_genomes_are_looked_at_before_anybody_evaluates_them(evaluations: qdgrasp.Evaluations) -> None:
+    with pytest.raises(ImpossibleValue, match="x_r, y_r, z_r, nu"):
+        evaluations.evaluate(np.zeros((3, 2)))
+
+
+def test_evaluations_are_opened_by_a_with_block() -> None:
+    closed = qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE)
+    with pytest.raises(InputError, match="with-block"):
+        closed.evaluate(np.zeros((1, 7)))
+
+
+def test_poses_that_were_found_score_as_they_did(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
+    rows = evaluations.evaluate(near)
+    poses = rows["base_to_object"]
+    scores = qdgrasp.evaluate(poses[:, :3], poses[:, 3:], place=ONE, **SCENE)
+    assert scores["outcome"].tobytes() == rows["outcome"].tobytes()
+    assert scores["joints"].tobytes() == rows["joints"].tobytes()
+
+
+def test_a_job_that_is_cancelled_ends_the_waiting(commands: Commands) -> None:
+    place = qdgrasp.Place(workers=0, job="lonely")
+    with qdgrasp.Evaluations(prior="approach", place=place, **SCENE) as lonely:
+        heard: list[BaseException] = []
+
+        def wait() -> None:
+            try:
+                lonely.evaluate(np.zeros((1, 7)), timeout=PATIENCE)
+            except EndedEarly as error:
+                heard.append(error)
+
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+        done = commands("cancel", "lonely", "--connect", lonely.endpoint)
+        waiting.join(PATIENCE)
+    assert done.code == 0, done.err
+    assert "cancelled" in str(heard[0])
+
+
+def test_certificates_of_the_environment_are_not_for_links_within_this_machine(
+    near: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("QDGRASP_SECURITY", "/nowhere")
+    with qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE) as evaluations:
+        assert len(evaluations.evaluate(near[:1])) == 1
+
+
+@pytest.fixture
+def secure(commands: Commands) -> qdgrasp.Place:
+    """A router to which links are encrypted, and one worker there."""
+    lab = SecurityFolder.create(commands.home / "lab", hosts=["127.0.0.1"], days=1)
+    gate = lab.add(Role.ROUTER, "gate", hosts=["127.0.0.1"], days=1)
+    endpoint = own_endpoint("tls")
+    router = commands.start(
+        "--listen", endpoint, "--security", gate, module="qdgrasp_coordinator.cli.router_process"
+    )
+    says(router, "listening")
+    return qdgrasp.Place(workers=1, connect=endpoint, security=lab.path)
+
+
+def test_encrypted_links_change_no_row_and_no_journal(
+    secure: qdgrasp.Place,
+    evaluations: qdgrasp.Evaluations,
+    near: np.ndarray,
+    mine: qdgrasp.Run,
+    tmp_path: Path,
+) -> None:
+    with qdgrasp.Evaluations(prior="approach", place=secure, **SCENE) as encrypted:
+        assert encrypted.evaluate(near).tobytes() == evaluations.evaluate(near).tobytes()
+    run = qdgrasp.optimise(Steps, tmp_path / "run", evaluations=140, prior="approach", place=secure, **SCENE)
+    assert digest_of(run.path) == digest_of(mine.path)
+
+
+# A search of one's own.
+
+
+def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: Commands) -> None:
+    assert mine.spec.method == "custom_approach"
+    assert mine.summary.evaluations == 140
+    assert mine.summary.complete
+    rows = mine.rows()
+    assert np.unique(rows["generation"]).tolist() == [0, 1, 2, 3, 4]
+    shown = commands("info", mine.path)
+    assert shown.code == 0, shown.err
+    assert "custom_approach" in shown.out
+
+
+def test_its_journal_is_the_same_whatever_the_workers(
+    mine: qdgrasp.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = qdgrasp.optimise(
+        Steps, tmp_path / "run", evaluations=140, prior="approach", progress=True, place=TWO, **SCENE
+    )
+    assert "run: 0 of 140 evaluations, starting" in capsys.readouterr().err
+    assert digest_of(again.path) == digest_of(mine.path)
+
+
+def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(ZeroDivisionError):
+        qdgrasp.optimise(
+            lambda layout: Steps(layout, fails_in=2),
+            out,
+            evaluations=140,
+            prior="approach",
+            place=ONE,
+            **SCENE,
+        )
+    made: list[Steps] = []
+
+    def make(layout: qdgrasp.Layout) -> Steps:
+        made.append(Steps(layout))
+        return made[-1]
+
+    whole = qdgrasp.optimise(make, out, evaluations=140, prior="approach", resume=True, place=ONE, **SCENE)
+    assert digest_of(whole.path) == digest_of(mine.path)
+    assert made[0].told == [0, 1, 2, 3]
+
+
+def test_a_search_that_asks_otherwise_does_not_go_on(mine: qdgrasp.Run, tmp_path: Path) -> None:
+    class Other(Steps):
+        def ask(self, generation: int) -> np.ndarray:
+            return -super().ask(generation)
+
+    with pytest.raises(InputError, match="genome differs from what the spec asks in generation 0"):
+        qdgrasp.optimise(Other, mine.path, evaluations=200, prior="approach", resume=True, place=ONE, **SCENE)
+
+
+def test_only_its_program_goes_on_with_it(mine: qdgrasp.Run, commands: Commands) -> None:
+    done = commands("run", mine.path / "spec.toml", "--out", "again")
+    assert done.code == 2
+    assert "qdgrasp.optimise" in done.err
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(mine: qdgrasp.Run) -> None:
+    with pytest.raises(FolderError, match="holds a run already"):
+        qdgrasp.optimise(Steps, mine.path, evaluations=140, prior="approach", place=ONE, **SCENE)
+    with pytest.raises(FolderError, match="another object"):
+        qdgrasp.optimise(
+            Steps,
+            mine.path,
+            evaluations=140,
+            prior="approach",
+            resume=True,
+            gripper="panda",
+            object="mug",
+        )
+
+
+def test_genomes_that_are_none_end_the_run_with_a_sentence(tmp_path: Path) -> None:
+    class Wide(Steps):
+        def ask(self, generation: int) -> np.ndarray:
+            return np.full((2, 7), 3.0)
+
+    with pytest.raises(ImpossibleValue, match=r"in \[-1, 1\]"):
+        qdgrasp.optimise(Wide, tmp_path / "run", evaluations=10, prior="approach", place=ONE, **SCENE)

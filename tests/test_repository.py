@@ -1,0 +1,182 @@
+"""What holds of the whole repository: its papers, its silenced checks, and that nothing unpickles."""
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_protocol.rows import COLUMNS, Outcome
+
+ROOT = Path(__file__).resolve().parents[1]
+PAPERS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+LINK = re.compile(r"\]\((?!https?://)([^)#]+)")
+
+
+def read(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("paper", PAPERS, ids=[str(paper.relative_to(ROOT)) for paper in PAPERS])
+def test_links_between_papers_lead_somewhere(paper: Path) -> None:
+    missing = [
+        to for to in LINK.findall(paper.read_text(encoding="utf-8")) if not (paper.parent / to).exists()
+    ]
+    assert missing == []
+
+
+def test_the_index_names_every_page() -> None:
+    pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert pages <= set(LINK.findall(read("docs/index.md")))
+
+
+def test_every_package_that_a_run_needs_stands_in_the_notices() -> None:
+    needed = tomllib.loads(read("pyproject.toml"))["project"]["dependencies"]
+    names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in needed}
+    noticed = {
+        name for name in names if re.search(rf"^\| {re.escape(name)}\b", read("THIRD_PARTY_NOTICES.md"), re.M)
+    }
+    assert noticed == names
+
+
+@pytest.mark.parametrize(
+    ("extra", "heading"), [("dev", "tests and checks only"), ("docs", "the documentation site only")]
+)
+def test_every_package_that_tests_or_the_site_need_stands_in_the_notices(extra: str, heading: str) -> None:
+    needed = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"][extra]
+    names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in needed}
+    noticed = read("THIRD_PARTY_NOTICES.md").partition(f"## Packages for {heading}")[2].partition("\n## ")[0]
+    assert {name for name in names if not re.search(rf"\b{re.escape(name)} \(", noticed)} == set()
+
+
+def test_the_readme_shows_commands_that_exist() -> None:
+    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    shown = set(re.findall(r"^qdgrasp (\w+)", read("README.md"), re.MULTILINE))
+    assert len(shown) >= 7
+    assert shown <= commands
+
+
+def test_the_readme_shows_methods_that_exist() -> None:
+    table = read("README.md").partition("| methods |")[2].partition("\n\n")[0]
+    shown = re.findall(r"^\| (.*?) \|", table, re.MULTILINE)
+    methods = {name for cell in shown for name in re.findall(r"`(\w+)`", cell)}
+    assert len(methods) >= 5
+    assert methods <= set(METHODS)
+
+
+def test_the_outcomes_are_numbered_as_described() -> None:
+    rows = re.findall(
+        r"^\| `(\w+)`[^|]*\| (\d) \| (\w*) ?\| (\w*) ?\| (\w*) ?\| (\w*) ?\|", read("docs/protocols.md"), re.M
+    )
+    described = {name: (int(number), *(word == "yes" for word in words)) for name, number, *words in rows}
+    assert described == {
+        outcome.name: (outcome, outcome.is_simulated, outcome.is_success, outcome.is_grasp, outcome.is_robust)
+        for outcome in Outcome
+    }
+
+
+def test_the_columns_of_a_row_are_described_in_their_order() -> None:
+    table = read("docs/run-folder.md").partition("## A row")[2].partition("\n\nThe ")[0]
+    cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    assert [name for cell in cells for name in re.findall(r"`(\w+)`", cell)] == [
+        column.name for column in COLUMNS
+    ]
+
+
+def test_the_citation_names_the_version_of_the_package() -> None:
+    version = tomllib.loads(read("pyproject.toml"))["project"]["version"]
+    assert f"\nversion: {version}\n" in read("CITATION.cff")
+    assert f"\n## {version}" in read("CHANGELOG.md")
+
+
+ROOMS = ("assets", "coordinator", "protocol", "worker")
+SILENCED = re.compile(r"# (noqa|type: ignore)\b")
+WITH_REASON = re.compile(r"# (noqa: [A-Z0-9, ]+|type: ignore\[[a-z, -]+\])  # \S")
+
+
+def test_every_silenced_check_has_its_reason() -> None:
+    lines = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for room in ROOMS
+        for path in sorted((ROOT / room).rglob("*.py"))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if SILENCED.search(line) and not WITH_REASON.search(line)
+    ]
+    assert not lines
+
+
+MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+RUN_WHAT_THEY_READ = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml"}
+UNPACKERS = {"messages.py", "scene.py"}
+YAML = "text_format.py"
+"""The one module that reads YAML: as events, of which it makes lists, mappings and words."""
+
+
+def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
+    """The calls in a module, by the last name of what is called."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call):
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            yield name, node
+
+
+def imported(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            found.add((node.module or "").partition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_module_imports_what_runs_what_it_reads(room: str) -> None:
+    modules = [path for path in MODULES if path.is_relative_to(ROOT / room)]
+    assert len(modules) > 5
+    assert [path for path in modules if imported(path) & RUN_WHAT_THEY_READ and path.name != YAML] == []
+
+
+def test_yaml_is_parsed_and_never_loaded() -> None:
+    (module,) = (path for path in MODULES if path.name == YAML)
+    assert imported(module) & RUN_WHAT_THEY_READ == {"yaml"}
+    names = {name for name, node in calls(module) if ast.unparse(node.func).startswith("yaml.")}
+    assert "parse" in names
+    assert names <= {"parse", "dump", "ScalarEvent", "MappingStartEvent", "SequenceStartEvent",
+                     "MappingEndEvent", "SequenceEndEvent"}  # fmt: skip
+
+
+def test_nothing_is_evaluated() -> None:
+    built_in = [
+        (path.name, node.func.id)
+        for path in MODULES
+        for _, node in calls(path)
+        if isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec", "compile", "__import__"}
+    ]
+    assert built_in == []
+
+
+def test_arrays_are_loaded_without_pickles() -> None:
+    loads = [
+        node
+        for path in MODULES
+        for name, node in calls(path)
+        if name == "load" and isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) == "np"
+    ]
+    assert len(loads) >= 2
+    for node in loads:
+        said = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+        assert said.get("allow_pickle") == "False"
+
+
+def test_two_modules_unpack_and_both_say_how_much() -> None:
+    found = [
+        (path.name, node) for path in MODULES for name, node in calls(path) if name in {"unpackb", "Unpacker"}
+    ]
+    assert {name for name, _ in found} == UNPACKERS
+    assert all(node.keywords for _, node in found)

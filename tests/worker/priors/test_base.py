@@ -1,0 +1,49 @@
+"""Laws of the spherical prior."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.genes import spherical_radius
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.object_geometry import ObjectSurface
+
+
+@pytest.fixture(scope="module")
+def decoder(cube):
+    return Decoder(cube, "spherical", ObjectSurface(cube))
+
+
+@pytest.fixture(scope="module")
+def genomes(draw):
+    return draw(500, 6)
+
+
+def test_the_hand_stands_at_its_radius_longitude_and_colatitude(decoder, genomes):
+    x, y, z = decoder(genomes).positions.astype(np.float64).T
+    radius, longitude, colatitude = decoder.layout.values(genomes).T[:3]
+    np.testing.assert_allclose(np.sqrt(x * x + y * y + z * z), radius, atol=1e-7)
+    far = radius > 0.01
+    np.testing.assert_allclose(np.arctan2(np.hypot(x, y), z)[far], colatitude[far], atol=1e-5)
+    round_about = np.exp(1j * np.arctan2(y, x)) - np.exp(1j * longitude)
+    np.testing.assert_allclose(np.abs(round_about)[far & (np.hypot(x, y) > 0.01)], 0, atol=1e-5)
+
+
+def test_the_genes_reach_from_the_centre_of_mass_to_the_search_radius(decoder, cube):
+    ends = np.array([[-1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]], dtype=np.float32)
+    distances = np.linalg.norm(decoder(ends).positions, axis=1)
+    np.testing.assert_allclose(distances, [0.0, spherical_radius(cube)], atol=1e-7)
+
+
+def test_the_hand_is_turned_about_the_fixed_axes_x_y_and_z(decoder, genomes):
+    angles = decoder.layout.values(genomes)[:, 3:]
+    expected = Rotation.from_euler("xyz", angles)
+    found = Rotation.from_quat(decoder(genomes).quaternions)
+    np.testing.assert_allclose((expected.inv() * found).magnitude(), 0, atol=2e-6)
+
+
+def test_it_aims_at_nothing(decoder, genomes):
+    found = decoder(genomes)
+    assert not found.surface_points.any()
+    assert not found.nu.any()
+    assert not found.dead_ends.any()

@@ -1,0 +1,192 @@
+"""Laws of the antipodal prior (Huber et al. 2024, section III-A, eq. 3-4)."""
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.scene import Jaw
+from qdgrasp_protocol.errors import JawNeeded
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_worker.object_geometry import ObjectSurface
+
+NU_T = np.pi / 6
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+def decoder_of(scene):
+    return Decoder(scene, "antipodal", ObjectSurface(scene))
+
+
+def with_jaw(scene, jaw):
+    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, jaw=jaw))
+
+
+def normals_at(scene, points):
+    return scene.surface_normals[KDTree(scene.surface_points).query(points)[1]].astype(np.float64)
+
+
+def middles(scene, grasps):
+    """The places of the fingertips, and the axis along which they close."""
+    turn = Rotation.from_quat(grasps.quaternions)
+    hand = scene.gripper
+    return grasps.positions + turn.apply(np.array(hand.approach_axis) * hand.reach), turn.apply(hand.jaw.axis)
+
+
+@pytest.fixture(scope="module", params=["rubiks_cube", "mug", "tennis_ball"])
+def scene(request, make_scene):
+    return make_scene("panda", request.param, "paper")
+
+
+@pytest.fixture(scope="module")
+def grasps(scene, draw):
+    found = decoder_of(scene)(draw(600, 4))
+    return type(found)(**{name: column[~found.dead_ends] for name, column in vars(found).items()})
+
+
+def test_most_genomes_find_a_partner(grasps):
+    assert len(grasps) > 400
+
+
+def test_the_fingers_close_along_the_normal_of_the_first_point(scene, grasps):
+    _, axes = middles(scene, grasps)
+    np.testing.assert_allclose(axes, -normals_at(scene, grasps.surface_points), atol=2e-6)
+
+
+def test_the_fingertips_stand_in_the_middle_of_two_points_of_the_surface(scene, grasps):
+    centres, axes = middles(scene, grasps)
+    halves = ((centres - grasps.surface_points) * axes).sum(axis=1)
+    assert (halves > 0).all()
+    assert (2 * halves <= scene.gripper.jaw.opening + 1e-6).all()
+    np.testing.assert_allclose(centres - halves[:, None] * axes, grasps.surface_points, atol=1e-6)
+    opposite = centres + halves[:, None] * axes
+    assert distances_to_surface(scene, opposite).max() < 1e-6
+
+
+def test_both_normals_are_within_nu_t_of_the_fingers_axis(scene, grasps):
+    centres, axes = middles(scene, grasps)
+    halves = ((centres - grasps.surface_points) * axes).sum(axis=1)
+    triangles = scene.object.triangles.astype(np.float64)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for opposite, axis in zip((centres + halves[:, None] * axes)[:100], axes[:100], strict=True):
+        on = heights(triangles, normals, opposite) < 1e-6
+        angles = np.arccos(np.clip(normals[on] @ axis, -1, 1))
+        assert angles.min() <= NU_T + 1e-5
+
+
+def heights(triangles, normals, point):
+    """(t,): how far a point is from each triangle's plane, infinite beyond its edges."""
+    height = np.abs(((point - triangles[:, 0]) * normals).sum(axis=1))
+    inside = np.ones(len(triangles), dtype=bool)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        inward = np.cross(normals, triangles[:, b] - triangles[:, a])
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        inside &= ((point - triangles[:, a]) * inward).sum(axis=1) > -1e-6
+    return np.where(inside, height, np.inf)
+
+
+def distances_to_surface(scene, points):
+    triangles = scene.object.triangles.astype(np.float64)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.array([heights(triangles, normals, point).min() for point in points[:100]])
+
+
+def test_nu_is_the_angle_between_the_first_normal_and_the_direction_to_the_hand(scene, grasps):
+    outward = grasps.positions.astype(np.float64) - grasps.surface_points
+    cosines = (outward * normals_at(scene, grasps.surface_points)).sum(axis=1)
+    np.testing.assert_allclose(grasps.nu, np.arccos(cosines / np.linalg.norm(outward, axis=1)), atol=1e-5)
+
+
+def test_omega_rolls_about_the_fingers_axis_and_leaves_the_fingertips_where_they_are(cube, draw):
+    genomes = draw(300, 4)
+    rolled = genomes.copy()
+    rolled[:, 3] = -genomes[:, 3]
+    one, other = decoder_of(cube)(genomes), decoder_of(cube)(rolled)
+    centres, axes = middles(cube, one)
+    np.testing.assert_allclose(middles(cube, other)[0], centres, atol=1e-6)
+    angles = -2 * np.pi * genomes[:, 3].astype(np.float64)
+    expected = Rotation.from_rotvec(axes * angles[:, None]) * Rotation.from_quat(one.quaternions)
+    difference = (expected.inv() * Rotation.from_quat(other.quaternions)).magnitude()
+    np.testing.assert_allclose(difference, 0.0, atol=5e-6)
+
+
+def test_any_axes_of_a_hand_that_are_at_right_angles_will_do(cube, draw):
+    jaw, approach = (0.8, 0.0, -0.6), (0.0, -1.0, 0.0)
+    hand = msgspec.structs.replace(cube.gripper, approach_axis=approach, jaw=Jaw(axis=jaw, opening=0.08))
+    scene = msgspec.structs.replace(cube, gripper=hand)
+    one, other = decoder_of(cube)(draw(200, 4)), decoder_of(scene)(draw(200, 4))
+    np.testing.assert_array_equal(one.positions, other.positions)
+    for found, expected in zip(middles(scene, other), middles(cube, one), strict=True):
+        np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+def mirrored(scene):
+    """The scene in a mirror: x changes its sign, and triangles are wound the other way."""
+    flip = MIRROR.astype("<f4")
+    vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3) * flip
+    faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)[:, ::-1]
+    (low, *lows), (high, *highs) = scene.finder_low, scene.finder_high
+    return msgspec.structs.replace(
+        scene,
+        points=(scene.surface_points * flip).tobytes(),
+        normals=(scene.surface_normals * flip).tobytes(),
+        finder_low=(-high, *lows),
+        finder_high=(-low, *highs),
+        object=msgspec.structs.replace(
+            scene.object,
+            mesh_vertices=vertices.tobytes(),
+            mesh_faces=np.ascontiguousarray(faces).tobytes(),
+        ),
+    )
+
+
+def test_in_a_mirror_the_same_fingertips_come_from_the_other_side(scene, draw):
+    genomes = draw(300, 4)
+    reflected = genomes * np.array([-1, 1, 1, 1], np.float32)
+    reflected[:, 3] = np.where(genomes[:, 3] >= 0, 1 - genomes[:, 3], -1 - genomes[:, 3])  # pi - Omega
+    one, other = decoder_of(scene)(genomes), decoder_of(mirrored(scene))(reflected)
+    np.testing.assert_array_equal(one.dead_ends, other.dead_ends)
+    np.testing.assert_allclose(other.positions, one.positions * MIRROR, atol=1e-6)
+    alive = ~one.dead_ends
+    for name in ("approach_axis", "jaw"):
+        axis = scene.gripper.jaw.axis if name == "jaw" else scene.gripper.approach_axis
+        seen = Rotation.from_quat(one.quaternions[alive]).apply(axis) * MIRROR
+        np.testing.assert_allclose(Rotation.from_quat(other.quaternions[alive]).apply(axis), seen, atol=5e-6)
+
+
+def test_what_is_wider_than_the_opening_is_a_dead_end(cube, draw):
+    narrow = with_jaw(cube, Jaw(axis=(0.0, 1.0, 0.0), opening=0.05))
+    found = decoder_of(narrow)(draw(100, 4))
+    assert found.dead_ends.all()
+    assert found.are_finite.all()
+    assert not found.positions.any()
+    assert not found.quaternions.any()
+
+
+def test_a_dead_end_is_an_outcome_and_is_not_simulated(cube, draw):
+    narrow = with_jaw(cube, Jaw(axis=(0.0, 1.0, 0.0), opening=0.05))
+    genomes = draw(20, 4)
+    with Evaluator(narrow) as evaluator:
+        evaluation = evaluator.evaluate("antipodal", genomes, np.zeros(20, np.uint16))
+    rows = evaluation.rows
+    assert not evaluation.failures
+    assert set(rows["outcome"]) == {Outcome.DEAD_END}
+    assert set(rows["proposals"]) == {1}
+    assert not rows["descriptor"].any()
+    assert not rows["base_to_object"].any()
+    assert rows["surface_point"].any(axis=1).all()
+
+
+def test_many_antipodal_poses_of_the_cube_are_grasps(evaluator, draw):
+    rows = evaluator.evaluate("antipodal", draw(60, 4), np.zeros(60, np.uint16)).rows
+    assert (rows["outcome"] >= Outcome.SHAKEN).mean() > 0.5
+
+
+def test_a_hand_without_a_jaw_is_refused(cube):
+    with pytest.raises(JawNeeded, match=r"'antipodal' is for two-finger hands.*'panda'.*qdgrasp methods"):
+        decoder_of(with_jaw(cube, None))

@@ -1,0 +1,146 @@
+"""Parity of hands with the verdicts of the authors' own code, pose by pose.
+against the reference hands on the same poses; protocol `released` (data/README.md,
+docs/decisions/0009-grippers-and-inference.md).
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.evaluator import Evaluator
+
+OBJECTS = ("rubiks_cube", "mug", "power_drill")
+REFERENCES = {"allegro": "allegro", "barrett": "bh280", "panda": "panda_2f", "shadow": "shadow"}
+FITNESS = {"allegro": 0.75, "bh280": 0.70, "panda_2f": 0.75, "shadow": 0.75}
+"""Share of grasps of either side with the same fitness; Barrett agrees with itself on 85 %."""
+FEW = 30
+"""Classes with fewer rows are not judged."""
+NAMES, POSE = ("valid", "touched", "success"), ("base_position", "base_quaternion_xyzw", "synergy", "spread")
+"""Columns that are read of a file."""
+NEIGHBOURS = {"shadow": 24}
+"""Number of poses to try around each success, where the successes alone are few."""
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """Verdicts of one side on each pose; (n,) each."""
+
+    valid: np.ndarray
+    touched: np.ndarray
+    success: np.ndarray
+    fitness: np.ndarray
+
+
+def joined(verdicts):
+    """Several files' verdicts as one."""
+    names = ("valid", "touched", "success", "fitness")
+    return Verdicts(**{name: np.concatenate([getattr(each, name) for each in verdicts]) for name in names})
+
+
+def recorded(path, hand, target, every=1):
+    """The poses of a file, or every so many, as genomes of the prior `given`, and the verdicts."""
+    with np.load(path / "parity" / f"{hand}_{target}.npz") as kept:
+        file = {name: kept[name][::every] for name in (*NAMES, "fitness", *POSE)}
+    columns = [file["base_position"], file["base_quaternion_xyzw"]]
+    if (file["synergy"] >= 0).any():
+        columns.append(file["synergy"][:, None])
+    if np.isfinite(file["spread"]).any():
+        columns.append(file["spread"])
+    verdicts = Verdicts(fitness=file["fitness"], **{name: file[name].astype(bool) for name in NAMES})
+    return np.concatenate(columns, axis=1).astype(np.float32), verdicts
+
+
+def evaluated(gripper, target, poses):
+    """Our verdicts on poses."""
+    spec = RunSpec(gripper=gripper, object=f"ycb_{target}", protocol="released")
+    with Evaluator(build_scene(spec)) as evaluator:
+        evaluation = evaluator.evaluate("given", poses, np.zeros(len(poses), np.uint16))
+    assert evaluation.failures == []
+    outcomes = [Outcome(value) for value in evaluation.rows["outcome"]]
+    return Verdicts(
+        valid=np.array([outcome.is_simulated for outcome in outcomes]),
+        touched=np.array([outcome.is_touched for outcome in outcomes]),
+        success=np.array([outcome.is_success for outcome in outcomes]),
+        fitness=evaluation.rows["fitness"],
+    )
+
+
+@cache
+def sides(path, hand, target, every=1):
+    """The reference hand's verdicts, and the authors', on all poses or every so many."""
+    poses, theirs = recorded(path, hand, target, every)
+    return evaluated(f"ref_{hand}", target, poses), theirs
+
+
+def agreement(ours, theirs, where=None):
+    """The share of rows on which both sides say the same."""
+    same = ours == theirs
+    return same.mean() if where is None else same[where].mean()
+
+
+@pytest.mark.parametrize("target", OBJECTS)
+def test_the_panda_fares_as_in_the_authors_code(target, asset_path):
+    ours, theirs = sides(asset_path, "panda_2f", target, every=3)
+    assert agreement(ours.valid, theirs.valid) >= 0.99
+    assert agreement(ours.touched, theirs.touched) >= 0.98
+    assert agreement(ours.success, theirs.success) >= 0.98
+    assert agreement(ours.success, theirs.success, ours.success | theirs.success) >= 0.90
+    either = (ours.fitness >= 1) | (theirs.fitness >= 1)
+    assert agreement(ours.fitness, theirs.fitness, either) >= 0.80
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("hand", FITNESS)
+def test_every_reference_hand_fares_as_in_the_authors_code(hand, asset_path):
+    files = [sides(asset_path, hand, target) for target in OBJECTS]
+    for ours, theirs in files:
+        assert agreement(ours.valid, theirs.valid) >= 0.99
+        assert agreement(ours.success, theirs.success) >= 0.97
+    ours, theirs = (joined(each) for each in zip(*files, strict=True))
+    assert agreement(ours.success, theirs.success, ours.success | theirs.success) >= 0.85
+    either = (ours.fitness >= 1) | (theirs.fitness >= 1)
+    assert either.sum() < FEW or agreement(ours.fitness, theirs.fitness, either) >= FITNESS[hand]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", REFERENCES)
+def test_a_built_in_hand_succeeds_where_the_reference_does(name, asset_path):
+    sides = [both(asset_path, name, target) for target in OBJECTS]
+    own, reference = (joined(each) for each in zip(*sides, strict=True))
+    chosen = balanced(reference)
+    assert len(chosen) >= 300
+    assert agreement(own.success, reference.success, chosen) >= 0.85
+
+
+def both(path, name, target):
+    """The built-in hand's and the reference's verdicts, on recorded poses or around successes."""
+    hand = REFERENCES[name]
+    poses, theirs = recorded(path, hand, target)
+    if name in NEIGHBOURS:
+        poses = around(poses[theirs.success], NEIGHBOURS[name])
+        return evaluated(name, target, poses), evaluated(f"ref_{hand}", target, poses)
+    return evaluated(name, target, poses), sides(path, hand, target)[0]
+
+
+def around(poses, count):
+    """Each pose `count` times, moved by some 5 mm and 3 degrees."""
+    random = np.random.default_rng(0)
+    moved = np.repeat(poses, count, axis=0)
+    moved[:, :3] += random.normal(0.0, 0.005, (len(moved), 3))
+    moved[:, 3:7] += random.normal(0.0, 0.025, (len(moved), 4))
+    return moved
+
+
+def balanced(verdicts):
+    """Indices of as many rows that are successes as of simulated ones that are not."""
+    hits, misses = np.flatnonzero(verdicts.success), np.flatnonzero(verdicts.valid & ~verdicts.success)
+    count = min(len(hits), len(misses))
+    random = np.random.default_rng(0)
+    return np.concatenate([random.choice(each, count, replace=False) for each in (hits, misses)])

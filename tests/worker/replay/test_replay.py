@@ -1,0 +1,242 @@
+"""A replay gives the recorded verdict, and its pictures agree with the numbers."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.worker.replay.recorded_evaluations import RecordedEvaluation, record_evaluation, request
+
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import RESULT, Outcome
+from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.replay.episode_recorder import still_snapshot
+from qdgrasp_worker.replay.renderer import (
+    FILLED_SHARE,
+    NO_LINK,
+    Renderer,
+    SegmentationMask,
+    best_view,
+    corners_around,
+    fit_camera,
+)
+from qdgrasp_worker.replay.replay import EpisodeReplay
+
+WIDTH, HEIGHT = 640, 480
+SLACK = 2.0
+"""Pixels by which a corner may be seen beside itself."""
+
+
+@pytest.fixture(scope="module")
+def on_the_cube(cube) -> RecordedEvaluation:
+    return record_evaluation(cube, 40)
+
+
+def frame(pose) -> np.ndarray:
+    """A pose as (4, 4)."""
+    whole = np.eye(4)
+    whole[:3, :3], whole[:3, 3] = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
+    return whole
+
+
+def drawn(replay: EpisodeReplay):
+    """The answer and the frames of a replay."""
+    frames = []
+
+    def make(*shape: int) -> np.ndarray:
+        frames.append(np.zeros((*shape, 3), dtype=np.uint8))
+        return frames[0]
+
+    return replay.render(make), frames[0]
+
+
+def assert_same(row: np.void, replay: EpisodeReplay) -> None:
+    """The replay found what the row says, bit for bit."""
+    found = row.copy()
+    for name in ("outcome", "fitness", "joints", "contacts", "penetration"):
+        found[name] = getattr(replay.verdict, name)
+    assert all(found[column.name].tobytes() == row[column.name].tobytes() for column in RESULT)
+
+
+def test_a_replay_comes_to_the_verdict_of_the_evaluation(on_the_cube):
+    outcomes = set(map(Outcome, on_the_cube.rows["outcome"]))
+    assert {Outcome.OVERLAP, Outcome.BRUSHED, Outcome.HELD} <= outcomes
+    for outcome in outcomes:
+        row = on_the_cube.one(outcome)
+        assert_same(row, EpisodeReplay(on_the_cube.scene, request(row)))
+
+
+@pytest.mark.parametrize(
+    ("gripper", "protocol", "trial"),
+    [("panda", "robust", 3), ("barrett", "released", 0)],
+)
+def test_so_it_does_with_other_hands_and_protocols(make_scene, gripper, protocol, trial):
+    found = record_evaluation(make_scene(gripper, "rubiks_cube", protocol), 12, trial)
+    for row in found.rows[np.argsort(-found.rows["outcome"], kind="stable")[:2]]:
+        assert_same(row, EpisodeReplay(found.scene, request(row)))
+
+
+def test_the_same_is_drawn_every_time(on_the_cube):
+    row = on_the_cube.one(Outcome.HELD)
+    (one, image), (other, again) = (drawn(EpisodeReplay(on_the_cube.scene, request(row))) for _ in range(2))
+    assert one == other
+    assert image.tobytes() == again.tobytes()
+    assert len(np.unique(image)) > 50
+
+
+def test_the_hand_is_shown_where_the_row_has_it(on_the_cube):
+    row = on_the_cube.one(Outcome.OVERLAP)
+    answer, _ = drawn(EpisodeReplay(on_the_cube.scene, request(row)))
+    assert [shot.phase for shot in answer.shots] == ["placed"]
+    np.testing.assert_allclose(frame(answer.shots[0].hand), frame(row["base_to_object"]), atol=1e-6)
+    assert any(touch.distance < 0 for touch in answer.shots[0].touches)
+
+
+def test_contacts_lie_on_the_object_and_their_normals_point_out_of_it(on_the_cube):
+    row = on_the_cube.one(Outcome.HELD)
+    answer, _ = drawn(EpisodeReplay(on_the_cube.scene, request(row)))
+    (shot,) = answer.shots
+    assert {touch.link for touch in shot.touches} == {"panda_leftfinger", "panda_rightfinger"}
+    scene, into = on_the_cube.scene, np.linalg.inv(frame(shot.object))
+    for touch in shot.touches:
+        point, normal = into[:3, :3] @ touch.point + into[:3, 3], into[:3, :3] @ touch.normal
+        is_near = np.linalg.norm(scene.surface_points - point, axis=1) < 0.006
+        assert (scene.surface_normals[is_near] @ normal).max() > 0.9
+
+
+def test_a_film_ends_where_the_evaluation_ends(on_the_cube):
+    row = on_the_cube.one(Outcome.HELD)
+    answer, frames = drawn(EpisodeReplay(on_the_cube.scene, request(row, "shakes")))
+    assert len(frames) == len(answer.shots)
+    assert (answer.shots[0].phase, answer.shots[-1].phase) == ("shake z", "shake x")
+    assert answer.shots[-1].step == 204
+    assert frames[0].tobytes() != frames[len(frames) // 3].tobytes()
+
+
+def test_a_part_that_did_not_happen_is_refused(on_the_cube):
+    row = on_the_cube.one(Outcome.OVERLAP)
+    with pytest.raises(InputError, match="no shakes to show: its outcome is overlap"):
+        drawn(EpisodeReplay(on_the_cube.scene, request(row, "shakes")))
+
+
+def test_convex_parts_are_drawn_where_they_are_asked_for(on_the_cube):
+    scene, row = on_the_cube.scene, on_the_cube.one(Outcome.HELD)
+    half = (0.5 * np.frombuffer(scene.object.mesh_vertices, dtype="<f4")).astype("<f4").tobytes()
+    small = msgspec.structs.replace(scene, object=msgspec.structs.replace(scene.object, mesh_vertices=half))
+    view = (30.0, 20.0)
+    (_, parts), (_, surface), (_, whole) = (
+        drawn(EpisodeReplay(shown, request(row, parts=parts, view=view)))
+        for shown, parts in ((small, True), (small, False), (scene, False))
+    )
+    assert np.count_nonzero(surface != whole) > 10 * np.count_nonzero(parts != whole)
+
+
+class Watched:
+    """A still of a grasp as rendered, and the places by forward kinematics."""
+
+    def __init__(self, scene: Scene, row: np.void) -> None:
+        replay = EpisodeReplay(scene, request(row, width=WIDTH, height=HEIGHT))
+        snapshot = still_snapshot(replay.snapshots)
+        with Renderer(scene) as renderer:
+            corners = corners_around(renderer, [snapshot], snapshot)
+            camera = fit_camera(corners, *best_view(renderer, snapshot), WIDTH / HEIGHT)
+            renderer.place(snapshot)
+            self.seen: SegmentationMask = renderer.segment(camera, WIDTH, HEIGHT)
+            names = renderer._bullet.links(renderer._hand.body)
+        self.camera = camera.camera(WIDTH, HEIGHT)
+        self.numbers = {link.link: number for number, link in enumerate(names)}
+        robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314
+        postures = dict(zip(replay._joints, snapshot.joints, strict=True))
+        self.frames = robot.forward(postures, frame(row["base_to_object"]))
+        self.hulls = HandKinematics(scene.gripper).hulls
+        self.fingers = [link for link in scene.gripper.finger_links if self.hulls[link]]
+        self.object = frame([*snapshot.object[0], *snapshot.object[1]])
+
+    def corners(self, link: str) -> np.ndarray:
+        """(n, 3): the corners of a link's shapes, by forward kinematics."""
+        points = np.concatenate([hull.triangles.reshape(-1, 3) for hull in self.hulls[link]])
+        return points @ self.frames[link][:3, :3].T + self.frames[link][:3, 3]
+
+
+def within(mask: np.ndarray, pixels: np.ndarray) -> bool:
+    """Return whether all that is drawn lies in the box around where points are seen."""
+    rows, columns = np.nonzero(mask)
+    low, high = pixels.min(axis=0) - SLACK, pixels.max(axis=0) + SLACK
+    return bool(
+        low[0] <= columns.min()
+        and columns.max() <= high[0]
+        and low[1] <= rows.min()
+        and rows.max() <= high[1]
+    )
+
+
+@pytest.fixture(scope="module", params=["panda", "allegro"])
+def watched(request, make_scene) -> Watched:
+    """The best of some grasps of a hand."""
+    found = record_evaluation(make_scene(request.param, "rubiks_cube", "paper"), 12)
+    return Watched(found.scene, found.rows[int(found.rows["outcome"].argmax())])
+
+
+def test_every_link_is_drawn_where_forward_kinematics_puts_it(watched):
+    shown = {link: watched.seen.links == number for link, number in watched.numbers.items()}
+    shown = {link: mask for link, mask in shown.items() if mask.any()}
+    assert set(watched.fingers) & set(shown)
+    corners = {link: watched.corners(link) for link in shown}
+    for link, mask in shown.items():
+        assert within(mask, watched.camera.pixels(corners[link])), link
+    assert not all(within(mask, watched.camera.pixels(corners[link] + 0.005)) for link, mask in shown.items())
+
+
+def test_the_middle_of_every_finger_link_lies_in_what_is_drawn(watched):
+    fingers = watched.fingers
+    middles = np.array([watched.corners(link).mean(axis=0) for link in fingers])
+    columns, rows = np.floor(watched.camera.pixels(middles)).astype(int).T
+    there = watched.seen.links[rows, columns]
+    assert ((there != NO_LINK) | watched.seen.is_object[rows, columns]).all()
+    itself = there == [watched.numbers[link] for link in fingers]
+    assert itself.sum() >= len(fingers) / 2  # others stand in front of the rest
+
+
+def test_the_object_is_drawn_where_the_simulator_has_it(on_the_cube):
+    watched = Watched(on_the_cube.scene, on_the_cube.one(Outcome.HELD))
+    corners = on_the_cube.scene.object.triangles.reshape(-1, 3).astype(float)
+    moved = corners @ watched.object[:3, :3].T + watched.object[:3, 3]
+    assert within(watched.seen.is_object, watched.camera.pixels(moved))
+    assert not within(watched.seen.is_object, watched.camera.pixels(moved + 0.01))
+
+
+PICTURE = 400, 300
+"""Columns and rows of a picture."""
+CLOUD = np.random.default_rng(0).uniform((0.1, -0.2, -0.1), (0.4, 0.1, 0.2), (50, 3))
+VIEWS = [(0, 0), (40, 25), (200, -30), (90, 80), (-15, 90)]
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_everything_is_in_the_picture_and_fills_it(view):
+    pixels = fit_camera(CLOUD, *view, 4 / 3).camera(*PICTURE).pixels(CLOUD)
+    shares = np.abs(pixels / PICTURE - 0.5) * 2
+    assert shares.max() == pytest.approx(FILLED_SHARE, abs=0.02)
+
+
+@pytest.mark.parametrize("view", VIEWS[:4], ids=str)
+def test_the_objects_z_points_up_in_the_picture(view):
+    camera = fit_camera(CLOUD, *view, 4 / 3).camera(*PICTURE)
+    (column, row), (above, higher) = camera.pixels(np.array([[0.2, 0, 0.1], [0.2, 0, 0.14]]))
+    assert above == pytest.approx(column, abs=12)
+    assert higher < row
+
+
+def test_who_looks_along_minus_x_has_y_to_the_right():
+    camera = fit_camera(CLOUD, 0.0, 0.0, 4 / 3).camera(*PICTURE)
+    (left, _), (right, _) = camera.pixels(np.array([[0.2, 0.0, 0.1], [0.2, 0.05, 0.1]]))
+    assert right > left
+
+
+def test_what_is_nearer_is_larger():
+    camera = fit_camera(CLOUD, 0.0, 0.0, 4 / 3).camera(*PICTURE)
+    near, far = (np.ptp(camera.pixels(np.array([[x, -0.05, 0.1], [x, 0.05, 0.1]]))[:, 0]) for x in (0.4, 0.1))
+    assert near > far

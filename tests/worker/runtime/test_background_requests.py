@@ -1,0 +1,83 @@
+"""Scenes that a worker keeps on disk and in memory."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.worker.runtime.fake_coordinator import LeasingCoordinator
+
+from qdgrasp_protocol.errors import NoReply
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_worker.runtime import background_requests
+from qdgrasp_worker.runtime.background_requests import MAX_SCENES, SceneAnswered, SceneCache, SceneStore
+
+SCENE = b"a scene"
+
+
+@pytest.fixture
+def office() -> Iterator[LeasingCoordinator]:
+    with LeasingCoordinator(MemoryNetwork(), scene=SCENE) as office:
+        yield office
+
+
+def keep(folder: Path, payload: bytes, used: int) -> str:
+    """Have a scene on disk that was used then [ns]; gives its digest."""
+    digest = hashlib.sha256(payload).hexdigest()
+    (folder / digest).write_bytes(payload)
+    os.utime(folder / digest, ns=(used, used))
+    return digest
+
+
+def test_a_full_disk_costs_no_scene_and_keeps_no_draft(office, tmp_path, monkeypatch):
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    assert SceneStore(tmp_path).bundle(office.bus, "job", office.digest) == SCENE
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, monkeypatch):
+    monkeypatch.setattr(background_requests, "MAX_STORE_SIZE", 3 * len(SCENE))
+    old, recent, reused = (keep(tmp_path, SCENE[:6] + end, 1 + i) for i, end in enumerate((b"1", b"2", b"3")))
+    os.utime(tmp_path / reused, ns=(0, 0))
+    cache = SceneStore(tmp_path)
+    cache.bundle(office.bus, "job", reused)
+    cache.bundle(office.bus, "job", office.digest)
+    assert {path.name for path in tmp_path.iterdir()} == {recent, reused, office.digest}
+    assert old != recent
+
+
+class NotedRequests:
+    """Requests that are noted only."""
+
+    def __init__(self) -> None:
+        self.fetched: list[str] = []
+
+    def fetch(self, job: str, scene: str) -> None:
+        self.fetched.append(scene)
+
+
+def test_a_scene_is_looked_for_once_and_again_only_where_it_was_not_found():
+    requests = NotedRequests()
+    scenes = SceneCache(requests)
+    assert not any(scenes.has_or_request("job", "a") for _ in range(2))
+    scenes.on_answer(SceneAnswered("job", "a", NoReply("nobody")))
+    assert not scenes.has_or_request("job", "a")
+    assert requests.fetched == ["a", "a"]
+    scenes.on_answer(SceneAnswered("job", "a", b"a scene"))
+    assert scenes.has_or_request("job", "a")
+    assert scenes.pop("a") == b"a scene"
+
+
+def test_of_scenes_that_nobody_takes_the_last_are_kept_and_the_others_looked_for_again():
+    requests = NotedRequests()
+    scenes = SceneCache(requests)
+    names = [str(number) for number in range(100)]
+    for name in names:
+        scenes.has_or_request("job", name)
+        scenes.on_answer(SceneAnswered("job", name, b"a scene"))
+    assert [name for name in names if scenes.has_or_request("job", name)] == names[-MAX_SCENES:]
+    assert requests.fetched[100:] == names[:-MAX_SCENES]

@@ -1,0 +1,423 @@
+"""A worker on the bus with its simulator's process: joining, serving, handing back, leaving."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from structlog.testing import capture_logs
+from tests.worker.runtime import scripted_simulator
+from tests.worker.runtime.fake_coordinator import LeasingCoordinator
+from tests.worker.runtime.running_worker import GRACE, RunningWorker
+from tests.worker.runtime.scripted_simulator import work
+
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import Control, Work
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.service import HAND_BACK_SECONDS, GracefulShutdown
+from qdgrasp_worker.runtime.simulator_messages import PartialResult
+
+
+@pytest.fixture
+def network() -> MemoryNetwork:
+    return MemoryNetwork()
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "rows"
+
+
+@pytest.fixture
+def go_on(log: Path) -> Callable[[], None]:
+    """Lets rows that wait go on."""
+    return scripted_simulator.go_on(log).touch
+
+
+@pytest.fixture
+def hire(network: MemoryNetwork, log: Path) -> Iterator[Callable[..., RunningWorker]]:
+    hired: list[RunningWorker] = []
+
+    def hire(job: str | None = None, grace: float = GRACE) -> RunningWorker:
+        hired.append(RunningWorker(network.session(), job, grace, [*scripted_simulator.COMMAND, str(log)]))
+        return hired[-1]
+
+    yield hire
+    for worker in hired:
+        worker.leave(signal.SIGINT)
+        assert worker.ended()
+
+
+@pytest.fixture
+def open_office(network: MemoryNetwork) -> Iterator[Callable[..., LeasingCoordinator]]:
+    with ExitStack() as stack:
+        yield lambda *arguments, **named: stack.enter_context(
+            LeasingCoordinator(network, *arguments, **named)
+        )
+
+
+def test_a_worker_fetches_a_scene_once_and_answers_every_batch(hire, open_office):
+    office = open_office()
+    hire()
+    office.give(*(work(batch, n=20) for batch in range(5)))
+    office.wait(lambda: len(office.results) == 5, "five results")
+    assert office.answered() == [0, 1, 2, 3, 4]
+    assert office.fetched == 1
+    assert (office.joins[0].platform, office.joins[0].credit) == (scripted_simulator.PLATFORM, 2)
+    assert all(result.n == 20 and not result.failures[1:] for result in office.results)
+
+
+def test_jobs_share_a_worker_and_are_served_in_turn(hire, open_office):
+    one, other = open_office("one"), open_office("other")
+    order: list[str] = []
+    hire()
+    for office in (one, other):
+        office.wait(lambda office=office: office.joins and office.joins[-1].credit == 1, "half of the credit")
+        office.give(work(0))
+        office.wait(lambda office=office: office.results, "a first result")
+        office.told = lambda result, office=office: order.append(office.job)
+    one.give(*(work(batch) for batch in range(1, 31)))
+    other.give(*(work(batch) for batch in range(1, 11)))
+    for office, count in ((one, 31), (other, 11)):
+        office.wait(lambda office=office, count=count: len(office.results) == count, "all results")
+    there = [order[i] for i in range(order.index("other"), 40 - order[::-1].index("other"))]
+    assert abs(there.count("one") - there.count("other")) <= 2
+
+
+def test_a_job_that_ends_leaves_its_credit_to_the_others(hire, open_office, network):
+    one = open_office("one")
+    hire()
+    one.wait(lambda: one.joins, "a join")
+    with LeasingCoordinator(network, "other") as other:
+        one.wait(lambda: one.joins[-1].credit == 1, "half of the credit")
+        other.wait(lambda: other.joins and other.joins[-1].credit == 1, "the other half")
+    one.wait(lambda: one.joins[-1].credit == 2, "all of the credit")
+
+
+def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alone(
+    hire, open_office, network
+):
+    office, other = open_office("drained"), open_office("other")
+    worker = hire()
+    office.wait(lambda: office.joins and office.joins[-1].credit == 1, "a join")
+    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE))
+    office.control(drain=True)
+    office.wait(lambda: not office.workers, "the end of its token")
+    assert office.answered() == [1]
+    other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
+    joins = len(office.joins)
+    office.give(work(3))
+    worker.bus.disconnect()
+    worker.bus.reconnect()
+    office.wait(lambda: len(office.joins) > joins, "a question whether it is still the same coordinator")
+    office.wait(lambda: not office.workers, "the end of its token")
+    other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
+    other.give(work(2))
+    other.wait(lambda: other.results, "a result")
+    assert office.answered() == [1]
+
+
+def test_a_worker_that_was_drained_of_a_job_serves_a_new_one_of_the_same_name(hire, open_office, network):
+    with LeasingCoordinator(network) as office:
+        hire()
+        office.wait(lambda: office.joins, "a join")
+        office.control(drain=True)
+        office.wait(lambda: not office.workers, "the end of its token")
+    anew = open_office()
+    anew.give(work(2))
+    anew.wait(lambda: anew.results, "a result")
+    assert anew.epoch == office.epoch
+
+
+def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office):
+    office = open_office()
+    worker = hire(job="job")
+    office.wait(lambda: office.joins, "a join")
+    office.control(drain=True)
+    assert worker.ended()
+
+
+def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(hire, open_office, go_on):
+    office = open_office()
+    worker = hire()
+    office.give(
+        work(0),
+        work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT),
+        work(2),
+        work(3),
+    )
+    office.wait(lambda: office.results, "a result")
+    worker.leave()
+    office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
+    go_on()
+    assert worker.ended()
+    last = office.joins[-1]
+    assert last.credit == 0
+    assert last.held == [work(1).batch]
+    assert office.answered() == [0, 1]
+
+
+def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(hire, open_office):
+    office = open_office()
+    worker = hire(grace=1.0)
+    office.give(work(0), work(1, n=3, row_1=scripted_simulator.HANG))
+    office.wait(lambda: office.results, "a result")
+    worker.leave()
+    assert worker.ended()
+    assert (office.joins[-1].credit, office.joins[-1].held) == (0, [])
+    assert office.answered() == [0]
+
+
+@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT]])
+def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(hire, open_office, signals):
+    office = open_office()
+    worker = hire(grace=1000.0)
+    office.give(work(0), work(1, row_0=scripted_simulator.HANG))
+    office.wait(lambda: office.results, "a result")
+    for number in signals:
+        worker.leave(number)
+    assert worker.ended()
+    assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
+
+
+def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office, go_on):
+    office = open_office()
+    worker = hire()
+    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+    office.wait(lambda: office.signs, "a sign of progress")
+    for _ in range(2):
+        worker.leave(signal.SIGTERM)
+    office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
+    go_on()
+    assert worker.ended()
+    assert office.answered() == [1]
+
+
+def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_office, network):
+    with LeasingCoordinator(network) as office:
+        worker = hire(grace=1000.0)
+        office.give(work(1, row_0=scripted_simulator.HANG))
+        office.wait(lambda: office.signs, "a sign of progress")
+    worker.leave()
+    assert worker.ended()
+
+
+def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(hire, open_office, go_on):
+    office = open_office()
+    worker = hire()
+    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+    office.wait(lambda: office.signs, "a sign of progress")
+    os.kill(worker.simulators[0].pid, signal.SIGKILL)
+    go_on()
+    office.wait(lambda: office.results, "a result")
+    assert [join.held for join in office.joins[1:]].count([]) >= 1
+    assert office.answered() == [1]
+    assert office.results[0].failures == []
+    assert len(worker.simulators) == 2
+
+
+def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_started_again(hire, open_office):
+    office = open_office()
+    worker = hire()
+    office.wait(lambda: office.joins and office.joins[-1].credit, "a simulator")
+    office.wait(lambda: office.sign, "a sign")
+    office.wait(lambda: office.sign.memory > 1 << 20, "what it takes")
+    assert (office.sign.progressed, office.sign.run, office.sign.restarts) == (False, "", 0)
+    os.kill(worker.simulators[0].pid, signal.SIGKILL)
+    office.wait(lambda: office.sign.restarts == 1, "another simulator")
+    assert office.signs == 0
+
+
+def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(hire, open_office):
+    office = open_office()
+    hire()
+    office.give(work(1, n=4, row_2=scripted_simulator.ABORT), work(2))
+    office.wait(lambda: len(office.results) == 2, "two results")
+    assert [failure.row for failure in office.results[0].failures] == [2]
+    assert all(work(1).batch in join.held for join in office.joins[1:3])
+
+
+def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(hire, open_office):
+    office = open_office()
+    worker = hire()
+    office.wait(lambda: office.joins, "a join")
+    wid, control = office.joins[-1].wid, Control(epoch=1, drop=[], drain=True)
+    sent = [
+        (Keys("job").ctl(wid), work(1), messages.encoding(Work)),
+        (Keys("job").work(wid), control, messages.encoding(Control)),
+        (Keys("job").ctl(wid), control, "application/json"),
+    ]
+    with capture_logs() as logs:
+        for key, message, encoding in sent:
+            office.bus.put(key, messages.encode(message), encoding=encoding)
+        office.give(work(2))
+        office.wait(lambda: office.results, "a result")
+    assert office.answered() == [2]
+    assert office.workers
+    assert worker.thread.is_alive()
+    assert [entry["dropped"] for entry in logs if entry["event"] == "dropped a message"] == [1, 2]
+
+
+def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office, go_on):
+    office = open_office()
+    hire()
+    office.give(work(1, n=5, row_0=scripted_simulator.WAIT), work(2), work(3))
+    office.wait(lambda: office.fetched, "its beginning")
+    office.control(work(1))
+    go_on()
+    office.wait(lambda: 3 in office.answered(), "the third")
+    assert office.answered() == [2, 3]
+
+
+def test_a_worker_that_its_only_job_refuses_says_why(hire, open_office):
+    office = open_office()
+    office.refusal = "another numpy"
+    worker = hire(job="job")
+    assert worker.ended()
+    assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
+
+
+def test_a_worker_whose_only_job_fails_by_a_fault_of_its_own_asks_again(hire, open_office):
+    office = open_office()
+    office.faults = 2
+    worker = hire(job="job")
+    office.wait(lambda: office.joins, "a join")
+    assert (office.faults, worker.error) == (0, None)
+
+
+def test_a_worker_that_one_of_many_jobs_refuses_serves_the_others(hire, open_office):
+    refusing, other = open_office("refusing"), open_office("other")
+    refusing.refusal = "another numpy"
+    hire()
+    other.wait(lambda: other.joins and other.joins[-1].credit == 2, "all of the credit")
+    other.give(work(1))
+    other.wait(lambda: other.results, "a result")
+
+
+def test_a_scene_that_is_no_scene_fails_its_batches(hire, open_office):
+    office = open_office(scene=b"no scene")
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert {failure.reason for failure in office.results[0].failures} == {"This is no scene."}
+
+
+def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(hire, open_office):
+    office = open_office()
+    office.garbled = 2
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert office.results[0].failures == []
+    assert office.fetched == 3
+
+
+def test_a_scene_that_is_larger_than_one_can_be_fails_its_batches(hire, open_office, monkeypatch):
+    monkeypatch.setattr(messages, "MAX_BUNDLE", 0)
+    office = open_office()
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert {failure.reason for failure in office.results[0].failures} == {
+        "the scene has 1 chunks, more than 0"
+    }
+
+
+def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office, go_on):
+    office = open_office()
+    worker = hire()
+    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+    office.wait(lambda: office.fetched, "its beginning")
+    joins = len(office.joins)
+    worker.bus.disconnect()
+    worker.bus.reconnect()
+    office.wait(lambda: len(office.joins) > joins, "another join")
+    go_on()
+    office.wait(lambda: office.results, "a result")
+    assert office.joins[-1].held == [work(1).batch]
+
+
+def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hire, open_office):
+    office = open_office(scene=b"abort")
+    worker = hire()
+    office.give(*(work(batch, n=2) for batch in range(6)))
+    office.wait(lambda: len(office.results) == 6, "six results")
+    assert all(len(result.failures) == 2 for result in office.results)
+    assert office.results[-1].failures[0].reason == "its scene ends every simulator"
+    assert len(worker.simulators) <= 4
+
+
+# The decision when to end.
+
+SECONDS = 2.0
+
+
+def in_work(n: int, done: int, since: float) -> BatchProgress:
+    task = BatchProgress("job", work(n=n), since=since)
+    if done:
+        task.add(PartialResult(n=done, columns={"nu": bytes(4 * done)}))
+    return task
+
+
+@pytest.fixture
+def shutdown() -> GracefulShutdown:
+    return GracefulShutdown(SECONDS)
+
+
+def test_nobody_leaves_unasked(shutdown):
+    assert not shutdown.is_over(1e9)
+
+
+def test_an_idle_worker_goes_at_once(shutdown):
+    shutdown.start(None, now=10.0)
+    assert shutdown.is_over(10.0)
+
+
+def test_a_batch_that_fits_is_finished_before(shutdown):
+    half = in_work(n=10, done=5, since=9.0)
+    shutdown.start(half, now=10.0)
+    assert shutdown.last_batch is half
+    assert not shutdown.is_over(10.5)
+    shutdown.on_released(half)
+    assert shutdown.is_over(10.5)
+
+
+@pytest.mark.parametrize(("done", "since"), [(1, 9.0), (0, 10.0 - SECONDS), (0, -1000.0)])
+def test_a_batch_that_does_not_fit_is_not_waited_for(shutdown, done, since):
+    shutdown.start(in_work(n=10, done=done, since=since), now=10.0)
+    assert shutdown.last_batch is None
+
+
+def test_a_batch_that_takes_longer_than_it_seemed_is_late_while_it_can_be_handed_back(shutdown):
+    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
+    assert shutdown.deadline == 10.0 + SECONDS - HAND_BACK_SECONDS
+    assert not shutdown.is_late(10.0)
+    assert shutdown.is_late(shutdown.deadline)
+
+
+def test_jobs_hear_what_is_handed_back_unless_that_takes_too_long(shutdown):
+    shutdown.await_job("one")
+    shutdown.start(None, now=10.0)
+    assert not shutdown.is_over(10.1)
+    assert shutdown.is_over(10.0 + SECONDS)
+    shutdown.on_job_told("one")
+    assert shutdown.is_over(10.1)
+
+
+def test_a_worker_without_grace_still_hands_back():
+    shutdown = GracefulShutdown(0.0)
+    shutdown.await_job("one")
+    shutdown.start(in_work(n=1, done=0, since=10.0), now=10.0)
+    assert shutdown.last_batch is None
+    assert not shutdown.is_over(10.0)
+    assert shutdown.is_over(10.0 + HAND_BACK_SECONDS)
+
+
+def test_at_once_is_at_once(shutdown):
+    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
+    shutdown.stop_now()
+    assert shutdown.is_over(10.0)

@@ -1,0 +1,94 @@
+"""A simulator's process: the rows that it evaluates, and its limits on itself."""
+
+import os
+import subprocess
+import sys
+
+from tests.coordinator.scheduler.fakes import Job
+from tests.coordinator.scheduler.search_plans import Plan, reference
+from tests.worker.runtime.crashing_simulator import COMMAND
+from tests.worker.runtime.running_worker import RunningWorker
+
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE
+from qdgrasp_worker.runtime.process_limits import CPU_LIMIT_SIGNAL
+from qdgrasp_worker.runtime.simulator_main import slices
+
+
+def test_slices_cover_every_row_once():
+    for n in (1, ROWS_AT_ONCE, ROWS_AT_ONCE + 1, 5 * ROWS_AT_ONCE - 1):
+        assert [row for place in slices(n, ROWS_AT_ONCE) for row in range(place.start, place.stop)] == list(
+            range(n)
+        )
+
+
+PLAN = Plan(seed=9, population=8, evaluations=32)
+
+
+def test_poison_is_settled_as_an_error_and_the_journal_is_the_one_without_a_bus():
+    job = Job({"run": PLAN})
+    workers = [RunningWorker(job.network.session(), command=COMMAND) for _ in range(2)]
+    job.service.run()
+    for worker in workers:
+        worker.leave()
+        assert worker.ended()
+    rows = job.records["run"].rows
+    assert rows.tobytes() == reference(PLAN)
+    errors = int((rows["outcome"] == Outcome.ERROR).sum())
+    assert errors == 3
+    assert sum(len(worker.simulators) for worker in workers) >= 3 * errors
+
+
+STAND_BACK = """
+import os, time
+from qdgrasp_worker.runtime.process_limits import AUTOGROUP, lower_priority
+lower_priority(7)
+while AUTOGROUP.exists() and not AUTOGROUP.read_text().endswith("nice 7\\n"):
+    time.sleep(0.01)
+print(os.nice(0))
+"""
+LIMIT = """
+from qdgrasp_worker.runtime.process_limits import limit_memory
+limit_memory(400_000_000)
+try:
+    bytearray(500_000_000)
+except MemoryError:
+    print("refused")
+"""
+HEED = """
+import os, signal
+from qdgrasp_worker.runtime.process_limits import end_with_parent_only
+end_with_parent_only()
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    os.kill(os.getpid(), number)
+print("here")
+"""
+TAKE_TIME = """
+from qdgrasp_worker.runtime.process_limits import time_limit
+with time_limit(0.2):
+    sum(range(10**12))
+"""
+
+
+def said(script: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, start_new_session=True
+    )
+    return done.stdout.strip()
+
+
+def test_it_stands_back_in_its_session_and_as_a_session():
+    assert said(STAND_BACK) == str(os.nice(0) + 7)
+
+
+def test_it_may_not_ask_for_more_memory_than_was_granted():
+    assert said(LIMIT) == "refused"
+
+
+def test_what_is_meant_for_a_group_does_not_end_it():
+    assert said(HEED) == "here"
+
+
+def test_what_takes_too_long_ends_it_also_inside_of_a_call():
+    done = subprocess.run([sys.executable, "-c", TAKE_TIME], check=False)
+    assert -done.returncode == CPU_LIMIT_SIGNAL

@@ -1,0 +1,339 @@
+"""The supervision of simulators: their stall, their crashes, and the batches that they had."""
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from math import inf
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from time import monotonic
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE
+from tests.worker.runtime import scripted_simulator
+from tests.worker.runtime.scripted_simulator import work
+
+from qdgrasp_protocol.messages import Result, Work
+from qdgrasp_worker.runtime import simulator_supervisor
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.process_limits import PROBE_SECONDS, STALL_FACTOR
+from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
+from qdgrasp_worker.runtime.simulator_supervisor import (
+    CHECK_SLICE,
+    NoSimulator,
+    SimulatorClient,
+    SimulatorEvent,
+    SimulatorSupervisor,
+    StallDetector,
+)
+
+
+@pytest.fixture
+def stall() -> StallDetector:
+    stall = StallDetector()
+    stall.restart(100.0)
+    return stall
+
+
+def check_repeatedly(stall: StallDetector, since: float, slices: int, *, is_stopped: bool = False) -> float:
+    for number in range(1, slices + 1):
+        stall.check(since + number * CHECK_SLICE, is_stopped=is_stopped)
+    return since + slices * CHECK_SLICE
+
+
+def test_silence_is_the_time_that_passes(stall):
+    now = check_repeatedly(stall, 100.0, 7)
+    stall.check(now + CHECK_SLICE / 2, is_stopped=False)
+    assert stall.seconds == 7.5 * CHECK_SLICE
+    assert stall.next_check == now + 1.5 * CHECK_SLICE
+
+
+def test_a_word_ends_it(stall):
+    now = check_repeatedly(stall, 100.0, 7)
+    stall.restart(now)
+    assert check_repeatedly(stall, now, 2) == now + 2 * CHECK_SLICE
+    assert stall.seconds == 2 * CHECK_SLICE
+
+
+def test_a_worker_that_stood_still_has_missed_one_slice(stall):
+    check_repeatedly(stall, 100.0, 2)
+    stall.check(1e6, is_stopped=False)
+    assert stall.seconds == 3 * CHECK_SLICE
+
+
+def test_a_simulator_that_stands_still_is_not_silent(stall):
+    now = check_repeatedly(stall, 100.0, 1000, is_stopped=True)
+    check_repeatedly(stall, now, 1)
+    assert stall.seconds == CHECK_SLICE
+
+
+def test_before_anything_is_known_of_a_simulator_it_is_looked_at_at_once():
+    stall = StallDetector()
+    assert stall.next_check == 0.0
+    stall.check(1e6, is_stopped=False)
+    assert (stall.seconds, stall.next_check) == (0.0, 1e6 + CHECK_SLICE)
+
+
+BRISK = 0.4
+"""CPU seconds of a row, a tenth of the longest stall, where limits are tested."""
+MEGABYTE = 1_000_000
+SCENE = b"a scene"
+PROBE_FOR_EVER = """
+import signal
+from qdgrasp_worker.runtime import simulator_main as child
+child.main(probe=signal.pause)
+"""
+
+
+class Supervision:
+    """Submits batches to a supervisor, and waits for their results."""
+
+    def __init__(self, command: list[str], row_seconds: float = PATIENCE) -> None:
+        self.inbox: SimpleQueue[SimulatorEvent] = SimpleQueue()
+        self.started: list[SimulatorClient] = []
+        self.command = command
+        self.settings = SimulatorSettings(row_seconds=row_seconds, memory=900 * MEGABYTE, nice=0)
+        self.supervisor = SimulatorSupervisor(self.start, row_seconds=row_seconds, memory=250 * MEGABYTE)
+        self.done: list[Result] = []
+        self.lost: list[BatchProgress] = []
+
+    def start(self) -> SimulatorClient:
+        self.started.append(SimulatorClient(self.command, self.settings, self.inbox.put))
+        return self.started[-1]
+
+    def begin(self) -> None:
+        """Wait until a batch may be put in."""
+        while not self.supervisor.has_room:
+            self.receive()
+
+    def receive(self, patience: float = PATIENCE) -> None:
+        """Take the next event, if it comes soon enough, and have begun batches go on."""
+        if self.supervisor.restart_at < inf:
+            self.supervisor.step(self.supervisor.restart_at)
+            return
+        try:
+            event = self.inbox.get(timeout=max(0.0, min(patience, self.supervisor.next_step - monotonic())))
+        except Empty:
+            self.supervisor.step(monotonic())
+            return
+        for task in self.supervisor.on_event(event, monotonic()):
+            if task.is_done:
+                self.done.append(task.result("a" * 32))
+            else:
+                self.lost.append(task)
+        while self.supervisor.has_room and (task := self.supervisor.next_requeued):
+            self.submit(task)
+
+    def let_pass(self, seconds: float) -> None:
+        """Have so much time pass at once, in which no event is taken."""
+        began = monotonic()
+        for second in range(round(seconds)):
+            self.supervisor.step(began + second)
+
+    def submit(self, task: BatchProgress, bundle: bytes = SCENE) -> None:
+        known = self.supervisor.has_scene(task.work.scene)
+        self.supervisor.submit(task, None if known else bundle, monotonic())
+
+    def evaluate(self, batch: Work, bundle: bytes = SCENE) -> Result:
+        """The result of one batch."""
+        self.begin()
+        self.submit(BatchProgress("job", batch), bundle)
+        while not self.done:
+            self.receive()
+        return self.done.pop()
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "rows"
+
+
+@pytest.fixture
+def start(log: Path) -> Iterator[Callable[[float], Supervision]]:
+    """Opens supervisors whose rows have so many CPU seconds."""
+    with ExitStack() as stack:
+
+        def start(row_seconds: float) -> Supervision:
+            supervision = Supervision([*scripted_simulator.COMMAND, str(log)], row_seconds)
+            stack.enter_context(supervision.supervisor)
+            return supervision
+
+        yield start
+
+
+@pytest.fixture
+def supervision(start: Callable[[float], Supervision]) -> Supervision:
+    return start(PATIENCE)
+
+
+def fitness(result: Result) -> list[float]:
+    return np.frombuffer(result.columns["fitness"], "<f4").tolist()
+
+
+def test_a_batch_comes_back_with_the_rows_in_order(supervision):
+    result = supervision.evaluate(work(n=40))
+    assert fitness(result) == list(range(40))
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(13, "odd")]
+    assert supervision.supervisor.platform == scripted_simulator.PLATFORM
+    assert len(supervision.started) == 1
+
+
+def test_a_simulator_that_stood_still_for_long_is_no_evidence_against_its_row(start):
+    supervision = start(10.0)
+    supervision.begin()
+    (simulator,) = supervision.started
+    os.kill(simulator.pid, signal.SIGSTOP)
+    while not simulator.stats.is_stopped:
+        pass
+    supervision.submit(BatchProgress("job", work()))
+    supervision.let_pass(10 * STALL_FACTOR * 10.0)
+    os.kill(simulator.pid, signal.SIGCONT)
+    while not supervision.done:
+        supervision.receive()
+    assert (supervision.done[0].failures, supervision.started) == ([], [simulator])
+
+
+def test_a_worker_that_stood_still_for_long_ends_no_simulator_for_it(start):
+    supervision = start(10.0)
+    supervision.begin()
+    (simulator,) = supervision.started
+    supervision.submit(BatchProgress("job", work(row_0=scripted_simulator.DAWDLE)))
+    supervision.supervisor.step(monotonic() + 10 * STALL_FACTOR * 10.0)
+    while not supervision.done:
+        supervision.receive()
+    assert (supervision.done[0].failures, supervision.started) == ([], [simulator])
+
+
+def test_a_row_at_which_simulators_fall_silent_is_found(start, log):
+    supervision = start(BRISK)
+    supervision.begin()
+    supervision.submit(BatchProgress("job", work(n=3, row_1=scripted_simulator.SLEEP)))
+    for silences in (1, 2):
+        while not log.exists() or log.read_text().split().count("1") < silences:
+            supervision.receive(0.01)
+        supervision.let_pass(STALL_FACTOR * BRISK + 2)
+        while len(supervision.started) == silences:
+            supervision.receive()
+    while not supervision.done:
+        supervision.receive()
+    (result,) = supervision.done
+    reason = f"the simulator said nothing for {STALL_FACTOR * BRISK:g} s"
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(1, reason)]
+    assert fitness(result) == [0, 0, 2]
+
+
+def test_probes_that_never_end_end_the_simulator():
+    supervision = Supervision([sys.executable, "-c", PROBE_FOR_EVER])
+    with supervision.supervisor:
+        supervision.let_pass(STALL_FACTOR * PROBE_SECONDS + 2)
+        with pytest.raises(NoSimulator, match="said nothing"):
+            supervision.begin()
+
+
+@pytest.mark.parametrize(
+    ("deed", "reason"),
+    [
+        (scripted_simulator.ABORT, "the simulator was ended by SIGABRT"),
+        (scripted_simulator.HANG, f"the simulator took more than {BRISK} CPU seconds"),
+        (scripted_simulator.RAISE, "ValueError: as the genome wants it"),
+        (scripted_simulator.EXIT, "the simulator ended with exit code 3"),
+        (scripted_simulator.TAKE_EVERYTHING, "MemoryError: "),
+    ],
+)
+def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(
+    start, deed, reason, monkeypatch
+):
+    monkeypatch.setattr(simulator_supervisor, "STALL_FACTOR", inf)  # CPU seconds may take long to come by
+    supervision = start(BRISK if deed == scripted_simulator.HANG else PATIENCE)
+    result = supervision.evaluate(work(n=20, row_7=deed))
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(7, reason), (13, "odd")]
+    assert fitness(result) == [0 if row == 7 else row for row in range(20)]
+    assert len(supervision.started) == 3
+
+
+def test_two_rows_that_end_simulators_are_both_found(supervision):
+    result = supervision.evaluate(work(n=8, row_0=scripted_simulator.ABORT, row_7=scripted_simulator.RAISE))
+    assert [failure.row for failure in result.failures] == [0, 7]
+    assert fitness(result) == [0, 1, 2, 3, 4, 5, 6, 0]
+
+
+def test_rows_that_are_known_are_not_evaluated_again(supervision, log):
+    supervision.evaluate(work(n=20, row_1=scripted_simulator.DAWDLE, row_18=scripted_simulator.ABORT))
+    begun = [int(line) for line in log.read_text().split()]
+    assert [begun.count(row) for row in (0, 15, 16, 17, 18, 19)] == [1, 1, 2, 2, 2, 1]
+
+
+def test_the_batch_that_waits_behind_goes_to_the_next_simulator(supervision):
+    supervision.begin()
+    supervision.submit(BatchProgress("job", work(1, n=3, row_1=scripted_simulator.ABORT)))
+    supervision.submit(BatchProgress("job", work(2, n=3)))
+    assert not supervision.supervisor.has_room
+    while len(supervision.done) < 2:
+        supervision.receive()
+    first, second = supervision.done
+    assert [failure.row for failure in first.failures] == [1]
+    assert (second.batch, second.failures, fitness(second)) == (work(2).batch, [], [0, 1, 2])
+
+
+def test_a_kill_from_outside_says_nothing_against_a_row(supervision):
+    supervision.begin()
+    supervision.submit(BatchProgress("job", work(n=3, row_1=scripted_simulator.BE_KILLED)))
+    while not supervision.lost:
+        supervision.receive()
+    assert supervision.done == []
+    assert [task.work.batch for task in supervision.lost] == [work().batch]
+    assert fitness(supervision.evaluate(work(2, n=3))) == [0, 1, 2]
+
+
+def test_a_simulator_heeds_no_signal_that_is_meant_for_its_worker(supervision):
+    supervision.evaluate(work(1))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(supervision.started[0].pid, number)
+    assert supervision.evaluate(work(2, n=3)).failures == []
+    assert len(supervision.started) == 1
+
+
+def test_a_scene_that_cannot_be_used_fails_its_batch_and_no_simulator(supervision):
+    result = supervision.evaluate(work(n=2), b"no scene")
+    assert {failure.reason for failure in result.failures} == {"This is no scene."}
+    assert fitness(supervision.evaluate(work(n=2, scene="1" * 64))) == [0, 1]
+    assert len(supervision.started) == 1
+
+
+def test_a_scene_that_ends_the_simulator_fails_its_batch_at_once(supervision):
+    result = supervision.evaluate(work(n=20), b"abort")
+    reasons = {failure.reason for failure in result.failures}
+    assert reasons == {"the simulator was ended by SIGABRT while it loaded the scene"}
+    assert len(result.failures) == 20
+    assert len(supervision.started) == 1
+
+
+def test_a_scene_that_a_simulator_no_longer_has_is_given_to_it_again(supervision):
+    scenes = [f"{number:064x}" for number in range(9)]
+    for number, scene in enumerate(scenes):
+        supervision.evaluate(work(number, scene=scene))
+    assert fitness(supervision.evaluate(work(9, n=3, scene=scenes[0]))) == [0, 1, 2]
+
+
+def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(supervision):
+    leaks = {f"row_{row}": scripted_simulator.LEAK for row in range(3)}
+    supervision.begin()
+    supervision.submit(BatchProgress("job", work(1, n=4, **leaks)))
+    while not supervision.done:
+        supervision.receive()
+    assert fitness(supervision.done.pop()) == [0, 1, 2, 3]
+    supervision.supervisor.measure()
+    assert not supervision.supervisor.has_room
+    supervision.supervisor.step(monotonic())
+    assert fitness(supervision.evaluate(work(2, n=3))) == [0, 1, 2]
+    assert len(supervision.started) == 2
+    assert supervision.lost == []
+
+
+def test_a_simulator_that_does_not_start_is_said_with_its_reason():
+    supervision = Supervision([*scripted_simulator.COMMAND[:2], "tests.worker.runtime.no_such_module"])
+    with supervision.supervisor, pytest.raises(NoSimulator, match="ended with exit code 1"):
+        supervision.begin()

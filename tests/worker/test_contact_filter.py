@@ -1,0 +1,257 @@
+"""The contact filter, and the box that an object leaves for good."""
+
+from itertools import product
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.genes import layout
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_worker.contact_filter import (
+    MAX_VOXELS,
+    SWEPT_MARGIN,
+    BoundingBalls,
+    ContactFilter,
+    SweptBox,
+    coarseness,
+    interpolate_course,
+)
+from qdgrasp_worker.decoder import Decoder, HandPose
+from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
+from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
+from qdgrasp_worker.voxels import convex_hulls
+from qdgrasp_worker.world import World
+
+RADIUS = 0.05
+SWEEP = SweptBox.around([((1, 2, 3), (1.1, 2.1, 3.1)), ((0.9, 2, 3), (1, 2.2, 3.3))], [1, 2, 3], RADIUS)
+small = st.floats(-1.0, 1.0, width=32)
+triples = st.tuples(small, small, small)
+turns = st.tuples(small, small, small, small).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def pose_at(position, turn) -> HandPose:
+    quaternion = np.array(turn) / np.linalg.norm(turn)
+    return HandPose(list(position), quaternion.tolist(), [], NO_SYNERGY)
+
+
+def test_the_sweep_is_the_box_of_all_boxes_about_the_hand_with_the_objects_radius_and_the_margin():
+    aside = RADIUS + SWEPT_MARGIN
+    np.testing.assert_allclose(SWEEP.low, np.array([-0.1, 0, 0]) - aside)
+    np.testing.assert_allclose(SWEEP.high, np.array([0.1, 0.2, 0.3]) + aside)
+
+
+@given(turns)
+def test_the_axes_of_a_quaternion_are_the_columns_of_its_matrix(turn):
+    pose = pose_at((0, 0, 0), turn)
+    np.testing.assert_allclose(np.array(pose.axes).T, Rotation.from_quat(turn).as_matrix(), atol=1e-9)
+
+
+@given(triples, turns, triples, triples)
+def test_an_object_that_has_left_is_outside_ever_after(position, turn, place, velocity):
+    pose = pose_at(position, turn)
+    hand = Rotation.from_quat(pose.quaternion)
+    if SWEEP.is_left(pose, place, velocity):
+        for time in (0.0, 0.1, 1.0, 10.0):
+            seen = hand.inv().apply(np.array(place) + time * np.array(velocity) - position)
+            assert (seen > np.array(SWEEP.high) - 1e-6).any() or (seen < np.array(SWEEP.low) + 1e-6).any()
+
+
+@given(triples, turns, triples)
+def test_an_object_inside_has_not_left_whatever_its_velocity(position, turn, velocity):
+    pose = pose_at(position, turn)
+    inside = np.array(position) + Rotation.from_quat(pose.quaternion).apply([0.0, 0.1, 0.15])
+    assert not SWEEP.is_left(pose, tuple(inside), velocity)
+
+
+def test_an_object_at_rest_outside_has_left():
+    assert SWEEP.is_left(pose_at((0, 0, 0), (0, 0, 0, 1)), (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_an_object_outside_that_comes_back_has_not_left():
+    assert not SWEEP.is_left(pose_at((0, 0, 0), (0, 0, 0, 1)), (0.5, 0.0, 0.0), (-0.1, 0.0, 0.0))
+
+
+SIZES = [(0.3, 0.3, 0.3), (0.6, 0.6, 0.6), (1.5, 1.5, 1.5), (2.0, 2.0, 0.002), (2.0, 0.01, 0.01)]
+
+
+def box(*size):
+    """The part of a solid that bounding balls use, for a box."""
+    return SimpleNamespace(hulls=convex_hulls([np.array(list(product((-0.5, 0.5), repeat=3))) * size]))
+
+
+def assert_covers(cover, solid):
+    random = np.random.default_rng(0)
+    triangles = np.concatenate([hull.triangles for hull in solid.hulls])
+    some = triangles[random.integers(len(triangles), size=400)]
+    points = (random.dirichlet((1.0, 1.0, 1.0), len(some))[:, :, None] * some).sum(axis=1)
+    for balls in (cover.large, cover.small):
+        for point in points:
+            assert (balls.radii - np.linalg.norm(point - balls.centres, axis=1)).max() > -1e-9
+    assert cover.counts.sum() == len(cover.small.centres)
+
+
+def assert_gathers(cover):
+    """Each large ball holds its small ones."""
+    around = np.repeat(np.arange(len(cover.counts)), cover.counts)
+    apart = np.linalg.norm(cover.large.centres[around] - cover.small.centres, axis=1)
+    assert (apart + cover.small.radii <= cover.large.radii[around] + 1e-9).all()
+
+
+@pytest.mark.parametrize("target", ["rubiks_cube", "mug", "bowl", "spatula"])
+def test_the_cover_of_an_object_for_a_hand_is_fine_and_holds_the_whole_surface(target, make_scene):
+    solid = ObjectSolid(make_scene("panda", target, "paper"))
+    cover = BoundingBalls.of(solid)
+    assert coarseness(solid) == 1.0
+    assert cover.small.radii.max() < 5e-3
+    assert_covers(cover, solid)
+    assert_gathers(cover)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_large_object_is_covered_by_no_more_balls_than_one_of_a_third_of_a_metre(size):
+    solid = box(*size)
+    cover = BoundingBalls.of(solid)
+    assert len(cover.small.centres) < 75_000
+    assert len(cover.large.centres) < 4_000
+    assert_covers(cover, solid)
+    assert_gathers(cover)
+
+
+SCENES = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "released"), ("allegro", "mug", "paper")]
+HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
+REFERENCE = [f"ref_{name}" for name in ("panda_2f", "bh280", "allegro", "shadow", "robotiq_2f")]
+
+
+def reach_of(scene, world):
+    follows = PROTOCOLS[scene.protocol].free_joints_first
+    return ContactFilter(scene.gripper, ObjectSolid(scene), world.closing, follows_free_joints=follows)
+
+
+def drawn_off(scene, n, seed):
+    """Poses that look at the object from farther and farther away, until no hand reaches it."""
+    random = np.random.default_rng(seed)
+    genomes = random.uniform(-1.0, 1.0, (n, len(layout(scene, "approach")))).astype(np.float32)
+    grasps = Decoder(scene, "approach", ObjectSurface(scene))(genomes)
+    for i, pose in enumerate(grasps[i] for i in range(n)):
+        outward = np.array(pose.position) - grasps.surface_points[i]
+        outward /= np.linalg.norm(outward) + 1e-9
+        position = np.array(pose.position) + random.uniform(0.0, 0.12) * outward
+        yield HandPose(position.astype(np.float32).tolist(), pose.quaternion, pose.joints, pose.synergy)
+
+
+def judged(scene, n, seed):
+    """The filter's verdicts on poses, and their outcomes in Bullet without it: (n,) each."""
+    world = World(scene)
+    reach, episode = reach_of(scene, world), Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
+    poses = list(drawn_off(scene, n, seed))
+    misses = np.array([reach.misses(pose) for pose in poses])
+    outcomes = np.array(
+        [fate(episode, pose) if missed else -1 for pose, missed in zip(poses, misses, strict=True)]
+    )
+    world.close()
+    return misses, outcomes
+
+
+def fate(episode, pose):
+    """The outcome of a pose; a contact with the palm counts as a touch."""
+    outcome = episode.run(TrialSetup(pose)).outcome
+    return Outcome.BRUSHED if outcome == Outcome.MISSED and episode.world.contacts() else outcome
+
+
+@pytest.mark.parametrize("scene", SCENES, ids="-".join)
+def test_where_it_says_so_the_hand_misses_in_bullet(scene, make_scene):
+    misses, outcomes = judged(make_scene(*scene), 500, seed=1)
+    assert misses.sum() > 50
+    assert set(outcomes[misses]) <= {Outcome.MISSED}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("target", ["rubiks_cube", "mug", "power_drill"])
+@pytest.mark.parametrize("hand", HANDS)
+def test_no_pose_of_thousands_is_said_to_miss_falsely(hand, target, make_scene):
+    misses, outcomes = judged(make_scene(hand, target, "paper"), 3000, seed=2)
+    assert set(outcomes[misses]) <= {Outcome.MISSED}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("target", ["ycb_rubiks_cube", "ycb_mug", "ycb_power_drill"])
+@pytest.mark.parametrize("hand", REFERENCE)
+def test_no_pose_of_thousands_is_said_to_miss_falsely_by_reference_hands(
+    hand, target, make_scene, asset_path
+):
+    misses, outcomes = judged(make_scene(hand, target, "released"), 3000, seed=2)
+    assert set(outcomes[misses]) <= {Outcome.MISSED}
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, make_scene):
+    scene = make_scene(hand, "mug", "paper")
+    world, skeleton, random = World(scene), HandKinematics(scene.gripper), np.random.default_rng(3)
+    reach = reach_of(scene, world)
+    assert reach.is_known
+    labels = range(len(scene.gripper.synergies)) if scene.gripper.synergies else [-1]
+    for synergy in labels:
+        posture = free_posture(reach._gripper, random.random())
+        frames = skeleton.frames(np.array(world.closing(posture, synergy))[::7])
+        reach._zones[synergy] = reach._measure(synergy)
+        pose = HandPose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], posture, synergy)
+        placed = [(zone, frame) for zone, frame in reach._placed(pose)]
+        for link, hulls in skeleton.hulls.items():
+            for hull in hulls:
+                corners = hull.triangles.reshape(-1, 3)
+                points = corners @ np.moveaxis(frames[link][:, :3, :3], 1, 2) + frames[link][:, None, :3, 3]
+                nearest = np.min([away(zone, frame, points.reshape(-1, 3)) for zone, frame in placed], axis=0)
+                assert not nearest.any()
+    world.close()
+
+
+def away(zone, frame, points):
+    turn = frame[:3, :3].T
+    return zone.lower_bounds(
+        points.astype(np.float32), turn.astype(np.float32), (-turn @ frame[:3, 3]).astype(np.float32)
+    )
+
+
+@pytest.mark.parametrize("most", [MAX_VOXELS, 30_000])
+def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
+    monkeypatch.setattr("qdgrasp_worker.contact_filter.MAX_VOXELS", most)
+    world = World(cube)
+    reach, skeleton = reach_of(cube, world), HandKinematics(cube.gripper)
+    [zone] = reach._measure(-1).values()
+    frames = skeleton.frames(interpolate_course(np.array(world.closing(world.opened, -1))))
+    swept = np.concatenate(
+        [
+            (
+                hull.triangles.reshape(-1, 3) @ np.moveaxis(frames[link][::9, :3, :3], 1, 2)
+                + frames[link][::9, None, :3, 3]
+            ).reshape(-1, 3)
+            for link, hulls in skeleton.hulls.items()
+            for hull in hulls
+        ]
+    )[::5]
+    points = np.random.default_rng(0).uniform(-0.2, 0.25, (300, 3))
+    distances = np.linalg.norm(points[:, None] - swept[None], axis=2).min(axis=1)
+    found = away(zone, np.eye(4), points) * 2e-4
+    assert (found <= distances).all()
+    assert found.max() > 0.015
+    assert zone.distances.levels.size < 1.3 * most
+    world.close()
+
+
+def test_nothing_is_known_of_a_hand_with_a_shape_that_is_not_understood(cube):
+    urdf = cube.gripper.urdf.replace("<collision>", '<collision concave="yes">', 1)
+    gripper = msgspec.structs.replace(cube.gripper, urdf=urdf)
+    reach = ContactFilter(gripper, ObjectSolid(cube), lambda *_: [], follows_free_joints=True)
+    turn = Rotation.identity().as_quat().tolist()
+    assert urdf != cube.gripper.urdf
+    assert not reach.is_known
+    assert not reach.misses(HandPose([0.0, 0.0, 3.0], turn, [0.04, 0.04], -1))

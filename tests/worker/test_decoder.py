@@ -1,0 +1,212 @@
+"""Laws of decoding: the cone, postures, and rounding, for every prior."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from tests.common import with_gripper
+
+from qdgrasp_assets.scene import FreeJoint, Synergy
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.priors import PRIORS
+
+CONES = ("approach", "contact")
+ROUNDING = 2e-7
+"""Effect of float32 on a length of half a metre and on a unit vector."""
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+
+
+def decoder_of(scene, prior):
+    return Decoder(scene, prior, ObjectSurface(scene))
+
+
+def values_of(decoder, genomes):
+    return dict(zip(decoder.layout.names, decoder.layout.values(genomes).T, strict=True))
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+class TestEveryPrior:
+    """The contract of a prior, for genomes that stand for one pose each."""
+
+    @pytest.fixture
+    def genomes(self, prior, cube, draw):
+        decoder = decoder_of(cube, prior)
+        genomes = draw(3000, len(decoder.layout))
+        if prior == "aimed":
+            genomes[:, decoder.layout.names.index("candidates")] = -1.0
+        return genomes[~decoder(genomes).dead_ends][:200]
+
+    def test_gives_rounded_poses_and_postures_one_for_each_genome(self, prior, cube, genomes):
+        grasps = decoder_of(cube, prior)(genomes)
+        assert len(grasps) == len(genomes) == 200
+        np.testing.assert_array_equal(grasps.genome_of, np.arange(200))
+        for name, width in {"positions": 3, "quaternions": 4, "joints": 2, "surface_points": 3}.items():
+            column = getattr(grasps, name)
+            assert column.dtype == np.float32
+            assert column.shape == (len(genomes), width)
+        assert grasps.nu.dtype == np.float32
+        assert grasps.are_finite.all()
+
+    def test_gives_unit_quaternions(self, prior, cube, genomes):
+        quaternions = decoder_of(cube, prior)(genomes).quaternions.astype(np.float64)
+        np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=ROUNDING)
+
+    def test_decodes_a_genome_alone_as_it_does_among_others(self, prior, cube, genomes):
+        decoder = decoder_of(cube, prior)
+        together, reversed_ = decoder(genomes), decoder(genomes[::-1])
+        alone = [decoder(genomes[i : i + 1]) for i in range(20)]
+        for name in ("positions", "quaternions", "joints", "surface_points", "nu"):
+            assert getattr(together, name).tobytes() == getattr(reversed_, name)[::-1].tobytes()
+            for i, one in enumerate(alone):
+                assert getattr(one, name).tobytes() == getattr(together, name)[i : i + 1].tobytes()
+
+    def test_opens_the_fingers(self, prior, cube, genomes):
+        grasps = decoder_of(cube, prior)(genomes)
+        opened = [joint.opened for joint in cube.gripper.joints]
+        np.testing.assert_array_equal(grasps.joints, np.tile(np.float32(opened), (len(genomes), 1)))
+        assert set(grasps.synergies) == {NO_SYNERGY}
+
+    def test_passes_numbers_that_are_not_finite_on_without_an_error(self, prior, cube, genomes):
+        for gene in range(genomes.shape[1]):
+            broken = genomes[:3].copy()
+            broken[1, gene] = np.nan
+            assert len(decoder_of(cube, prior)(broken)) == 3
+
+
+@pytest.mark.parametrize("prior", CONES)
+class TestCone:
+    """The geometry of contact and approach (Huber et al. 2024, section III-A)."""
+
+    @pytest.fixture
+    def decoder(self, prior, cube):
+        return decoder_of(cube, prior)
+
+    @pytest.fixture
+    def genomes(self, draw):
+        return draw(500)
+
+    def test_aims_at_the_surface_point_nearest_to_the_finder(self, decoder, genomes, cube):
+        values = values_of(decoder, genomes)
+        finders = np.stack([values["x_r"], values["y_r"], values["z_r"]], axis=1)
+        distances = np.linalg.norm(finders[:, None] - cube.surface_points[None], axis=2)
+        nearest = cube.surface_points[distances.argmin(axis=1)]
+        np.testing.assert_array_equal(decoder(genomes).surface_points, nearest)
+
+    def test_leans_from_the_normal_by_nu(self, decoder, genomes, cube):
+        grasps = decoder(genomes)
+        normals = cube.surface_normals[KDTree(cube.surface_points).query(grasps.surface_points)[1]]
+        outward = grasps.positions.astype(float) - grasps.surface_points
+        cosines = (outward * normals).sum(axis=1) / np.linalg.norm(outward, axis=1)
+        np.testing.assert_allclose(cosines, np.cos(values_of(decoder, genomes)["nu"]), atol=1e-5)
+        np.testing.assert_array_equal(grasps.nu, values_of(decoder, genomes)["nu"].astype(np.float32))
+
+    def test_stands_at_the_distance_d_and_the_palm_offset(self, decoder, genomes, cube):
+        grasps = decoder(genomes)
+        distances = np.linalg.norm(grasps.positions.astype(float) - grasps.surface_points, axis=1)
+        expected = values_of(decoder, genomes)["d"] + cube.gripper.palm_offset
+        np.testing.assert_allclose(distances, expected, atol=ROUNDING)
+
+    def test_points_its_approach_axis_at_the_surface_point(self, decoder, genomes, cube):
+        grasps = decoder(genomes)
+        axes = Rotation.from_quat(grasps.quaternions).apply(cube.gripper.approach_axis)
+        inward = grasps.surface_points - grasps.positions.astype(float)
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        np.testing.assert_allclose(axes, inward, atol=5e-6)
+
+    def test_does_so_for_any_approach_axis(self, prior, cube, genomes):
+        for axis in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.6, 0.0, 0.8)):
+            grasps = decoder_of(with_gripper(cube, approach_axis=axis), prior)(genomes)
+            pointed = Rotation.from_quat(grasps.quaternions).apply(axis)
+            inward = grasps.surface_points - grasps.positions.astype(float)
+            inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+            np.testing.assert_allclose(pointed, inward, atol=5e-6)
+
+    def test_turns_about_the_normal_by_xi(self, decoder, genomes, cube):
+        turned = genomes.copy()
+        turned[:, 5] = -genomes[:, 5]
+        one, other = decoder(genomes), decoder(turned)
+        normals = cube.surface_normals[KDTree(cube.surface_points).query(one.surface_points)[1]]
+        angles = values_of(decoder, turned)["xi"] - values_of(decoder, genomes)["xi"]
+        turns = Rotation.from_rotvec(normals * angles[:, None])
+        expected = one.surface_points + turns.apply(one.positions - one.surface_points)
+        np.testing.assert_allclose(other.positions, expected, atol=1e-6)
+
+    def test_rolls_about_the_approach_axis_by_omega_and_stays_where_it_is(self, decoder, genomes, cube):
+        rolled = genomes.copy()
+        rolled[:, 6] = -genomes[:, 6]
+        one, other = decoder(genomes), decoder(rolled)
+        np.testing.assert_array_equal(one.positions, other.positions)
+        angles = values_of(decoder, rolled)["omega"] - values_of(decoder, genomes)["omega"]
+        rolls = Rotation.from_rotvec(np.array(cube.gripper.approach_axis) * angles[:, None])
+        expected = Rotation.from_quat(one.quaternions) * rolls
+        difference = (expected.inv() * Rotation.from_quat(other.quaternions)).magnitude()
+        np.testing.assert_allclose(difference, 0.0, atol=2e-6)
+
+
+def test_contact_with_nu_up_to_nu_a_is_approach(cube, draw):
+    approach = draw(300)
+    approach[:, 3] = np.round(approach[:, 3] * 64) / 64  # so that the gene below is exact
+    contact = approach.copy()
+    contact[:, 3] = (approach[:, 3] + 1) / 4 - 1
+    one, other = decoder_of(cube, "approach")(approach), decoder_of(cube, "contact")(contact)
+    for name in ("positions", "quaternions", "surface_points", "nu"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube, draw):
+    stored = decoder_of(cube, "contact")(draw(300))
+    again = decoder_of(cube, "given")(np.concatenate([stored.positions, stored.quaternions], axis=1))
+    assert again.positions.tobytes() == stored.positions.tobytes()
+    assert again.quaternions.tobytes() == stored.quaternions.tobytes()
+    assert not again.surface_points.any()
+    assert not again.nu.any()
+
+
+def test_a_given_quaternion_of_another_length_is_brought_to_one(cube):
+    pose = np.array([[0, 0, 0.2, 0, 0, 3, 4]], dtype=np.float32)
+    np.testing.assert_allclose(decoder_of(cube, "given")(pose).quaternions, [[0, 0, 0.6, 0.8]], atol=1e-7)
+
+
+def test_a_given_quaternion_of_length_zero_is_no_pose(cube):
+    pose = np.array([[0, 0, 0.2, 0, 0, 0, 0]], dtype=np.float32)
+    assert not decoder_of(cube, "given")(pose).are_finite[0]
+
+
+def test_the_synergy_gene_is_rounded_to_a_label_with_half_the_room_for_the_outer_ones(cube, draw):
+    names = ("one", "two", "three", "four")
+    hand = with_gripper(cube, synergies=tuple(Synergy(name=name, joints=FINGERS) for name in names))
+    decoder = decoder_of(hand, "contact")
+    assert decoder.layout.names[7:] == ("synergy",)
+    labels = decoder(draw(6000, 8)).synergies
+    shares = np.bincount(labels, minlength=4) / len(labels)
+    np.testing.assert_allclose(shares, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=0.02)
+
+
+def test_free_joints_stand_at_their_genes_and_the_others_stay_open(cube, draw):
+    free = FreeJoint(name=FINGERS[1], low=0.03, high=0.01)
+    decoder = decoder_of(with_gripper(cube, free_joints=(free,)), "contact")
+    genomes = draw(50, 8)
+    genomes[0, 7], genomes[1, 7] = -1.0, 1.0
+    joints = decoder(genomes).joints
+    assert joints[0, 1] == np.float32(0.03)
+    assert joints[1, 1] == np.float32(0.01)
+    np.testing.assert_allclose(joints[:, 1], 0.02 - 0.01 * genomes[:, 7], atol=1e-8)
+    assert set(joints[:, 0].tolist()) == {float(np.float32(0.04))}
+
+
+def test_given_poses_bring_their_label_and_free_joints_as_they_are(cube):
+    free = FreeJoint(name=FINGERS[0], low=0.0, high=0.04)
+    synergies = (Synergy(name="both", joints=FINGERS), Synergy(name="left", joints=FINGERS[:1]))
+    decoder = decoder_of(with_gripper(cube, free_joints=(free,), synergies=synergies), "given")
+    poses = np.array([[0, 0, 0.2, 0, 0, 0, 1, 1, 0.015], [0, 0, 0.2, 0, 0, 0, 1, -1, 0.03]], dtype=np.float32)
+    grasps = decoder(poses)
+    assert grasps.synergies.tolist() == [1, NO_SYNERGY]
+    np.testing.assert_array_equal(grasps.joints[:, 0], poses[:, 8])
+
+
+def test_an_unknown_prior_is_named_with_the_known_ones(cube):
+    with pytest.raises(UnknownName, match=r"Unknown prior 'antipodel'.*approach, contact, given"):
+        decoder_of(cube, "antipodel")

@@ -1,0 +1,163 @@
+"""Trials: what they draw, from what, and how an object that is displaced is met."""
+
+import json
+import subprocess
+import sys
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import ks_2samp, kstest
+from tests.common import PATIENCE
+
+from qdgrasp_protocol.rows import NO_SYNERGY, TRIALS, trial_count
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import MIXTURE, PAPER, PROTOCOLS, ROBUST, TrialSetup, pose_seen_from
+
+POSES = 60
+DRAWS = POSES * TRIALS
+SIGMA, UNLIKELY = 4.0, 1e-4
+"""Bounds of draws: a deviation in standard errors, and a probability."""
+POSE = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
+ELSEWHERE = """
+import json
+from dataclasses import asdict
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import ROBUST
+pose = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
+print(json.dumps([asdict(ROBUST.trial(pose, number)) for number in range(101)]))
+"""
+
+
+def random_poses() -> list[HandPose]:
+    random = np.random.default_rng(11)
+    positions = random.normal(0.0, 0.1, (POSES, 3)).astype(np.float32)
+    quaternions = Rotation.random(POSES, random_state=random).as_quat().astype(np.float32)
+    return [
+        HandPose(position.tolist(), quaternion.tolist(), [0.0], NO_SYNERGY)
+        for position, quaternion in zip(positions, quaternions, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[tuple[HandPose, TrialSetup]]:
+    return [(pose, MIXTURE.trial(pose, i)) for pose in random_poses() for i in range(1, TRIALS + 1)]
+
+
+def stack(poses: list[HandPose]):
+    """Positions (n, 3) and rotations."""
+    return (
+        np.array([pose.position for pose in poses]),
+        Rotation.from_quat([pose.quaternion for pose in poses]),
+    )
+
+
+@pytest.fixture(scope="module")
+def objects(drawn):
+    """The places of the objects, by the poses as commanded and as the objects have them."""
+    commanded, commanded_turns = stack([pose for pose, _ in drawn])
+    seen, seen_turns = stack([trial.pose for _, trial in drawn])
+    turns = commanded_turns * seen_turns.inv()
+    return commanded - turns.apply(seen), turns
+
+
+def test_a_protocol_draws_trials_just_if_it_has_some():
+    for protocol in PROTOCOLS.values():
+        assert (protocol.mixture is not None) == (protocol.trials > 0)
+        assert protocol.trials == trial_count(protocol.name)
+    assert ROBUST.trials == 100
+
+
+def test_trial_zero_is_the_grasp_itself():
+    assert ROBUST.trial(POSE, 0) == PAPER.trial(POSE, 0) == TrialSetup(POSE, None)
+
+
+def test_the_object_is_displaced_by_five_millimetres_along_each_axis(objects):
+    displacements, _ = objects
+    assert np.abs(displacements.mean(axis=0)).max() < SIGMA * 0.005 / np.sqrt(DRAWS)
+    np.testing.assert_allclose(displacements.std(axis=0), 0.005, atol=SIGMA * 0.005 / np.sqrt(2 * DRAWS))
+    assert kstest(displacements.ravel() / 0.005, "norm").pvalue > UNLIKELY
+
+
+def test_the_object_turns_by_thirty_degrees_about_each_axis_and_not_by_half_of_it(objects):
+    _, turns = objects
+    angles = np.random.default_rng(0).normal(0.0, np.radians(30.0), (20 * DRAWS, 3))
+    expected = Rotation.from_euler("xyz", angles).magnitude()
+    assert ks_2samp(turns.magnitude(), expected).pvalue > UNLIKELY
+    found = np.degrees(turns.as_euler("xyz"))
+    np.testing.assert_allclose(np.median(np.abs(found), axis=0), 0.6745 * 30.0, rtol=0.05)
+    assert np.abs(np.median(found, axis=0)).max() < 2.0
+
+
+def test_frictions_are_uniform_in_their_intervals(drawn):
+    rolling, spinning = np.transpose([trial.frictions for _, trial in drawn])
+    for found, low, high in ((rolling, 0.01, 0.04), (spinning, 0.1, 0.4)):
+        assert low <= found.min() < found.max() <= high
+        assert kstest((found - low) / (high - low), "uniform").pvalue > UNLIKELY
+
+
+def test_displacement_turn_and_frictions_are_drawn_independently(drawn, objects):
+    displacements, turns = objects
+    frictions = [trial.frictions for _, trial in drawn]
+    table = np.column_stack([displacements, turns.as_euler("xyz"), frictions])
+    correlations = np.corrcoef(table, rowvar=False) - np.eye(8)
+    assert np.abs(correlations).max() < SIGMA / np.sqrt(DRAWS)
+
+
+def test_no_two_trials_of_any_grasps_are_the_same(drawn):
+    assert len({json.dumps(asdict(trial)) for _, trial in drawn}) == DRAWS
+    assert len({trial.frictions for _, trial in drawn}) == DRAWS
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position": [0.0, 0.0, float(np.nextafter(np.float32(0.125), np.float32(1)))]},
+        {"quaternion": [0.0, 1.0, 0.0, 0.0]},
+        {"joints": [0.25, float(np.nextafter(np.float32(0.5), np.float32(1)))]},
+        {"synergy": 0},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_another_grasp_meets_other_trials(change):
+    assert ROBUST.trial(replace(POSE, **change), 1).frictions != ROBUST.trial(POSE, 1).frictions
+
+
+def test_another_seed_of_the_mixture_draws_other_trials():
+    assert replace(MIXTURE, seed=1).trial(POSE, 1).frictions != MIXTURE.trial(POSE, 1).frictions
+
+
+def test_a_trial_keeps_posture_and_synergy(drawn):
+    trial = ROBUST.trial(POSE, 7)
+    assert (trial.pose.joints, trial.pose.synergy) == (POSE.joints, POSE.synergy)
+
+
+def test_poses_are_rounded_to_float32_as_decoding_rounds_them(drawn):
+    for _, trial in drawn[:200]:
+        values = np.array(trial.pose.position + trial.pose.quaternion)
+        np.testing.assert_array_equal(values, values.astype(np.float32))
+
+
+def test_another_process_draws_the_same():
+    found = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE], check=True, capture_output=True, timeout=PATIENCE
+    )
+    here = json.dumps([asdict(ROBUST.trial(POSE, number)) for number in range(101)])
+    assert json.loads(found.stdout) == json.loads(here)
+
+
+def test_a_mixture_without_noise_draws_the_grasp_itself_to_the_bit():
+    still = replace(MIXTURE, position_sigma=0.0, angle_sigma=0.0, rolling=(0.01, 0.01), spinning=(0.1, 0.1))
+    for pose in random_poses():
+        assert still.trial(pose, 3) == TrialSetup(pose, (0.01, 0.1))
+
+
+def test_a_displaced_object_sees_the_hand_where_the_hand_is():
+    random = np.random.default_rng(3)
+    for pose in random_poses():
+        position, turn = random.normal(0.0, 0.1, 3), Rotation.random(random_state=random)
+        seen = pose_seen_from(position, turn.as_quat(), pose)
+        hand = Rotation.from_quat(pose.quaternion)
+        np.testing.assert_allclose(position + turn.apply(seen.position), pose.position, atol=1e-7)
+        assert (turn * Rotation.from_quat(seen.quaternion) * hand.inv()).magnitude() < 1e-6

@@ -1,0 +1,240 @@
+"""Evaluations: what a row says, and that a row that fails disturbs no other."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack, unpack
+from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache
+
+N, NEAR = 150, 12
+
+
+@pytest.fixture(scope="module")
+def genomes(draw):
+    return draw(N, near=NEAR)
+
+
+@pytest.fixture(scope="module")
+def evaluation(evaluator, genomes):
+    return evaluator.evaluate("approach", genomes, nominal(genomes))
+
+
+@pytest.fixture(scope="module")
+def rows(evaluation):
+    return evaluation.rows
+
+
+def nominal(genomes):
+    return np.zeros(len(genomes), dtype=np.uint16)
+
+
+def results(rows):
+    return pack(rows, RESULT)
+
+
+def outcomes(rows):
+    return [Outcome(value) for value in rows["outcome"]]
+
+
+def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator, rows, genomes):
+    shape = evaluator.shape("approach")
+    assert shape == RowShape(genes=7, joints=2)
+    assert rows.dtype == shape.dtype
+    copy = unpack(shape.empty(len(rows)), RESULT, results(rows), shape)
+    assert results(copy) == results(rows)
+    np.testing.assert_array_equal(rows["genome"], genomes)
+
+
+def test_the_sample_has_what_the_tests_need(rows):
+    counts = np.bincount(rows["outcome"], minlength=8)
+    assert counts[Outcome.OVERLAP] > 20
+    assert counts[Outcome.BRUSHED] > 5
+    assert counts[Outcome.SHAKEN :].sum() > 5
+
+
+def test_fitness_counts_the_shakes_that_the_outcome_says(rows):
+    ladder = {Outcome.SHAKEN: 1.0, Outcome.HELD: 2.0}
+    expected = [ladder.get(outcome, 0.0) for outcome in outcomes(rows)]
+    np.testing.assert_array_equal(rows["fitness"], expected)
+
+
+def test_the_descriptor_is_the_position_of_the_pose(rows):
+    np.testing.assert_array_equal(rows["descriptor"], rows["base_to_object"][:, :3])
+    np.testing.assert_allclose(np.linalg.norm(rows["base_to_object"][:, 3:], axis=1), 1.0, atol=2e-7)
+
+
+def test_a_success_has_fingers_in_contact_and_nothing_else_has(rows):
+    successes = np.array([outcome.is_success for outcome in outcomes(rows)])
+    np.testing.assert_array_equal(rows["contacts"] > 0, successes)
+    assert rows["contacts"].max() <= 2
+    assert (rows["penetration"] >= 0).all()
+    assert not rows["penetration"][~successes].any()
+    assert 0 < rows["penetration"].max() < 0.05
+
+
+def test_joints_are_those_of_the_grasp_for_successes_and_the_initial_ones_otherwise(rows):
+    successes = np.array([outcome.is_success for outcome in outcomes(rows)])
+    opened = np.full(2, 0.04, dtype=np.float32)
+    assert (rows["joints"][~successes] == opened).all()
+    assert (rows["joints"][successes] < 0.04).any(axis=1).all()
+
+
+def test_each_row_is_one_proposal(rows):
+    assert (rows["proposals"] == 1).all()
+
+
+def test_a_stored_pose_evaluated_as_given_finds_the_same(evaluator, rows):
+    again = evaluator.evaluate("given", rows["base_to_object"], nominal(rows)).rows
+    for column in RESULT:
+        if column.name not in ("surface_point", "nu"):
+            assert again[column.name].tobytes() == rows[column.name].tobytes(), column.name
+
+
+@pytest.mark.parametrize("poison", [0, 5, N - 1])
+def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice(
+    cube, genomes, rows, poison, monkeypatch
+):
+    run, poisoned = Episode.run, rows["descriptor"][poison].tolist()
+
+    def run_or_fail(episode, trial):
+        if trial.pose.position == poisoned:
+            episode.world.close()  # Bullet refuses every call from here on
+        return run(episode, trial)
+
+    monkeypatch.setattr(Episode, "run", run_or_fail)
+    with Evaluator(cube, shortcuts=False) as evaluator:
+        evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
+    assert evaluation.failures == [(poison, "error: Not connected to physics server.")]
+    assert not any(evaluation.rows[poison][column.name].any() for column in RESULT)
+    others = np.arange(N) != poison
+    assert results(evaluation.rows[others]) == results(rows[others])
+
+
+def test_a_reason_is_cut_to_what_a_message_may_hold(evaluator, genomes, rows, monkeypatch):
+    def fail(episode, trial):
+        raise RuntimeError("words " * 100)
+
+    monkeypatch.setattr(Episode, "run", fail)
+    [simulated, *_] = np.flatnonzero(rows["outcome"] >= Outcome.MISSED)
+    genome = genomes[simulated : simulated + 1]
+    [(_, reason)] = evaluator.evaluate("approach", genome, nominal(genome)).failures
+    assert reason.startswith("RuntimeError: words words")
+    assert len(reason) == 200
+
+
+def test_a_genome_that_is_not_finite_fails_alone(evaluator, genomes, rows):
+    broken = genomes[:20].copy()
+    broken[3, 2], broken[7, 6] = np.nan, np.inf
+    evaluation = evaluator.evaluate("approach", broken, nominal(broken))
+    assert [position for position, _ in evaluation.failures] == [3, 7]
+    assert "not finite" in evaluation.failures[0][1]
+    others = [i for i in range(20) if i not in (3, 7)]
+    assert results(evaluation.rows[others]) == results(rows[others])
+
+
+def test_a_given_quaternion_of_length_zero_fails_alone(evaluator):
+    poses = np.array([[0, 0, 0.2, 0, 0, 0, 0], [0, 0, 0.2, 0, 0, 0, 1]], dtype=np.float32)
+    evaluation = evaluator.evaluate("given", poses, nominal(poses))
+    assert [position for position, _ in evaluation.failures] == [0]
+    assert evaluation.rows["outcome"][1] == Outcome.MISSED
+
+
+@pytest.mark.parametrize(
+    ("protocol", "last", "reason"),
+    [
+        ("paper", 0, "no trial but 0"),
+        ("released", 0, "no trial but 0"),
+        ("robust", 100, "no trial above 100"),
+    ],
+)
+def test_a_trial_that_the_protocol_does_not_have_fails(make_scene, genomes, protocol, last, reason):
+    trials = np.array([0, last, last + 1, 65535], dtype=np.uint16)
+    with Evaluator(make_scene("panda", "rubiks_cube", protocol)) as evaluator:
+        failures = dict(evaluator.evaluate("approach", genomes[:4], trials).failures)
+    assert list(failures) == [2, 3]
+    assert all(reason in failure for failure in failures.values())
+
+
+@pytest.mark.parametrize("prior", ["approach", "antipodal", "aimed"])
+def test_an_empty_batch_gives_no_rows(evaluator, prior):
+    none = evaluator.shape(prior).empty(0)["genome"]
+    evaluation = evaluator.evaluate(prior, none, nominal(none))
+    assert len(evaluation.rows) == 0
+    assert evaluation.failures == []
+
+
+def test_an_unknown_protocol_is_named_with_the_known_ones(cube):
+    with pytest.raises(UnknownName, match=r"Unknown protocol 'papers'. Did you mean 'paper'"):
+        Evaluator(msgspec.structs.replace(cube, protocol="papers"))
+
+
+class Stub:
+    """An evaluator that only knows whether it was closed."""
+
+    def __init__(self):
+        self.closed = 0
+
+    def close(self):
+        self.closed += 1
+
+
+@pytest.fixture
+def loaded():
+    return {}
+
+
+@pytest.fixture
+def get(loaded):
+    def get(worlds, digest):
+        return worlds.get(digest, lambda: loaded.setdefault(digest, Stub()))
+
+    return get
+
+
+def test_a_scene_is_loaded_once_and_kept(get):
+    worlds = EvaluatorCache()
+    first = get(worlds, "a")
+    assert worlds.get("a", lambda: pytest.fail("loaded again")) is first
+
+
+def test_at_most_eight_are_kept_and_the_one_longest_unused_is_closed_first(get, loaded):
+    worlds = EvaluatorCache()
+    names = [str(i) for i in range(MAX_EVALUATORS)]
+    for name in names:
+        get(worlds, name)
+    get(worlds, "0")
+    get(worlds, "new")
+    assert MAX_EVALUATORS == 8
+    assert len(worlds) == 8
+    assert "1" not in worlds
+    assert "0" in worlds
+    assert [name for name, stub in loaded.items() if stub.closed] == ["1"]
+
+
+def test_room_is_made_before_the_next_is_loaded(get, loaded):
+    worlds = EvaluatorCache(most=1)
+    get(worlds, "a")
+    worlds.get("b", lambda: Stub() if loaded["a"].closed else pytest.fail("two worlds at once"))
+
+
+def test_a_scene_that_cannot_be_loaded_leaves_no_trace(get):
+    worlds = EvaluatorCache()
+
+    def fail():
+        raise ValueError
+
+    with pytest.raises(ValueError):  # noqa: PT011
+        worlds.get("a", fail)
+    assert "a" not in worlds
+
+
+def test_leaving_closes_all_of_them_once(get, loaded):
+    with EvaluatorCache() as worlds:
+        for name in "abc":
+            get(worlds, name)
+    assert [stub.closed for stub in loaded.values()] == [1, 1, 1]
+    worlds.close()
+    assert [stub.closed for stub in loaded.values()] == [1, 1, 1]

@@ -1,0 +1,369 @@
+"""Contact filter: finds poses at which the closing hand surely stays away from the object.
+
+An object that nothing comes near stays where it is, and the hand closes as it closes on nothing. So the hand
+is watched while it does that, once for each synergy, with all its collision shapes, the palm's among them; a
+distance field keeps how far from them everything else is. The surface of the object is covered by balls: a
+pose at which each of them is farther from the shapes than Bullet sees contacts ahead cannot touch.
+
+It errs on one side only:
+
+- Bullet keeps a contact up to 2 % of the smaller shape's disc beyond the margins of 1 mm: balls are to be
+  farther away than that (`contact_range`).
+- Marked are voxels whose middle is within half their diagonal of a shape, and within what it moves between
+  two looks, and within what round shapes reach beyond the corners that stand for them. A point is taken to be
+  nearer by a diagonal than the middle of its voxel is. Shapes of many planes are replaced by larger ones.
+- A hand that is wholly within the object, away from its surface, overlaps; Bullet's test of the open hand
+  comes first. Where that test has the free joints elsewhere, they are looked at there too.
+- A finger on a free joint closes nearly alike wherever that joint stands, so that its field goes with the
+  frame that the joint carries. `STRAY` is for the rest: how fingers pull at each other depends on
+  their places.
+- Where a shape or a free joint is not understood, every pose is simulated.
+
+`SweptBox` tells the rest of a closing that is in vain: the object has left the space that the hand passes
+through. Of an object with more surface than hands grasp the balls are larger, so that they stay as many.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import sqrt
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_worker.bullet import Box, Vector
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, HandKinematics, free_posture
+from qdgrasp_worker.object_geometry import ObjectSolid
+from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid
+
+SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees them ahead, together [m]
+
+
+@dataclass(frozen=True)
+class SweptBox:
+    """Box around every place [m], hand frame, in which the object's centre can be touched."""
+
+    low: Vector
+    high: Vector
+
+    @classmethod
+    def around(cls, boxes: list[Box], origin: Sequence[float], radius: float) -> Self:
+        """The sweep of a hand at `origin` in `boxes`, for an object of `radius` about its CoM [m]."""
+        aside = radius + SWEPT_MARGIN
+        spans = [
+            (min(low[i] for low, _ in boxes) - aside, max(high[i] for _, high in boxes) + aside)
+            for i in range(3)
+        ]
+        low, high = zip(
+            *[(low - o, high - o) for (low, high), o in zip(spans, origin, strict=True)], strict=True
+        )
+        return cls(low, high)
+
+    def is_left(self, pose: HandPose, position: Vector, velocity: Vector) -> bool:
+        """Return whether an object at this place and velocity is outside for good, hand at `pose`.
+
+        Nothing pulls a free object back: beyond a face of the box, and not on its way through it, the
+        hand touches it no more.
+        """
+        offset = [a - b for a, b in zip(position, pose.position, strict=True)]
+        for axis, low, high in zip(pose.axes, self.low, self.high, strict=True):
+            place, speed = scalar_product(axis, offset), scalar_product(axis, velocity)
+            if (place > high and speed >= 0.0) or (place < low and speed <= 0.0):
+                return True
+        return False
+
+
+def scalar_product(a: Vector, b: Vector | list[float]) -> float:
+    """The scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
+MAX_VOXELS = 1 << 22
+KNOWN_DISTANCE = 0.03  # How far about the shapes distances are known [m]
+DISTANCE_UNIT = 2e-4
+"""Distances are kept in whole numbers of it [m]; what is farther than 255 of it is as far."""
+STRIDE = 2e-3  # What a shape moves from one look to the next [m]
+ROUND_EXCESS = 0.03  # How far a round shape reaches beyond the hull of its corners, in its radii
+DIRECTIONS = geodesic(1.0, 3).vertices
+UNIT_BOX_CORNERS = np.array(list(product((0.0, 1.0), repeat=3)))
+
+
+@dataclass(frozen=True)
+class DistanceField:
+    """Lower bounds of the distance to the volume that shapes pass through, in a link's frame."""
+
+    distances: VoxelGrid
+    """In units of `DISTANCE_UNIT`, rounded down; its rim stands for all outside the box."""
+
+    @classmethod
+    def of(cls, courses: Iterable[tuple[Hull, Floats]]) -> Self:
+        """The field of hulls, each on its course of frames (n, 4, 4) that follow each other closely."""
+        paths = [(simplified_hull(hull), course, corner_path(hull, course)) for hull, course in courses]
+        low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
+        high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
+        low, high = low - KNOWN_DISTANCE, high + KNOWN_DISTANCE
+        pitch = max(VOXEL_PITCH, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
+        diagonal = sqrt(3.0) * pitch
+        voxels = VoxelGrid(low, high, pitch)
+        for hull, course, corners in paths:
+            for look, moved in path_samples(corners):
+                voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
+        # Distances are of voxels' middles: a point and what is marked may each be half a diagonal nearer.
+        away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
+        voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
+        return cls(voxels)
+
+    def lower_bounds(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
+        """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
+        x, y, z = (points @ turn.T + move).T
+        return self.distances.at(x, y, z).astype(np.uint8, copy=False)
+
+
+def corner_path(hull: Hull, course: Floats) -> Floats:
+    """The corners (n, 8, 3) [m] of a hull's box along its course."""
+    corners = hull.low + UNIT_BOX_CORNERS * (hull.high - hull.low)
+    places: Floats = corners @ np.moveaxis(course[:, :3, :3], 1, 2) + course[:, None, :3, 3]
+    return places
+
+
+def path_samples(corners: Floats) -> list[tuple[int, float]]:
+    """Frames of a path (n, 8, 3), and the distance [m] of points in frames that each stands for."""
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=2).max(axis=1)
+    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    _, first = np.unique(np.floor(ways / STRIDE), return_index=True)
+    last = np.append(first[1:], len(ways)) - 1
+    middle = np.searchsorted(ways, (ways[first] + ways[last]) / 2).clip(first, last)
+    moved = np.maximum(ways[middle] - ways[first], ways[last] - ways[middle])
+    return list(zip(middle.tolist(), moved.tolist(), strict=True))
+
+
+def simplified_hull(hull: Hull) -> Hull:
+    """A hull around a hull that has no more than 92 planes."""
+    if len(hull.planes) <= len(DIRECTIONS):
+        return hull
+    corners = hull.triangles.reshape(-1, 3)
+    return replace(hull, planes=np.column_stack([DIRECTIONS, -(corners @ DIRECTIONS.T).max(axis=0)]))
+
+
+def round_excess(hull: Hull) -> float:
+    """Distance [m] by which a round shape may reach beyond the hull of its corners."""
+    return float(ROUND_EXCESS * np.sort(hull.high - hull.low)[1] / 2)
+
+
+TILE_REACH = 1.5e-3  # How far a tile of the surface reaches from its middle at most [m]
+SMALL_CELL, LARGE_CELL = 3e-3, 15e-3
+"""The sides of the cells in which tiles, and then small balls, are gathered [m]."""
+FINE_SURFACE = 0.6  # The surface that is covered so finely at most, that of a cube of 32 cm [m2]
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Centres and radii."""
+
+    centres: Floats
+    """(n, 3) [m]."""
+    radii: Floats
+    """(n,) [m]."""
+
+
+@dataclass(frozen=True)
+class BoundingBalls:
+    """Balls that hold the surface: all of it is in the small ones, each of these in a large one."""
+
+    large: Balls
+    small: Balls
+    """Those of the first large ball first, and so on."""
+    counts: NDArray[np.intp]
+    """(large,): how many small balls each holds."""
+
+    @classmethod
+    def of(cls, solid: ObjectSolid) -> Self:
+        """The cover of the surfaces of an object's convex parts, CoM frame."""
+        triangles, coarse = np.concatenate([hull.triangles for hull in solid.hulls]), coarseness(solid)
+        small, _, _ = gather_balls(tile_balls(triangles, coarse * TILE_REACH), coarse * SMALL_CELL)
+        large, order, counts = gather_balls(small, coarse * LARGE_CELL)
+        return cls(large, Balls(small.centres[order], small.radii[order]), counts)
+
+
+def coarseness(solid: ObjectSolid) -> float:
+    """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
+    surface = sum(float(hull.areas.sum()) for hull in solid.hulls)
+    return max(1.0, sqrt(surface / FINE_SURFACE))
+
+
+def tile_balls(triangles: Floats, reach: float) -> Balls:
+    """Balls of `reach` [m] at most about the pieces that triangles (t, 3, 3) are cut into."""
+    middles, reaches = [], []
+    while len(triangles):
+        centres = triangles.mean(axis=1)
+        far = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
+        is_small = far <= reach
+        middles.append(centres[is_small])
+        reaches.append(far[is_small])
+        triangles = halve_triangles(triangles[~is_small])
+    return Balls(np.concatenate(middles), np.concatenate(reaches))
+
+
+def halve_triangles(triangles: Floats) -> Floats:
+    """Each triangle (t, 3, 3) cut in two (2 t, 3, 3) through the middle of its longest edge."""
+    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+    which, each = edges.argmax(axis=1), np.arange(len(triangles))
+    a, b, c = (triangles[each, (which + i) % 3] for i in range(3))
+    middle = (a + b) / 2
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+
+
+def gather_balls(balls: Balls, side: float) -> tuple[Balls, NDArray[np.intp], NDArray[np.intp]]:
+    """A ball around all balls in each cell of `side` [m].
+
+    Besides the m balls: the order (n,) that puts the gathered side by side, and how many they are, (m,).
+    """
+    points = balls.centres
+    cells = np.floor(points / side).astype(np.int64)
+    _, which, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(which.reshape(-1), kind="stable")
+    starts = np.cumsum(counts) - counts
+    centres = np.add.reduceat(points[order], starts, axis=0) / counts[:, None]
+    offsets = points[order] - np.repeat(centres, counts, axis=0)
+    reaches = np.sqrt((offsets * offsets).sum(axis=1)) + balls.radii[order]
+    return Balls(centres, np.maximum.reduceat(reaches, starts)), order, counts
+
+
+MARGIN = 1e-3  # Bullet's collision margin of a hull [m]
+BREAKING = 0.02  # Bullet's contact breaking threshold, in discs
+STRAY = 5e-4  # How far a closing finger may be from where it was watched, with the free joints elsewhere [m]
+POSTURES_PER_STEP = 8  # Postures from one step to the next
+FREE_JOINT_PLACES = (0.0, 1.0)  # Where on their ranges the free joints are while the hand is watched
+
+
+class NoContactFilter:
+    """The reach of a hand of which nothing is known: it misses nowhere for sure."""
+
+    def prepare(self, synergy: int) -> None:
+        """Do nothing."""
+
+    def misses(self, pose: HandPose) -> bool:
+        """False."""
+        return False
+
+
+@dataclass(frozen=True)
+class ClearanceBalls:
+    """Balls that no zone may come near."""
+
+    centres: Singles
+    """(n, 3) [m]."""
+    min_distances: NDArray[np.uint8]
+    """(n,): how far from a zone each must be, in its units."""
+
+    @classmethod
+    def of(cls, balls: Balls, sight: float) -> Self:
+        """Guard balls that are seen from `sight` [m]."""
+        far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
+        return cls(balls.centres.astype(np.float32), far.astype(np.uint8))
+
+    def select(self, which: NDArray[np.bool_]) -> Self:
+        """Those of the balls."""
+        return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
+
+
+NO_CONTACT_FILTER = NoContactFilter()
+
+
+class ContactFilter:
+    """Finds poses at which a scene's hand surely misses, without the simulator.
+
+    `closing` closes the hand on nothing, when a synergy is first met. The test for overlap has the free
+    joints where the grasp has them (`follows_free_joints`), or open.
+    """
+
+    def __init__(
+        self, gripper: SceneGripper, solid: ObjectSolid, closing: Closing, *, follows_free_joints: bool
+    ) -> None:
+        self._gripper = gripper
+        self._kinematics = HandKinematics(gripper)
+        self._mounts = FreeJointLinks(gripper, self._kinematics)
+        self.is_known = self._kinematics.is_understood and solid.is_whole and self._mounts.all_still
+        """True if all of hand and object is understood; if not, no pose surely misses."""
+        self._closing = closing
+        opened = [joint.opened for joint in gripper.joints]
+        self._at_first = [] if follows_free_joints or not gripper.free_joints else [opened]
+        self._zones: dict[int, dict[str, DistanceField]] = {}
+        if self.is_known:
+            cover = BoundingBalls.of(solid)
+            self._large, self._small = (
+                ClearanceBalls.of(cover.large, contact_range(solid)),
+                ClearanceBalls.of(cover.small, contact_range(solid)),
+            )
+            self._counts = cover.counts
+
+    def prepare(self, synergy: int) -> None:
+        """Have the hand close on nothing where its zones with a synergy are not known yet."""
+        if self.is_known and synergy not in self._zones:
+            self._zones[synergy] = self._measure(synergy)
+
+    def misses(self, pose: HandPose) -> bool:
+        """Return whether the hand, closing at `pose`, surely never comes as near as a contact."""
+        if not self.is_known:
+            return False
+        self.prepare(pose.synergy)
+        turn = np.array(pose.axes)
+        move = -turn @ np.array(pose.position)
+        return all(
+            self._is_clear(zone, frame[:3, :3].T @ turn, frame[:3, :3].T @ (move - frame[:3, 3]))
+            for zone, frame in self._placed(pose)
+        )
+
+    def _placed(self, pose: HandPose) -> Iterator[tuple[DistanceField, Floats]]:
+        """Each zone with its frame (4, 4) in the hand's, wherever the free joints are."""
+        for posture in [pose.joints, *self._at_first]:
+            frames = self._mounts.frames(posture)
+            for link, zone in self._zones[pose.synergy].items():
+                yield zone, frames[link]
+
+    def _is_clear(self, zone: DistanceField, turn: Floats, move: Floats) -> bool:
+        """Return whether no ball is near a zone; where a large one is, its small ones are looked up.
+
+        One that is in the midst of it is enough to give up.
+        """
+        frame = turn.astype(np.float32), move.astype(np.float32)
+        away = zone.lower_bounds(self._large.centres, *frame)
+        is_near = away <= self._large.min_distances
+        if not is_near.any() or not away.all():
+            return not is_near.any()
+        small = self._small.select(np.repeat(is_near, self._counts))
+        return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
+
+    def _measure(self, synergy: int) -> dict[str, DistanceField]:
+        """Watch the hand close: the zone in the frame of each mount."""
+        passing: dict[str, list[tuple[Hull, Floats]]] = {}
+        for place in FREE_JOINT_PLACES[: 1 + bool(self._gripper.free_joints)]:
+            posture = free_posture(self._gripper, place)
+            frames = self._kinematics.frames(interpolate_course(np.array(self._closing(posture, synergy))))
+            mounts = self._mounts.frames(posture)
+            for link, hulls in self._kinematics.hulls.items():
+                under = self._mounts.mount_of[link]
+                course = np.linalg.inv(mounts[under]) @ frames[link]
+                passing.setdefault(under, []).extend((hull, course) for hull in hulls)
+        return {link: DistanceField.of(courses) for link, courses in passing.items() if courses}
+
+
+def interpolate_course(course: Floats) -> Floats:
+    """The postures (n, j) of a course (steps, j), with more of them in between."""
+    steps = np.arange(len(course))
+    finer = np.linspace(0, len(course) - 1, POSTURES_PER_STEP * (len(course) - 1) + 1)
+    return np.stack([np.interp(finer, steps, joint) for joint in course.T], axis=1)
+
+
+def contact_range(solid: ObjectSolid) -> float:
+    """Distance from an object's surface [m] at which a contact may begin, and somewhat more."""
+    low, high = solid.box
+    disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
+    return float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY)

@@ -1,0 +1,155 @@
+"""Evaluation protocols as a table of frozen values, and the trials that disturb a grasp.
+
+Common to all protocols: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
+targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
+
+In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). What
+a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
+again meets the same trials, and no other grasp does. It is rounded for the reason that poses are
+(`decoder`).
+"""
+
+import hashlib
+from dataclasses import dataclass, replace
+from math import pi, radians
+
+import numpy as np
+from numpy.random import Generator
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, from_euler, multiply, rotate
+from qdgrasp_protocol import rows
+from qdgrasp_worker.decoder import HandPose
+
+FRICTION_DECIMALS = 6
+"""Decimals of frictions: rounded so, the ends of an interval stay as in the table."""
+
+
+@dataclass(frozen=True)
+class TrialSetup:
+    """A grasp as it is simulated in one trial."""
+
+    pose: HandPose
+    """In the CoM frame of the object as it lies in this trial."""
+    frictions: tuple[float, float] | None = None
+    """The object's coefficients of rolling and spinning friction; None: its own."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Distributions that trials from 1 on are drawn from; trial 0 is the nominal one."""
+
+    position_sigma: float
+    """Of the object's displacement along each axis [m]."""
+    angle_sigma: float
+    """Of each angle by which the object turns about the fixed axes x, then y, then z [rad]."""
+    rolling: tuple[float, float]
+    """The interval of its coefficient of rolling friction."""
+    spinning: tuple[float, float]
+    """The interval of its coefficient of spinning friction."""
+    seed: int = 0
+
+    def trial(self, pose: HandPose, number: int) -> TrialSetup:
+        """Draw a trial of a grasp; the object is displaced, then turned about its centre of mass."""
+        random = np.random.default_rng([self.seed, *pose_seed(pose), number])
+        position = random.normal(0.0, self.position_sigma, 3)
+        quaternion = from_euler(random.normal(0.0, self.angle_sigma, (1, 3)))[0]
+        frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
+        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions)
+
+
+def pose_seed(pose: HandPose) -> list[int]:
+    """The sha256 of a grasp as simulated: pose and initial joints in float32, synergy in int8."""
+    numbers = np.array([*pose.position, *pose.quaternion, *pose.joints], dtype="<f4")
+    digest = hashlib.sha256(numbers.tobytes() + np.int8(pose.synergy).tobytes()).digest()
+    words: list[int] = np.frombuffer(digest, dtype="<u4").tolist()
+    return words
+
+
+def pose_seen_from(position: Floats, quaternion: Floats, pose: HandPose) -> HandPose:
+    """A pose in the frame of an object at `position` (3,) [m], turned by `quaternion` (4,).
+
+    Only hand and object are in the world, so that it is the same to displace the one or the other. The
+    object stays at the origin: there Bullet keeps it to the bit, whereas it rounds other rotations anew at
+    every step.
+    """
+    back = conjugate(quaternion)
+    offset = rotate(back, np.array(pose.position) - position)
+    return replace(
+        pose,
+        position=round_to_float32(offset),
+        quaternion=round_to_float32(multiply(back, np.array(pose.quaternion))),
+    )
+
+
+def round_to_float32(values: Floats) -> list[float]:
+    """Values as float32 has them."""
+    single: list[float] = values.astype(np.float32).tolist()
+    return single
+
+
+def draw_friction(random: Generator, interval: tuple[float, float]) -> float:
+    """Draw a coefficient of friction."""
+    return round(random.uniform(*interval), FRICTION_DECIMALS)
+
+
+CLOSING_STEPS = 100
+TARGET_STEPS = 68  # How long each target of a shake is pursued
+
+
+@dataclass(frozen=True)
+class Shake:
+    """A joint of the carrier is sent to +amplitude, to -amplitude and back to zero."""
+
+    joint: str
+    """"z" or "x": the carrier joint that is marked with it."""
+    amplitude: float
+    """[m or rad]. The translation is limited by its force: from 0 to 0.206 m and back to 0."""
+    position_gain: float
+    """Bullet's kp."""
+    velocity_gain: float
+    """Bullet's kd."""
+
+    @property
+    def targets(self) -> tuple[float, float, float]:
+        """The positions that the joint is driven to, in order."""
+        return self.amplitude, -self.amplitude, 0.0
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """The settings in which the protocols differ."""
+
+    name: str
+    shakes: tuple[Shake, ...]
+    contact_check_steps: int
+    """Steps of a shake between two checks of contact with the object; divides TARGET_STEPS."""
+    ends_when_lost: bool
+    """An object that one shake lost is spared the next."""
+    free_joints_first: bool
+    """Free joints take their places before the test for overlap, not after it."""
+    mixture: Mixture | None = None
+    """Distributions that trials from 1 on are drawn from; None: there are no trials."""
+
+    @property
+    def trials(self) -> int:
+        """Number of trials besides trial 0, the nominal one."""
+        return rows.trial_count(self.name)
+
+    def trial(self, pose: HandPose, number: int) -> TrialSetup:
+        """A grasp in one of its trials; 0 is the grasp as it was commanded."""
+        return self.mixture.trial(pose, number) if self.mixture and number else TrialSetup(pose)
+
+
+SHAKES = (
+    Shake("z", 0.2, position_gain=2.82, velocity_gain=64.0),
+    Shake("x", pi / 4, position_gain=0.05, velocity_gain=1.0),
+)
+RELEASED = EvaluationProtocol(
+    "released", SHAKES, contact_check_steps=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
+)
+PAPER = EvaluationProtocol(
+    "paper", SHAKES, contact_check_steps=1, ends_when_lost=True, free_joints_first=True
+)
+MIXTURE = Mixture(position_sigma=0.005, angle_sigma=radians(30.0), rolling=(0.01, 0.04), spinning=(0.1, 0.4))
+ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
+PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST)}

@@ -1,0 +1,256 @@
+"""Evaluators: a batch of genomes in, rows out. Decode, place, close, shake, report.
+
+A worker keeps one evaluator for each scene that it lately served.
+"""
+
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
+from qdgrasp_worker.decoder import DecodedGrasps, Decoder
+from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
+from qdgrasp_worker.screening import CandidateScreen, Shortlist
+from qdgrasp_worker.world import World
+
+REASON_LENGTH = 200
+
+
+class GenomeResult(NamedTuple):
+    """Result of a genome."""
+
+    pose_index: int
+    """Its pose, in the batch of grasps."""
+    verdict: EpisodeResult
+    proposals: int
+    """Number of poses that were screened for it."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of a batch."""
+
+    rows: Rows
+    """(n,): trial, genome and all result columns; result columns of failed rows hold zeros."""
+    failures: list[tuple[int, str]]
+    """The rows on which the simulator failed, by their place in the batch, with the reason."""
+
+
+ROWS_AT_ONCE = 16  # Rows evaluated at once; evaluation is pure, so slicing changes nothing
+
+
+class BatchEvaluator(ABC):
+    """Evaluates batches of genomes in one scene; UnknownName if its protocol does not exist."""
+
+    at_once = ROWS_AT_ONCE
+    """The most rows that it is given at once."""
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.protocol not in PROTOCOLS:
+            raise UnknownName("protocol", scene.protocol, PROTOCOLS)
+        self.scene = scene
+        self._protocol = PROTOCOLS[scene.protocol]
+        self._surface = ObjectSurface(scene)
+        self._decoders: dict[str, Decoder] = {}
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what it holds; closing twice is allowed."""
+
+    @abstractmethod
+    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,); UnknownName for the prior."""
+
+    def shape(self, prior: str) -> RowShape:
+        """The widths of the rows of this scene with genomes of `prior`."""
+        return RowShape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
+
+    def _decoder(self, prior: str) -> Decoder:
+        if prior not in self._decoders:
+            self._decoders[prior] = Decoder(self.scene, prior, self._surface)
+        return self._decoders[prior]
+
+
+class Evaluator(BatchEvaluator):
+    """One Bullet world for one scene; a context manager that leaves it.
+
+    `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
+    closing ends when the object has left; they change no result
+    (docs/decisions/0007-evaluation-shortcuts.md).
+
+    An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
+    batch, or of the process (docs/reproducibility.md). An AssetError if Bullet cannot load the scene.
+    """
+
+    def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
+        super().__init__(scene)
+        self._world = World(scene)
+        self._shortcuts = shortcuts
+        self._object = ObjectSolid(scene)
+        follows = self._protocol.free_joints_first
+        self._candidate_screen = CandidateScreen(
+            scene, self._object, self._closing, follows_free_joints=follows, filters=shortcuts
+        )
+
+    @cached_property
+    def _contact_filter(self) -> ContactFilter | NoContactFilter:
+        if not self._shortcuts:
+            return NO_CONTACT_FILTER
+        follows = self._protocol.free_joints_first
+        return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
+
+    def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
+        """Finger joints as the hand closes on nothing, in the present world."""
+        return self._world.closing(posture, synergy)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave Bullet; closing twice is allowed."""
+        self._world.close()
+
+    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
+        grasps = self._decoder(prior)(genomes)
+        rows = self.shape(prior).empty(len(genomes))
+        rows["genome"], rows["trial"] = genomes, trials
+        refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
+        wanted = np.array([not reason for reason in refused], dtype=bool)
+        shortlists, features = self._candidate_screen(grasps, trials, wanted)
+        found = [
+            reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
+        ]
+        findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, GenomeResult)}
+        fill_rows(rows, grasps, features, findings)
+        failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
+        return Evaluation(rows, failures)
+
+    def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
+        """Return the result of a genome, or the reason of a failure, after which the world is new."""
+        if not shortlist.poses:
+            return GenomeResult(
+                shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints), 1
+            )
+        try:
+            place, verdict = self._try(grasps, shortlist, trial)
+        except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
+            self._world.close()
+            self._world = World(self.scene)
+            return f"{type(error).__name__}: {error}"
+        return GenomeResult(place, verdict, shortlist.poses)
+
+    def _try(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> tuple[int, EpisodeResult]:
+        """Simulate candidates in order until one does not overlap; return its pose and result.
+
+        It is chosen by trial 0, so that all trials of a genome disturb the same pose.
+        """
+        episode = Episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
+        for place in shortlist.ranked:
+            pose = grasps[place]
+            if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
+                continue
+            verdict = episode.run(self._protocol.trial(pose, trial))
+            if trial or verdict.outcome is not Outcome.OVERLAP:
+                return place, verdict
+        return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
+
+
+def row_refusals(
+    genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: DecodedGrasps, last: int
+) -> list[str]:
+    """The reason why each row cannot be evaluated, empty where it can; `last` is the last trial."""
+    finite = np.asarray(np.isfinite(genomes).all(axis=1))
+    np.logical_and.at(finite, grasps.genome_of, grasps.are_finite)
+    reasons = {
+        "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
+        f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
+    }
+    return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
+
+
+def fill_rows(
+    rows: Rows, grasps: DecodedGrasps, features: NDArray[np.float32], findings: dict[int, GenomeResult]
+) -> None:
+    """Write the result columns of those rows that have a finding, by their place in the batch.
+
+    The `features` (poses, f) of a pose follow its position in the descriptor, where it was simulated.
+    """
+    if not findings:
+        return
+    places, found = list(findings), [finding.verdict for finding in findings.values()]
+    taken = [finding.pose_index for finding in findings.values()]
+    is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found])
+    positions = grasps.positions[taken]
+    columns = {
+        "outcome": [verdict.outcome for verdict in found],
+        "fitness": [verdict.fitness for verdict in found],
+        "proposals": [finding.proposals for finding in findings.values()],
+        "descriptor": np.concatenate([positions, np.where(is_simulated, features[taken], 0.0)], axis=1),
+        "base_to_object": np.concatenate([positions, grasps.quaternions[taken]], axis=1),
+        "joints": [verdict.joints for verdict in found],
+        "surface_point": grasps.surface_points[taken],
+        "nu": grasps.nu[taken],
+        "contacts": [verdict.contacts for verdict in found],
+        "penetration": [verdict.penetration for verdict in found],
+    }
+    for name, values in columns.items():
+        rows[name][places] = values
+
+
+MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
+
+
+class EvaluatorCache:
+    """At most `most` evaluators by their scene's digest; the one longest unused leaves first.
+
+    A context manager that closes them all.
+    """
+
+    def __init__(self, most: int = MAX_EVALUATORS) -> None:
+        self._most = most
+        self._evaluators: OrderedDict[str, BatchEvaluator] = OrderedDict()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return len(self._evaluators)
+
+    def __contains__(self, digest: str) -> bool:
+        return digest in self._evaluators
+
+    def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
+        """Return the evaluator of a scene, made by `load` if it is not here yet."""
+        if digest not in self._evaluators:
+            self._make_room()
+            self._evaluators[digest] = load()
+        self._evaluators.move_to_end(digest)
+        return self._evaluators[digest]
+
+    def close(self) -> None:
+        """Close all evaluators; closing twice is allowed."""
+        while self._evaluators:
+            self._evaluators.popitem()[1].close()
+
+    def _make_room(self) -> None:
+        while len(self._evaluators) >= self._most:
+            self._evaluators.popitem(last=False)[1].close()

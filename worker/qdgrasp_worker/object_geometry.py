@@ -1,0 +1,170 @@
+"""Geometry of the object: surface points as decoding uses them, and the solid of Bullet.
+
+The surface S_c is its points with their normals, the nearest, and the opposite ones. Those are found where
+rays leave the mesh, for every ray and triangle, in float64 (Möller and Trumbore 1997). Only products, sums
+and quotients of columns, whose bits are the same on every processor: rays of a library in float32 could take
+another triangle elsewhere. It is done once for each surface point of a scene.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from qdgrasp_assets.geometry.rotation import Floats, dot, unit
+from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
+from qdgrasp_assets.scene import Scene
+from qdgrasp_worker.voxels import VoxelGrid, convex_hulls
+
+MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
+EDGE_TOLERANCE = 1e-9  # how far beyond an edge still counts, so that no ray slips between two triangles
+PAIRS_AT_ONCE = 1 << 17  # pairs of ray and triangle that are looked at at once: they fit in the cache
+
+
+class RayExits(NamedTuple):
+    """Last points at which rays leave a mesh."""
+
+    distances: Floats
+    """(n,) [m]; NaN where a ray does not leave it within the length."""
+    triangles: NDArray[np.intp]
+    """(n,): the triangle it leaves through; any where the ray meets none."""
+
+
+def last_exits(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
+    """The last exits along rays from `origins` (n, 3) [m] in unit `directions` (n, 3).
+
+    `corners` (t, 3, 3) [m] are the triangles of a closed mesh, wound outward; exits beyond `length` [m] are
+    left out.
+    """
+    rows = max(1, PAIRS_AT_ONCE // len(corners))
+    starts = range(0, len(origins), rows)
+    parts = [
+        _last_exits_of_some(origins[i : i + rows], directions[i : i + rows], corners, length) for i in starts
+    ]
+    return RayExits(
+        np.concatenate([part.distances for part in parts]), np.concatenate([part.triangles for part in parts])
+    )
+
+
+def _last_exits_of_some(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
+    found = _exit_distances(origins[:, None], directions[:, None], corners)
+    found[~((found > MIN_EXIT_DISTANCE) & (found <= length))] = -np.inf
+    triangles = found.argmax(axis=1)
+    distances = found[np.arange(len(found)), triangles]
+    return RayExits(np.where(np.isfinite(distances), distances, np.nan), triangles)
+
+
+def _exit_distances(origins: Floats, directions: Floats, corners: Floats) -> Floats:
+    """(n, t): distance along each ray (n, 1, 3) to its exit by each triangle; NaN without one."""
+    first, second, third = np.moveaxis(corners, 1, 0)
+    one, other = second - first, third - first
+    across = cross(directions, other)
+    volume = dot(across, one)  # negative where the ray goes with the normal: outward
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = origins - first
+        u = dot(offset, across) / volume
+        around = cross(offset, one)
+        v = dot(directions, around) / volume
+        distances = dot(other, around) / volume
+        through = (
+            (volume < 0) & (u >= -EDGE_TOLERANCE) & (v >= -EDGE_TOLERANCE) & (u + v <= 1 + EDGE_TOLERANCE)
+        )
+    return np.where(through, distances, np.nan)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """The vector products of vectors (..., 3)."""
+    (ax, ay, az), (bx, by, bz) = (np.moveaxis(vectors, -1, 0) for vectors in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+@dataclass(frozen=True)
+class OppositePoints:
+    """The last surface point straight behind each surface point, within the hand's opening."""
+
+    distances: Floats
+    """(n,) [m]; NaN where there is no such point."""
+    normals: Floats
+    """(n, 3): the outward unit normals there; any where there is no such point."""
+
+
+class ObjectSurface:
+    """The surface points of a scene, CoM frame."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.points: Floats = scene.surface_points.astype(np.float64)
+        self.normals: Floats = unit(scene.surface_normals.astype(np.float64))
+        self._tree = KDTree(self.points)
+        self._scene = scene
+
+    def nearest(self, finders: Floats) -> NDArray[np.intp]:
+        """The index (n,) of the surface point nearest to each of `finders` (n, 3) [m]."""
+        _, indices = self._tree.query(np.nan_to_num(finders))
+        return np.asarray(indices, dtype=np.intp)
+
+    @cached_property
+    def opposites(self) -> OppositePoints:
+        """The points that the hand's jaw would close on with each surface point; none without a jaw."""
+        jaw, corners = self._scene.gripper.jaw, self._scene.object.triangles.astype(np.float64)
+        opening = 0.0 if jaw is None else jaw.opening
+        distances, triangles = last_exits(self.points, -self.normals, corners, opening)
+        first, second, third = np.moveaxis(corners[triangles], 1, 0)
+        return OppositePoints(distances, unit(cross(second - first, third - first)))
+
+
+VOXEL_PITCH = 1e-3  # The side of a voxel [m]; larger for an object of more than `MOST` voxels
+MAX_VOXELS = 1 << 24
+SAFE_DEPTH = 1e-4
+"""Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm."""
+INSIDE_POINTS = 512
+DRAWS = 8192
+ROUNDS = 64
+
+
+class ObjectSolid:
+    """The convex parts of a scene's object, CoM frame."""
+
+    def __init__(self, scene: Scene) -> None:
+        parts = list(obj_group_corners(scene.object.collision.decode()))
+        self.hulls = convex_hulls(parts)
+        """The parts."""
+        self.is_whole = 0 < len(self.hulls) == len(parts)
+        """True if all of the object is in them; flat parts are left out."""
+        self._surface = scene.surface_points.astype(np.float64)
+        self.radius = float(np.sqrt((self._surface**2).sum(axis=1).max()))
+        """Largest distance of the surface from the centre of mass [m]."""
+
+    @cached_property
+    def inside(self) -> VoxelGrid:
+        """Level 1: the whole voxel is surely inside one of the parts."""
+        low, high = self.box
+        pitch = max(VOXEL_PITCH, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
+        voxels = VoxelGrid(low, high, pitch)
+        for hull in self.hulls:
+            reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
+            voxels.mark(hull.shrunk(reach + SAFE_DEPTH), 1)
+        return voxels
+
+    @cached_property
+    def points(self) -> Floats:
+        """(512, 3) [m]: points drawn uniformly from the inside, or of the surface of a thin object."""
+        random = np.random.default_rng(0)
+        low, high = self.box
+        found = [self._surface[:0]]
+        for _ in range(ROUNDS):
+            drawn = random.uniform(low, high, (DRAWS, 3))
+            found.append(drawn[np.any([hull.contains(drawn) for hull in self.hulls], axis=0)])
+            if sum(map(len, found)) >= INSIDE_POINTS:
+                break
+        some = self._surface[random.integers(len(self._surface), size=INSIDE_POINTS)]
+        return np.concatenate([*found, some])[:INSIDE_POINTS]
+
+    @cached_property
+    def box(self) -> tuple[Floats, Floats]:
+        """The corners (3,) of the box around it and its centre of mass [m]."""
+        lows, highs = [hull.low for hull in self.hulls], [hull.high for hull in self.hulls]
+        origin = np.zeros((1, 3))
+        return np.min([*lows, *origin], axis=0), np.max([*highs, *origin], axis=0)

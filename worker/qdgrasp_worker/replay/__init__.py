@@ -1,0 +1,1 @@
+"""Replays of single evaluations, recorded and rendered."""

@@ -1,0 +1,126 @@
+"""Records the snapshots of an evaluation, and chooses which are shown, and for how long."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.replay_messages import Phase, ReplayPart
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.bullet import BASE
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import Shake
+from qdgrasp_worker.replay import renderer
+from qdgrasp_worker.replay.renderer import Snapshot
+from qdgrasp_worker.world import World
+
+STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
+FRAME_SECONDS = 0.08
+"""Seconds for which a frame is shown: 3.2 times slower than simulated."""
+REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
+PARTS: dict[ReplayPart, tuple[str, ...]] = {
+    "all": ("placed", "closing", "shake z", "shake x"),
+    "closing": ("placed", "closing"),
+    "shakes": ("shake z", "shake x"),
+}
+
+
+class TimedSnapshot(NamedTuple):
+    """A snapshot that is shown."""
+
+    snapshot: Snapshot
+    seconds: float
+
+
+def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
+    """The hand after closing; where it did not close, as it was placed."""
+    return [snapshot for snapshot in snapshots if snapshot.phase in PARTS["closing"]][-1]
+
+
+def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
+    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen."""
+    chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
+    if not chosen:
+        raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
+    return list(_timed_snapshots(chosen))
+
+
+def _timed_snapshots(snapshots: Sequence[Snapshot]) -> Iterator[TimedSnapshot]:
+    """Every so many steps one, and the last of each phase."""
+    for snapshot, following in zip(snapshots, [*snapshots[1:], None], strict=True):
+        is_last = following is None or following.phase != snapshot.phase
+        rests = following is None or (is_last and snapshot.phase in PARTS["closing"])
+        if is_last or snapshot.step % STEPS_PER_FRAME == 0:
+            yield TimedSnapshot(snapshot, REST_SECONDS if rests else FRAME_SECONDS)
+
+
+PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
+
+
+class RecordingWorld(World):
+    """A world that records its last evaluation."""
+
+    _is_watching = False  # while the world is made its hand closes on nothing
+    _phase: Phase = "placed"
+    _step = 0
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        links = self._bullet.links(self._hand.body)
+        self.joints = [links[joint].joint for joint in self._joints]
+        """The names of all joints that move."""
+        self._links = {BASE: "root"} | {number: link.link for number, link in enumerate(links)}
+        self.snapshots: list[Snapshot] = []
+        self._is_watching = True
+
+    def reset(
+        self, pose: HandPose, posture: Sequence[float], frictions: tuple[float, float] | None = None
+    ) -> None:
+        """Put hand and object in place, and forget what was remembered."""
+        super().reset(pose, posture, frictions)
+        self._root = pose.position, pose.quaternion
+        if self._is_watching:
+            self.snapshots.clear()
+            self._begin("placed")
+
+    def set_fingers(self, posture: Sequence[float]) -> None:
+        """Put the finger joints at `posture`; the contacts are still those of the look before."""
+        super().set_fingers(posture)
+        placed = self.snapshots.pop()
+        self.snapshots.append(replace(self._now(), touches=placed.touches))
+
+    def close_fingers(self, synergy: int) -> None:
+        """Command the fingers to close."""
+        super().close_fingers(synergy)
+        if self._is_watching:
+            self._begin("closing")
+
+    def shake_to(self, target: float, shake: Shake) -> None:
+        """Command the carrier to a target of a shake."""
+        super().shake_to(target, shake)
+        if self._phase != PHASE_BY_SHAKE[shake.joint]:
+            self._begin(PHASE_BY_SHAKE[shake.joint])
+
+    def step(self) -> None:
+        """Move on by 1/240 s."""
+        super().step()
+        if self._is_watching:
+            self._step += 1
+            self.snapshots.append(self._now())
+
+    def _begin(self, phase: Phase) -> None:
+        self._phase, self._step = phase, 0
+        self.snapshots.append(self._now())
+
+    def _now(self) -> Snapshot:
+        """The present state."""
+        hand, target = self._hand.body, self._target.body
+        return Snapshot(
+            self._phase,
+            self._step,
+            self._root,
+            self._bullet.joints(hand, self._joints),
+            renderer.body_pose(self._bullet, target),
+            renderer.contact_points(self._bullet, hand, target, self._links, self.finger_links),
+        )

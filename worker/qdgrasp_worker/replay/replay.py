@@ -1,0 +1,170 @@
+"""Replays one evaluation: carries it out again as it was, records it, and draws it.
+
+Started as `python -m qdgrasp_worker.replay.replay FOLDER` (`qdgrasp_protocol.replay_messages`). The episode
+is the one that evaluates, in a world that records what happens. No shortcut is taken: the hand closes to the
+end where an evaluation would know by then that it misses.
+"""
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol import replay_messages
+from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.replay_messages import (
+    ANSWER,
+    FRAMES,
+    REQUEST,
+    SCENE,
+    ReplayAnswer,
+    ReplayCamera,
+    ReplayFrame,
+    ReplayRequest,
+)
+from qdgrasp_protocol.rows import GIVEN
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.replay.episode_recorder import (
+    REST_SECONDS,
+    RecordingWorld,
+    TimedSnapshot,
+    animation,
+    still_snapshot,
+)
+from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
+
+OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
+Frames = NDArray[np.uint8]
+"""(n, rows, columns, 3)."""
+MakeFrames = Callable[[int, int, int], Frames]
+"""Makes room for so many frames of so many rows and columns."""
+
+
+class EpisodeReplay:
+    """One evaluation, carried out again; an AssetError if Bullet cannot load the scene."""
+
+    def __init__(self, scene: Scene, request: ReplayRequest) -> None:
+        self._scene = scene
+        self._request = request
+        with closing(RecordingWorld(scene)) as world:
+            episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
+            self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
+            self.snapshots = world.snapshots
+            self._joints = world.joints
+        self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
+
+    def frames(self) -> list[TimedSnapshot]:
+        """The snapshots to show; an InputError if the part that is asked for did not happen."""
+        if self._request.what is None:
+            return [TimedSnapshot(still_snapshot(self.snapshots), REST_SECONDS)]
+        return animation(self.snapshots, self._request.what, self.verdict.outcome)
+
+    def render(self, make: MakeFrames) -> ReplayAnswer:
+        """Draw into frames that `make` makes room for; an InputError as of `frames`."""
+        request, shown = self._request, self.frames()
+        width, height = request.width, request.height
+        with Renderer(self._scene, parts=request.parts) as renderer:
+            grasp = still_snapshot(self.snapshots)
+            view = request.view or best_view(renderer, grasp)
+            corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
+            camera = fit_camera(corners, *view, width / height)
+            frames = make(len(shown), height, width)
+            for frame, timed in zip(frames, shown, strict=True):
+                renderer.place(timed.snapshot)
+                frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
+        return self._answer(shown, camera.camera(width, height))
+
+    def hand(self, snapshot: Snapshot) -> replay_messages.Pose:
+        """The pose of the hand's base link."""
+        root = np.eye(4)
+        root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
+        root[:3, 3] = snapshot.root[0]
+        positions = dict(zip(self._joints, snapshot.joints, strict=True))
+        frame = self._robot.forward(positions, root)[self._scene.gripper.base_link]
+        return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
+
+    def _answer(self, shown: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
+        found = self.verdict
+        return ReplayAnswer(
+            outcome=found.outcome,
+            fitness=found.fitness,
+            joints=tuple(found.joints),
+            contacts=found.contacts,
+            penetration=found.penetration,
+            camera=camera,
+            shots=tuple(self._frame(timed) for timed in shown),
+        )
+
+    def _frame(self, timed: TimedSnapshot) -> ReplayFrame:
+        snapshot = timed.snapshot
+        return ReplayFrame(
+            phase=snapshot.phase,
+            step=snapshot.step,
+            seconds=timed.seconds,
+            hand=self.hand(snapshot),
+            object=make_pose(*snapshot.object),
+            touches=snapshot.touches,
+        )
+
+
+def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
+    """The grasp to simulate, disturbed by its trial."""
+    genome = np.array([request.genome], dtype=np.float32)
+    grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
+    return PROTOCOLS[scene.protocol].trial(grasp, request.trial)
+
+
+def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The means of squares of `OVERSAMPLING` by `OVERSAMPLING` pixels."""
+    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
+    squares = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3)
+    total = squares.sum(axis=(1, 3), dtype=np.uint16)
+    means: NDArray[np.uint8] = ((total + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
+    return means
+
+
+def make_pose(position: list[float], quaternion: list[float]) -> replay_messages.Pose:
+    """A position [m] and a quaternion xyzw as one."""
+    (x, y, z), (qx, qy, qz, qw) = position, quaternion
+    return x, y, z, qx, qy, qz, qw
+
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.command()
+def replay_folder(folder: Path) -> None:
+    """Replay what the folder's request asks for, and write what was seen beside it."""
+
+    def make(frames: int, rows: int, columns: int) -> Frames:
+        return np.lib.format.open_memmap(
+            folder / FRAMES, mode="w+", dtype=np.uint8, shape=(frames, rows, columns, 3)
+        )
+
+    with lifetime("qdgrasp-replay") as stop:
+        stop.tell(lambda: os._exit(stop.exit_code))  # nothing is left behind but a folder that is thrown away
+        try:
+            request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
+            answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)
+            (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(f"The frames do not fit into {folder.parent}: {reason}.") from None
+
+
+if __name__ == "__main__":
+    run_command(app, "qdgrasp-replay")

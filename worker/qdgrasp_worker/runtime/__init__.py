@@ -1,0 +1,1 @@
+"""The worker as a service: jobs, batches, and the simulator's process."""

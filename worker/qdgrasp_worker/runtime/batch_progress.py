@@ -1,0 +1,103 @@
+"""Progress of a batch at the simulator: the rows that are known, and failures of the others.
+
+Pure: no process, no clock. Time is passed in, in seconds of any steady clock.
+"""
+
+from dataclasses import dataclass, field
+
+from qdgrasp_protocol.messages import Failure, Result, Work, shorten
+from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResult
+
+
+@dataclass(eq=False)
+class BatchProgress:
+    """A batch of a job that the simulator works on, or is to."""
+
+    job: str
+    work: Work
+    is_careful: bool = False
+    """Its rows are evaluated one by one: a simulator ended while it was at it."""
+    is_loading: bool = False
+    """Its scene was sent along, and is not loaded yet."""
+    done: int = 0
+    """Number of its rows that are known."""
+    since: float = 0.0
+    """Time at which the simulator came to it."""
+    cpu_seconds: float = 0.0
+    _parts: list[PartialResult] = field(default_factory=list)
+    _failures: list[Failure] = field(default_factory=list)
+
+    @property
+    def is_done(self) -> bool:
+        """True if all rows are known."""
+        return self.done >= self.work.n
+
+    def seconds_left(self, now: float) -> float:
+        """Seconds for the rest at the same pace; while no row is known, as many as have passed."""
+        passed = now - self.since
+        return passed / self.done * (self.work.n - self.done) if self.done else passed
+
+    def request(self, bundle: bytes | None) -> EvaluateRows:
+        """Return the request to evaluate the rows that are not known yet, with the scene if given."""
+        work = self.work
+        self.is_loading = bundle is not None
+        columns = {name: blob[self.done * (len(blob) // work.n) :] for name, blob in work.columns.items()}
+        return EvaluateRows(
+            scene=work.scene,
+            bundle=bundle,
+            prior=work.prior,
+            n=work.n - self.done,
+            genes=work.genes,
+            columns=columns,
+            is_careful=self.is_careful,
+        )
+
+    def add(self, part: PartialResult) -> None:
+        """Take the results of the next rows."""
+        self._failures += [
+            Failure(row=self.done + failed.row, reason=failed.reason) for failed in part.failures
+        ]
+        self._parts.append(part)
+        self.done += part.n
+        self.cpu_seconds += part.cpu_seconds
+
+    def on_crash(self, reason: str) -> None:
+        """Note that the simulator ended while it was at this.
+
+        While it loads the scene that speaks against all rows. While it goes row by row it speaks against the
+        first that is not known; else the row is not known, and they are tried one by one.
+        """
+        if self.is_loading:
+            self.fail_all(f"{reason} while it loaded the scene")
+        elif self.is_careful or self.done == self.work.n - 1:
+            self.add(PartialResult(n=1, failures=[Failure(row=0, reason=shorten(reason))]))
+        self.is_careful = True
+
+    def fail_all(self, reason: str) -> None:
+        """Note that no row can be evaluated, for one reason."""
+        n = self.work.n
+        self._parts, self.done = [], n
+        self._failures = [Failure(row=row, reason=shorten(reason)) for row in range(n)]
+
+    def result(self, wid: str) -> Result:
+        """Return the answer to the batch, by a worker."""
+        work = self.work
+        shape = next((part for part in self._parts if part.columns), PartialResult(n=1))
+        return Result(
+            epoch=work.epoch,
+            run=work.run,
+            generation=work.generation,
+            batch=work.batch,
+            attempt=work.attempt,
+            wid=wid,
+            n=work.n,
+            joints=shape.joints,
+            descriptors=shape.descriptors,
+            columns={name: self._column(name, len(blob) // shape.n) for name, blob in shape.columns.items()},
+            cpu_seconds=self.cpu_seconds,
+            failures=self._failures,
+        )
+
+    def _column(self, name: str, width: int) -> bytes:
+        """One column of all rows, `width` bytes each; a row that ended its simulator holds zeros."""
+        return b"".join(part.columns.get(name, bytes(width * part.n)) for part in self._parts)

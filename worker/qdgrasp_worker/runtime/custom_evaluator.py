@@ -1,0 +1,175 @@
+"""The simulator's process with a user's evaluator in the place of Bullet (docs/python.md).
+
+Started as `python -m qdgrasp_worker.runtime.custom_evaluator FILE.py:NAME` or `MODULE:NAME`. Batches, limits
+and restarts are those of the package's own simulator; poses are decoded here, by the same code.
+"""
+
+import hashlib
+import inspect
+import platform as machine
+import sys
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.genes import AIMED
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape
+from qdgrasp_worker.decoder import DecodedGrasps
+from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
+from qdgrasp_worker.platform import code_digest
+from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
+from qdgrasp_worker.runtime.simulator_main import main as serve
+
+Failures = list[tuple[int, str]]
+
+
+class CustomEvaluator(BatchEvaluator):
+    """Evaluates one scene by a user's function, made by `make` and closed with this."""
+
+    def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
+        super().__init__(scene)
+        self._judge: EvaluatorFn = make(scene)
+        self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
+
+    def close(self) -> None:
+        """Close the user's function if it can be closed."""
+        getattr(self._judge, "close", lambda: None)()
+
+    def shape(self, prior: str) -> RowShape:
+        """As `BatchEvaluator.shape`; an InputError if the prior leaves a choice to the simulator."""
+        if prior == AIMED:
+            raise InputError(
+                f"Genomes of the prior '{prior}' stand for candidates, which only the simulator of this "
+                "package chooses among; take a method with another prior (`qdgrasp methods`)."
+            )
+        return super().shape(prior)
+
+    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
+        grasps, rows = self._decoder(prior)(genomes), self.shape(prior).empty(len(genomes))
+        rows["genome"], rows["trial"], rows["proposals"] = genomes, trials, 1
+        reasons = row_refusals(genomes, trials, grasps, self._protocol.trials)
+        failures = [(place, reason) for place, reason in enumerate(reasons) if reason]
+        _fill_poses(rows, grasps, np.array([not reason for reason in reasons], dtype=bool))
+        asked = np.flatnonzero([not reason for reason in reasons] & ~grasps.dead_ends)
+        if len(asked):
+            failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
+        return Evaluation(rows, sorted(failures))
+
+    def _hands(
+        self,
+        prior: str,
+        genomes: NDArray[np.float32],
+        trials: NDArray[np.uint16],
+        grasps: DecodedGrasps,
+        places: NDArray[np.intp],
+    ) -> Hands:
+        """The hands to be judged, each as its trial disturbs it."""
+        disturbed = [self._protocol.trial(grasps[i], int(trials[i])) for i in places]
+        usual = (self.scene.object.rolling_friction, self.scene.object.spinning_friction)
+        poses = [[*trial.pose.position, *trial.pose.quaternion] for trial in disturbed]
+        return Hands(
+            base_to_object=np.array(poses, dtype=np.float32),
+            joints=grasps.joints[places],
+            synergies=grasps.synergies[places],
+            frictions=np.array([trial.frictions or usual for trial in disturbed]),
+            trials=trials[places],
+            surface_points=grasps.surface_points[places],
+            prior=prior,
+            genomes=genomes[places],
+        )
+
+    def _judged(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> Failures:
+        """Fill the rows at these places with verdicts; where that fails, one by one."""
+        try:
+            columns = self._judge(hands).columns(hands)
+        except Exception as error:  # noqa: BLE001  # whatever failed, it is these rows' result and no other's
+            if len(places) > 1:
+                alone = (slice(i, i + 1) for i in range(len(places)))
+                return [failure for one in alone for failure in self._judged(rows, hands[one], places[one])]
+            for column in RESULT:
+                rows[column.name][places] = 0
+            return [(int(places[0]), f"{type(error).__name__}: {error}"[:REASON_LENGTH])]
+        for name, values in columns.items():
+            rows[name][places] = values
+        return []
+
+
+def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) -> None:
+    """Write where the hands are; a genome without a pose ends here."""
+    rows["outcome"][is_posed] = Outcome.DEAD_END
+    columns = {
+        "base_to_object": np.concatenate([grasps.positions, grasps.quaternions], axis=1),
+        "descriptor": grasps.positions,
+        "joints": grasps.joints,
+        "surface_point": grasps.surface_points,
+        "nu": grasps.nu,
+    }
+    for name, values in columns.items():
+        rows[name][is_posed] = values[is_posed]
+
+
+def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:
+    """Return the evaluator of that name and its file; an InputError if it cannot be loaded."""
+    where, _, name = what.rpartition(":")
+    try:
+        module = _module_from_file(Path(where)) if where.endswith(".py") else import_module(where)
+        found: object = module
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, OSError, AttributeError) as error:
+        raise InputError(f"No evaluator can be loaded from '{what}': {error}.") from None
+    return cast(EvaluatorFactory, found), Path(str(inspect.getsourcefile(module)))
+
+
+def _module_from_file(path: Path) -> ModuleType:
+    """Load the module in a file, which may import its neighbours; it is not run as a script."""
+    sys.path.insert(0, str(path.parent))
+    spec = spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no module")
+    module = sys.modules[path.stem] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def custom_platform(what: str, file: Path) -> dict[str, str]:
+    """All that decides the bits of results: the evaluator's file, and the decoding code."""
+    return {
+        "qdgrasp": version("qdgrasp"),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "machine": machine.machine(),
+        "code": code_digest(),
+        "evaluator": what.rpartition(":")[2],
+        "evaluator_file": hashlib.sha256(file.read_bytes()).hexdigest(),
+    }
+
+
+def main() -> None:
+    """Entry point of the simulator."""
+    what = sys.argv[1]
+    found: list[tuple[EvaluatorFactory, Path]] = []
+
+    def probe() -> dict[str, str]:
+        found.append(load_evaluator(what))
+        return custom_platform(what, found[0][1])
+
+    def evaluator(bundle: bytes) -> BatchEvaluator:
+        messages.check_bundle(bundle)
+        return CustomEvaluator(unpack_scene(bundle), found[0][0])
+
+    serve(load=evaluator, probe=probe)
+
+
+if __name__ == "__main__":
+    main()

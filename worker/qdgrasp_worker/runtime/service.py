@@ -1,0 +1,370 @@
+"""The worker on the bus: join, evaluate, answer.
+
+One thread does everything; callbacks of the bus, the simulator and background requests only fill its inbox,
+and it waits for nothing else. A worker has no state but caches: whatever it loses is evaluated again
+elsewhere, with the same bytes.
+"""
+
+import os
+import secrets
+import signal
+import socket
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from math import inf
+from queue import Empty, SimpleQueue
+from typing import TypeAlias
+
+import msgspec
+import structlog
+
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bundle_transfer import TooLarge
+from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Sample
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.keys import AnyJob, Keys, job_of
+from qdgrasp_protocol.messages import Control, Heartbeat, Work, shorten
+from qdgrasp_protocol.process import Stop
+from qdgrasp_worker.runtime.background_requests import (
+    BackgroundRequests,
+    JoinAnswered,
+    RequestAnswered,
+    SceneAnswered,
+    SceneCache,
+    SceneStore,
+)
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
+from qdgrasp_worker.runtime.process_limits import process_stats
+from qdgrasp_worker.runtime.simulator_supervisor import (
+    SimulatorEnded,
+    SimulatorEvent,
+    SimulatorSaid,
+    SimulatorSupervisor,
+)
+
+log = structlog.get_logger()
+
+HEARTBEAT_INTERVAL = 1.0  # Seconds between two heartbeats
+HAND_BACK_SECONDS = 0.5  # The last seconds of a grace, in which a batch that was not finished is handed back
+
+
+@dataclass(frozen=True)
+class CoordinatorSeen:
+    """A coordinator's token appeared or vanished."""
+
+    key: str
+    is_alive: bool
+
+
+@dataclass(frozen=True)
+class LinkChanged:
+    """A transport of this session came up or went down."""
+
+    is_up: bool
+
+
+@dataclass(frozen=True)
+class StopRequested:
+    """The process is asked to stop."""
+
+
+Event = Sample | CoordinatorSeen | LinkChanged | StopRequested | RequestAnswered | SimulatorEvent
+Inbox: TypeAlias = "SimpleQueue[Event]"
+
+
+class GracefulShutdown:
+    """Decides when a worker that is asked to stop ends. Pure: time is passed in.
+
+    It ends at once, or when the batch in work is done if that fits into `grace` seconds.
+    """
+
+    def __init__(self, grace: float) -> None:
+        self._grace = grace
+        self._finish_by = inf
+        self._end_by = inf
+        self._awaited: set[str] = set()
+        self.last_batch: BatchProgress | None = None
+        """The batch that is to be finished before."""
+
+    @property
+    def has_begun(self) -> bool:
+        """True if no new batch is begun any more."""
+        return self._end_by < inf
+
+    @property
+    def deadline(self) -> float:
+        """Time at which something is to be done at the latest; infinite: no stop was asked for."""
+        return self._end_by if self.last_batch is None else self._finish_by
+
+    def stop_now(self) -> None:
+        """End whatever is in work."""
+        self._end_by = -inf
+
+    def start(self, head: BatchProgress | None, now: float) -> None:
+        """End soon, with `head`, the batch in work, finished before if that fits."""
+        self._finish_by = now + self._grace - HAND_BACK_SECONDS
+        self._end_by = now + max(self._grace, HAND_BACK_SECONDS)
+        if head is not None and now + head.seconds_left(now) <= self._finish_by:
+            self.last_batch = head
+
+    def is_late(self, now: float) -> bool:
+        """Return whether the last batch has to be handed back now."""
+        return self.last_batch is not None and now >= self._finish_by
+
+    def on_released(self, task: BatchProgress) -> None:
+        """Note that a batch is done with, or handed back."""
+        if task is self.last_batch:
+            self.last_batch = None
+
+    def await_job(self, job: str) -> None:
+        """Wait until a job knows what is handed back."""
+        self._awaited.add(job)
+
+    def on_job_told(self, job: str) -> None:
+        """Note that a job knows, or cannot know, what is handed back."""
+        self._awaited.discard(job)
+
+    def is_over(self, now: float) -> bool:
+        """Return whether it is time to end."""
+        return now >= self._end_by or (self.has_begun and self.last_batch is None and not self._awaited)
+
+
+class WorkerService:
+    """Serves the jobs on a bus until it is asked to stop.
+
+    The simulator's events come to `inbox`, which this service waits on. It serves one `job`, or every job
+    there is. After SIGTERM the batch in work may still take `grace` seconds.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        stop: Stop,
+        simulator: SimulatorSupervisor,
+        inbox: Inbox,
+        *,
+        store: SceneStore,
+        job: str | None,
+        grace: float,
+    ) -> None:
+        self.wid = secrets.token_hex(16)
+        self._bus = bus
+        self._stop = stop
+        self._simulator = simulator
+        self._inbox = inbox
+        requests = BackgroundRequests(bus, store, inbox.put)
+        self._jobs = JobRegistry(bus, requests, self.wid, job)
+        self._scenes = SceneCache(requests)
+        self._keys = Keys(job) if job else AnyJob()
+        self._shutdown = GracefulShutdown(grace)
+        self._drops = DropCounter()
+        self._heartbeat_at = 0.0
+
+    def run(self) -> None:
+        """Serve until asked to stop.
+
+        RefusedByJob if the only job to serve does not take this worker; NoSimulator or OtherPlatform if
+        nothing can be evaluated here, or no longer.
+        """
+        put = self._inbox.put
+        self._stop.tell(lambda: put(StopRequested()))
+        if self._stop.is_set:
+            return
+        with ExitStack() as stack:
+            stack.enter_context(self._jobs)
+            stack.enter_context(self._bus.subscribe(self._keys.work(self.wid), put))
+            stack.enter_context(self._bus.subscribe(self._keys.ctl(self.wid), put))
+            stack.enter_context(self._bus.on_link(lambda up: put(LinkChanged(up))))
+            token = self._keys.coordinator_token()
+            stack.enter_context(self._bus.watch(token, lambda key, alive: put(CoordinatorSeen(key, alive))))
+            while not self._shutdown.is_over(time.monotonic()):
+                self._receive(self._wait_seconds(time.monotonic()))
+                self._step(time.monotonic())
+
+    def _step(self, now: float) -> None:
+        """Do what is due."""
+        self._simulator.step(now)
+        self._submit_batches(now)
+        if self._shutdown.is_late(now):
+            self._hand_back_all(now)
+        if self._simulator.platform is not None:
+            is_open = self._simulator.is_ready and not self._shutdown.has_begun
+            self._jobs.join_due(now, self._simulator.platform, is_open=is_open)
+        self._jobs.end_abandoned(now)
+        if self._jobs.leave_drained():
+            self._shutdown.stop_now()
+        if now >= self._heartbeat_at:
+            self._heartbeat_at = now + HEARTBEAT_INTERVAL
+            self._send_heartbeat()
+
+    def _wait_seconds(self, now: float) -> float | None:
+        """Seconds to wait for the inbox; None: for ever."""
+        join_at = inf if self._simulator.platform is None else self._jobs.next_join
+        heartbeat_at = self._heartbeat_at if self._jobs else inf
+        first = min(
+            join_at, self._jobs.next_end, self._shutdown.deadline, self._simulator.next_step, heartbeat_at
+        )
+        return None if first == inf else max(0.0, first - now)
+
+    def _receive(self, seconds: float | None) -> None:
+        """Take everything out of the inbox, waiting at most so long for the first."""
+        try:
+            self._take(self._inbox.get(timeout=seconds), time.monotonic())
+            while True:
+                self._take(self._inbox.get_nowait(), time.monotonic())
+        except Empty:
+            return
+
+    def _take(self, event: Event, now: float) -> None:
+        match event:
+            case Sample():
+                self._read(event)
+            case SimulatorSaid() | SimulatorEnded():
+                for task in self._simulator.on_event(event, now):
+                    if task.is_done:
+                        self._finish(task)
+                    else:
+                        self._hand_back(task, now)
+            case SceneAnswered():
+                self._take_scene(event, now)
+            case JoinAnswered():
+                self._take_answer(event, now)
+            case CoordinatorSeen(key, is_alive):
+                self._jobs.on_coordinator(key, is_alive, now)
+            case LinkChanged(is_up) if is_up:
+                self._jobs.on_link_up(now)
+            case StopRequested():
+                self._begin_shutdown(now)
+
+    def _read(self, sample: Sample) -> None:
+        session = self._jobs.get(job_of(sample.key))
+        if session is None or session.defer(sample):
+            return
+        try:
+            if sample.key == Keys(session.job).work(self.wid):
+                session.accept(messages.decode_sample(sample, Work))
+            else:
+                session.on_control(messages.decode_sample(sample, Control))
+        except MessageError as error:
+            self._drops.note(sample.key, error)
+
+    def _take_answer(self, answered: JoinAnswered, now: float) -> None:
+        for sample in self._jobs.on_join_answered(answered, now):
+            self._read(sample)
+        session = self._jobs.get(answered.job)
+        if session is None or not session.credit:
+            self._shutdown.on_job_told(answered.job)
+
+    def _take_scene(self, answered: SceneAnswered, now: float) -> None:
+        """Take a scene; without one, its batches are handed back, or fail if it can never be had."""
+        self._scenes.on_answer(answered)
+        reason, job, scene = answered.bundle, answered.job, answered.scene
+        if isinstance(reason, bytes):
+            return
+        log.warning("a scene cannot be had", job=job, scene=scene[:12], reason=str(reason))
+        tasks = []
+        while (task := self._simulator.next_requeued) and (task.job, task.work.scene) == (job, scene):
+            self._simulator.drop(task)
+            tasks.append(task)
+        session = self._jobs.get(job)
+        waiting = session.waiting if session else []
+        for task in tasks + [BatchProgress(job, work) for work in waiting if work.scene == scene]:
+            if isinstance(reason, TooLarge):
+                task.fail_all(str(reason))
+                self._finish(task)
+            else:
+                self._hand_back(task, now)
+
+    def _begin_shutdown(self, now: float) -> None:
+        """Leave: after SIGTERM with the batch in work if it fits, after SIGINT at once."""
+        if self._stop.latest != signal.SIGTERM:
+            self._shutdown.stop_now()
+        elif not self._shutdown.has_begun:
+            head = self._simulator.head
+            session = self._jobs.get(head.job) if head else None
+            self._shutdown.start(head if session is not None and session.has_coordinator else None, now)
+            self._hand_back_all(now)
+
+    def _submit_batches(self, now: float) -> None:
+        """Let the simulator have what it has room for."""
+        while self._simulator.has_room and (task := self._next_batch()) is not None:
+            scene = task.work.scene
+            if self._simulator.is_fatal(scene):
+                task.fail_all("its scene ends every simulator")
+                self._finish(task)
+            else:
+                bundle = None if self._simulator.has_scene(scene) else self._scenes.pop(scene)
+                self._simulator.submit(task, bundle, now)
+
+    def _next_batch(self) -> BatchProgress | None:
+        """The next batch whose scene is here: first those begun before, then by turns of the jobs."""
+        while (task := self._simulator.next_requeued) is not None:
+            if self._is_wanted(task):
+                return task if self._has_scene(task.job, task.work.scene) else None
+            self._simulator.drop(task)
+            self._release(task)
+        session = None if self._shutdown.has_begun else self._jobs.next_session(self._is_servable)
+        return None if session is None else BatchProgress(session.job, session.begin())
+
+    def _is_servable(self, session: JobSession) -> bool:
+        waiting = session.waiting
+        return bool(waiting) and self._has_scene(session.job, waiting[0].scene)
+
+    def _has_scene(self, job: str, scene: str) -> bool:
+        """Return whether a batch of a scene can be submitted; a scene that is not here is requested."""
+        known = self._simulator.has_scene(scene) or self._simulator.is_fatal(scene)
+        return known or self._scenes.has_or_request(job, scene)
+
+    def _is_wanted(self, task: BatchProgress) -> bool:
+        """Return whether the result of a batch is waited for."""
+        session = self._jobs.get(task.job)
+        return session is not None and task.work.batch in session.held
+
+    def _finish(self, task: BatchProgress) -> None:
+        """Send the result of a batch if it is waited for, and let it go."""
+        if self._is_wanted(task):
+            result = task.result(self.wid)
+            key = Keys(task.job).result(self.wid)
+            self._bus.put(key, messages.encode(result), encoding=messages.encoding(type(result)))
+        self._release(task)
+
+    def _hand_back(self, task: BatchProgress, now: float) -> None:
+        """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""
+        self._release(task)
+        if (session := self._jobs.get(task.job)) is not None:
+            session.join_later(now, jitter())
+
+    def _hand_back_all(self, now: float) -> None:
+        """Hand all batches back but the one that is to be finished in time."""
+        if self._shutdown.is_late(now):
+            self._shutdown.last_batch = None
+        last = self._shutdown.last_batch
+        for session in self._jobs:
+            if session.has_coordinator and session.held:
+                session.hand_back(keep=last.work.batch if last else None)
+                session.join_soon(now)
+                self._shutdown.await_job(session.job)
+
+    def _release(self, task: BatchProgress) -> None:
+        self._shutdown.on_released(task)
+        if (session := self._jobs.get(task.job)) is not None:
+            session.release(task.work.batch)
+
+    def _send_heartbeat(self) -> None:
+        """Publish memory and progress of this worker: progress keeps its lease from passing."""
+        head, has_run = self._simulator.head, self._simulator.measure()
+        heartbeat = Heartbeat(
+            wid=self.wid,
+            host=shorten(socket.gethostname()),
+            run=head.work.run if head else "",
+            rows=head.work.n if head else 0,
+            progressed=has_run and head is not None,
+            memory=self._simulator.memory + process_stats(os.getpid()).memory,
+            restarts=self._simulator.restarts,
+        )
+        payload = msgspec.json.encode(heartbeat)
+        for session in self._jobs:
+            key = Keys(session.job).stat(f"worker/{self.wid}")
+            self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)

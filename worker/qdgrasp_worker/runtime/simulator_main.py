@@ -1,0 +1,156 @@
+"""The simulator's process: evaluates what its worker sends, and may die of it.
+
+It holds Bullet and no session on the bus. Started as `python -m qdgrasp_worker.runtime.simulator_main`, with
+the socket to its worker as standard input; whatever prints, prints to standard error.
+"""
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from setproctitle import setproctitle
+
+from qdgrasp_assets.scene import unpack_scene
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import InputError, MessageError
+from qdgrasp_protocol.messages import Failure, shorten
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_worker.evaluator import BatchEvaluator, Evaluator, EvaluatorCache
+from qdgrasp_worker.platform import platform
+from qdgrasp_worker.runtime import process_limits
+from qdgrasp_worker.runtime.simulator_messages import (
+    BatchRejected,
+    EvaluateRows,
+    FramedSocket,
+    PartialResult,
+    SceneLoaded,
+    SceneMissing,
+    SimulatorCrashed,
+    SimulatorMessage,
+    SimulatorReady,
+    SimulatorSettings,
+)
+
+REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
+WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
+M = TypeVar("M", bound=SimulatorMessage)
+LoadEvaluator = Callable[[bytes], BatchEvaluator]
+"""Makes an evaluator of a scene's bundle."""
+ProbePlatform = Callable[[], dict[str, str]]
+"""Returns the platform: what decides the bits of results."""
+
+
+class SimulatorMain:
+    """Evaluates batches in their order, with evaluators that `load` makes.
+
+    `row_seconds` are the CPU seconds that a slice of rows, or loading a scene, may take.
+    """
+
+    def __init__(self, connection: FramedSocket, row_seconds: float, load: LoadEvaluator) -> None:
+        self._socket = connection
+        self._row_seconds = row_seconds
+        self._load = load
+        self._evaluators = EvaluatorCache()
+
+    def evaluate(self, request: EvaluateRows) -> None:
+        """Evaluate rows, and send their results."""
+        if request.bundle is None and request.scene not in self._evaluators:
+            self._socket.send(SceneMissing())
+            return
+        try:
+            self._evaluate_slices(self._evaluator(request), request)
+        except (InputError, MessageError) as error:
+            self._socket.send(BatchRejected(reason=str(error)))
+
+    def _evaluator(self, request: EvaluateRows) -> BatchEvaluator:
+        def load() -> BatchEvaluator:
+            with process_limits.time_limit(self._row_seconds):
+                return self._load(request.bundle or b"")
+
+        evaluator = self._evaluators.get(request.scene, load)
+        if request.bundle is not None:
+            self._socket.send(SceneLoaded())
+        return evaluator
+
+    def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
+        """Evaluate rows, slice by slice, and send their results at intervals."""
+        shape = evaluator.shape(request.prior)
+        if request.genes != shape.genes:
+            raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
+        rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
+        failures: list[Failure] = []
+        sent, sent_at, began = 0, time.monotonic(), time.process_time()
+        for piece in slices(request.n, 1 if request.is_careful else evaluator.at_once):
+            with process_limits.time_limit(self._row_seconds):
+                found = evaluator.evaluate(request.prior, rows["genome"][piece], rows["trial"][piece])
+            for column in RESULT:
+                rows[column.name][piece] = found.rows[column.name]
+            first = piece.start - sent
+            failures += [Failure(row=first + row, reason=shorten(reason)) for row, reason in found.failures]
+            now = time.monotonic()
+            if request.is_careful or piece.stop == request.n or now > sent_at + REPORT_INTERVAL:
+                ended, part = time.process_time(), rows[sent : piece.stop]
+                result = PartialResult(
+                    n=len(part),
+                    joints=shape.joints,
+                    descriptors=shape.descriptors,
+                    columns=pack(part, RESULT),
+                    failures=failures,
+                    cpu_seconds=ended - began,
+                )
+                self._socket.send(result)
+                failures, sent, sent_at, began = [], piece.stop, now, ended
+
+
+def slices(n: int, most: int) -> Iterator[slice]:
+    """Cut n rows into pieces of at most `most`."""
+    for start in range(0, n, most):
+        yield slice(start, min(start + most, n))
+
+
+def load_scene(bundle: bytes) -> BatchEvaluator:
+    """Return the evaluator of a scene, whose bundle is checked for its unpacked size first."""
+    messages.check_bundle(bundle)
+    return Evaluator(unpack_scene(bundle))
+
+
+def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -> None:
+    """Evaluate the probes, and then the batches that come, until the socket is closed."""
+    settings = _receive(connection, SimulatorSettings)
+    if settings is None:
+        return
+    process_limits.limit_memory(settings.memory)
+    process_limits.lower_priority(settings.nice)
+    with process_limits.time_limit(process_limits.PROBE_SECONDS):
+        found = probe()
+    connection.send(SimulatorReady(platform=found))
+    simulator = SimulatorMain(connection, settings.row_seconds, load)
+    while (request := _receive(connection, EvaluateRows)) is not None:
+        simulator.evaluate(request)
+
+
+def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> None:
+    """Entry point of the simulator."""
+    process_limits.end_with_parent_only()
+    setproctitle("qdgrasp-simulator")
+    connection = FramedSocket(socket.socket(fileno=sys.stdin.fileno()))
+    try:
+        serve(connection, load, probe)
+    except (BrokenPipeError, ConnectionResetError):
+        sys.exit(0)  # the worker is gone
+    except Exception as error:  # noqa: BLE001  # whatever it is, the worker is told
+        connection.send(SimulatorCrashed(reason=f"{type(error).__name__}: {error}"))
+        sys.exit(1)
+
+
+def _receive(connection: FramedSocket, kind: type[M]) -> M | None:
+    message = connection.receive()
+    if not (message is None or isinstance(message, kind)):
+        raise MessageError(f"expected {kind.__name__}, got {type(message).__name__}")
+    return message
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,429 @@
+"""Supervision of the simulator's process: batches sent to it, stalls, crashes and restarts.
+
+A stall is counted in slices of time: while the simulator stood still (SIGSTOP), or its worker did, it is not
+at fault, and a slice that took longer, because no check was made, counts as one. Time is passed in, in
+seconds of any steady clock.
+"""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain, repeat
+from math import inf
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Self
+
+import structlog
+
+from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.process_limits import (
+    CPU_LIMIT_SIGNAL,
+    NO_STATS,
+    PROBE_SECONDS,
+    STALL_FACTOR,
+    STALL_SIGNAL,
+    ProcessStats,
+    process_stats,
+)
+from qdgrasp_worker.runtime.simulator_messages import (
+    AnySimulatorMessage,
+    BatchRejected,
+    FramedSocket,
+    PartialResult,
+    SceneLoaded,
+    SceneMissing,
+    SimulatorCrashed,
+    SimulatorMessage,
+    SimulatorReady,
+    SimulatorSettings,
+)
+
+CHECK_SLICE = 1.0  # Seconds between two checks of a simulator that is at work
+
+
+class StallDetector:
+    """The silence of a simulator."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        """Seconds that it has lasted."""
+        self._checked_at: float | None = None
+
+    def restart(self, now: float) -> None:
+        """Count from zero: the simulator sent something, or was given something to do."""
+        self.seconds, self._checked_at = 0.0, now
+
+    @property
+    def next_check(self) -> float:
+        """The time of the next check."""
+        return 0.0 if self._checked_at is None else self._checked_at + CHECK_SLICE
+
+    def check(self, now: float, *, is_stopped: bool) -> None:
+        """Count the time since the last check, at most a slice; nothing if the simulator is stopped."""
+        before, self._checked_at = self._checked_at, now
+        if not (before is None or is_stopped):
+            self.seconds += min(now - before, CHECK_SLICE)
+
+
+STANDARD_ERROR = 2
+OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+"""Signals that end a simulator and are no evidence against what it was at."""
+
+
+@dataclass(frozen=True)
+class SimulatorSaid:
+    """A simulator sent a message."""
+
+    simulator: "SimulatorClient"
+    message: AnySimulatorMessage
+
+
+@dataclass(frozen=True)
+class SimulatorEnded:
+    """A simulator ended; nothing more comes from it."""
+
+    simulator: "SimulatorClient"
+    code: int
+    """Its exit code; negative: the signal that killed it."""
+
+
+SimulatorEvent = SimulatorSaid | SimulatorEnded
+
+
+class SimulatorClient:
+    """A simulator's process, read and written by two threads: no call here waits for it.
+
+    Its events are reported in the reading thread.
+    """
+
+    def __init__(
+        self, command: Sequence[str], settings: SimulatorMessage, report: Callable[[SimulatorEvent], None]
+    ) -> None:
+        ours, its = socket.socketpair()
+        with its:
+            self._process = subprocess.Popen(
+                command, stdin=its.fileno(), stdout=STANDARD_ERROR, start_new_session=True
+            )
+        self.pid = self._process.pid
+        self._socket = FramedSocket(ours)
+        self._report = report
+        self._outbox: SimpleQueue[SimulatorMessage | None] = SimpleQueue()
+        self.send(settings)
+        for work in (self._read, self._write):
+            threading.Thread(target=work, name="simulator", daemon=True).start()
+
+    def send(self, message: SimulatorMessage) -> None:
+        """Send a message; it is read when the simulator has done all that was asked before."""
+        self._outbox.put(message)
+
+    @property
+    def stats(self) -> ProcessStats:
+        """Its processor time and memory."""
+        return process_stats(self.pid)
+
+    def end_stalled(self) -> None:
+        """End it for having been silent for too long; its end is reported as any other."""
+        self._process.send_signal(STALL_SIGNAL)
+
+    def close(self) -> None:
+        """End it at once, whatever it is at; closing twice is allowed."""
+        self._process.kill()
+        self._process.wait()
+        self._outbox.put(None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _read(self) -> None:
+        try:
+            while (message := self._socket.receive()) is not None:
+                self._report(SimulatorSaid(self, message))
+        except MessageError:  # its memory is not what it was
+            self._process.kill()
+        self._report(SimulatorEnded(self, self._process.wait()))
+        self._outbox.put(None)
+
+    def _write(self) -> None:
+        while (message := self._outbox.get()) is not None:
+            try:
+                self._socket.send(message)
+            except OSError:  # it ended; the reading thread reports that
+                break
+        self._socket.close()
+
+
+def crash_reason(code: int, row_seconds: float) -> str | None:
+    """The evidence of a simulator's end against its batch; None: it was killed from outside."""
+    if code > 0:
+        return f"the simulator ended with exit code {code}"
+    if -code == CPU_LIMIT_SIGNAL:
+        return f"the simulator took more than {row_seconds:g} CPU seconds"
+    if -code == STALL_SIGNAL:
+        return f"the simulator said nothing for {STALL_FACTOR * row_seconds:g} s"
+    if code == 0 or -code in OUTSIDE_SIGNALS:
+        return None
+    return f"the simulator was ended by {signal.Signals(-code).name}"
+
+
+log = structlog.get_logger()
+
+RESTART_PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
+"""Seconds before the next simulator, by the number that failed since a row was evaluated."""
+LAST_RESTART_PAUSE = 8.0  # Seconds before each one after those
+MAX_IN_FLIGHT = 2
+"""Batches at the simulator: the one in work, and one that waits, so that it is never idle."""
+MEMORY_HEADROOM = 1.4  # So many times the memory that a simulator may keep it may ask for within a batch
+MAX_LOAD_CRASHES = 3  # A scene that ended so many simulators while it was loaded is not tried again
+SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
+
+
+def simulator_command(evaluator: str | None) -> list[str]:
+    """The command of our simulator, or of one with an evaluator FILE.py:NAME or MODULE:NAME.
+
+    An InputError if the name is of another form, or there is no such file.
+    """
+    if evaluator is None:
+        return SIMULATOR_COMMAND
+    where, mark, name = evaluator.rpartition(":")
+    if not (mark and where and name):
+        raise InputError(f"An evaluator is named FILE.py:NAME or MODULE:NAME, got '{evaluator}'.")
+    if where.endswith(".py"):
+        if not Path(where).is_file():
+            raise InputError(f"There is no file {where} to take the evaluator '{name}' from.")
+        where = str(Path(where).resolve())
+    return [sys.executable, "-m", "qdgrasp_worker.runtime.custom_evaluator", f"{where}:{name}"]
+
+
+class NoSimulator(QdgraspError):
+    """A simulator that ends before it has evaluated the probes, with the reason."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"The simulator does not start: {reason}.")
+
+
+class OtherPlatform(QdgraspError):
+    """The simulator that was started again is not the one that this worker joined with."""
+
+    def __init__(self) -> None:
+        super().__init__("The package was changed while this worker ran; start it again.")
+
+
+class SimulatorSupervisor:
+    """Evaluates batches in a simulator's process; a context manager that ends it.
+
+    `start` starts a simulator whose events come back to `on_event`. Above `memory` bytes between two batches
+    another one is started. `row_seconds` are the CPU seconds of a row, as the simulator was told.
+    """
+
+    def __init__(self, start: Callable[[], SimulatorClient], *, row_seconds: float, memory: int) -> None:
+        self._start = start
+        self._row_seconds = row_seconds
+        self._memory = memory
+        self._sent: deque[BatchProgress] = deque()
+        """Batches at the simulator, in their order; it works on the first."""
+        self._requeued: deque[BatchProgress] = deque()
+        """Batches that are to be sent again, before any other."""
+        self._scenes: set[str] = set()
+        self._load_crashes: Counter[str] = Counter()
+        self._pauses = restart_pauses()
+        self._stall = StallDetector()
+        self._is_retiring = False
+        self._raised = ""
+        """The error that the simulator raised, as it said; empty: none."""
+        self._stats = NO_STATS
+        self.restarts = 0
+        """Number of simulators that were started after the first."""
+        self.platform: dict[str, str] | None = None
+        """The platform of its results; None until the first simulator has sent it."""
+        self.is_ready = False
+        """A simulator is there that has evaluated the probes."""
+        self.restart_at = inf
+        """Time at which the next simulator is to be started; infinite: there is one."""
+        self._simulator = start()
+
+    @classmethod
+    def open(
+        cls,
+        report: Callable[[SimulatorEvent], None],
+        row_seconds: float,
+        memory: int,
+        nice: int,
+        command: Sequence[str] = SIMULATOR_COMMAND,
+    ) -> Self:
+        """A supervisor of simulators in processes, the first of which starts now."""
+        settings = SimulatorSettings(
+            row_seconds=row_seconds, memory=round(MEMORY_HEADROOM * memory), nice=nice
+        )
+        return cls(lambda: SimulatorClient(command, settings, report), row_seconds=row_seconds, memory=memory)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._simulator.close()
+
+    @property
+    def has_room(self) -> bool:
+        """True if another batch may be submitted."""
+        return self.is_ready and not self._is_retiring and len(self._sent) < MAX_IN_FLIGHT
+
+    @property
+    def head(self) -> BatchProgress | None:
+        """The batch that the simulator works on; None: nothing."""
+        return self._sent[0] if self._sent else None
+
+    @property
+    def tasks(self) -> list[BatchProgress]:
+        """All batches, those first that are to be sent again."""
+        return [*self._requeued, *self._sent]
+
+    @property
+    def next_requeued(self) -> BatchProgress | None:
+        """A batch that was begun, and goes on before others: submit it again, or drop it."""
+        return self._requeued[0] if self._requeued else None
+
+    def has_scene(self, digest: str) -> bool:
+        """Return whether the simulator was given a scene."""
+        return digest in self._scenes
+
+    def is_fatal(self, digest: str) -> bool:
+        """Return whether a scene crashed so many simulators at loading that it is not tried again."""
+        return self._load_crashes[digest] >= MAX_LOAD_CRASHES
+
+    def submit(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
+        """Let the simulator evaluate a batch, with its scene unless it has that."""
+        if self.head is None:
+            self._stall.restart(now)
+        self._simulator.send(task.request(bundle))
+        if task is self.next_requeued:
+            self._requeued.popleft()
+        task.since = now
+        self._sent.append(task)
+        self._scenes.add(task.work.scene)
+
+    def drop(self, task: BatchProgress) -> None:
+        """Forget `next_requeued`."""
+        self._requeued.remove(task)
+
+    def on_event(self, event: SimulatorEvent, now: float) -> list[BatchProgress]:
+        """Take a message or the end of the simulator; those of an older one are passed over.
+
+        Returns the batches that are done, and those that a kill from outside took away: of these not all rows
+        are known, and nothing is known against them. NoSimulator if none can be started here, OtherPlatform
+        if this one is of another platform than the one before.
+        """
+        if event.simulator is not self._simulator or self.restart_at < inf:
+            return []
+        if isinstance(event, SimulatorSaid):
+            return self._on_message(event.message, now)
+        return self._on_end(event, now)
+
+    def _on_message(self, message: AnySimulatorMessage, now: float) -> list[BatchProgress]:
+        self._stall.restart(now)
+        match message:
+            case SimulatorReady(platform=platform):
+                if self.platform is not None and platform != self.platform:
+                    raise OtherPlatform
+                self.platform = platform
+                self.is_ready = True
+            case SimulatorCrashed(reason=reason):
+                self._raised = reason
+            case PartialResult():
+                self._pauses = restart_pauses()
+        if (head := self.head) is None:
+            return []
+        match message:
+            case SceneLoaded():
+                head.is_loading = False
+            case PartialResult():
+                head.add(message)
+            case BatchRejected(reason=reason):
+                head.fail_all(reason)
+            case SceneMissing():
+                self._scenes.discard(head.work.scene)
+                self._requeued.append(self._sent.popleft())
+        if not head.is_done:
+            return []
+        self._sent.popleft()
+        if self.head is not None:
+            self.head.since = now
+        return [head]
+
+    def _on_end(self, event: SimulatorEnded, now: float) -> list[BatchProgress]:
+        """Blame the batch in work if there is a reason to; the others go to the next simulator."""
+        reason = self._raised or crash_reason(event.code, self._row_seconds)
+        if self.platform is None and reason:
+            raise NoSimulator(reason)
+        log.warning("the simulator ended; another one is started", reason=reason or "it was killed")
+        is_of_a_row = reason is not None and self.is_ready
+        self._forget_simulator(now if is_of_a_row else now + next(self._pauses))
+        sent = list(self._sent)
+        self._sent.clear()
+        if reason is None:
+            return sent
+        done = []
+        if sent:
+            if sent[0].is_loading:
+                self._load_crashes[sent[0].work.scene] += 1
+            sent[0].on_crash(reason)
+            if sent[0].is_done:
+                done.append(sent.pop(0))
+        self._requeued.extendleft(reversed(sent))
+        return done
+
+    @property
+    def next_step(self) -> float:
+        """The time at which `step` has something to do if no event comes before; infinite: never."""
+        is_at_work = self.restart_at == inf and not (self.is_ready and self.head is None)
+        return min(self.restart_at, self._stall.next_check if is_at_work else inf)
+
+    def step(self, now: float) -> None:
+        """Start the next simulator when it is time; end one that is silent or takes too much memory."""
+        if now >= self.restart_at:
+            self.restart_at = inf
+            self.restarts += 1
+            self._simulator = self._start()
+        elif self._is_retiring and self.head is None:
+            self._simulator.close()
+            self._forget_simulator(now)
+        elif now >= self.next_step:
+            self._stall.check(now, is_stopped=self._simulator.stats.is_stopped)
+            limit = STALL_FACTOR * (self._row_seconds if self.is_ready else PROBE_SECONDS)
+            if self._stall.seconds > limit:
+                self._stall.restart(now)
+                self._simulator.end_stalled()
+
+    def measure(self) -> bool:
+        """Measure the simulator's processor time and memory; True if it ran since the last time."""
+        before, self._stats = self._stats, self._simulator.stats
+        if self._stats.memory > self._memory and not self._is_retiring:
+            self._is_retiring = True
+            log.warning("the simulator takes too much memory and is replaced", bytes=self._stats.memory)
+        return self._stats.cpu_seconds != before.cpu_seconds
+
+    @property
+    def memory(self) -> int:
+        """The simulator's memory when it was measured last [bytes]."""
+        return self._stats.memory
+
+    def _forget_simulator(self, restart_at: float) -> None:
+        self.is_ready = self._is_retiring = False
+        self.restart_at = restart_at
+        self._raised = ""
+        self._stall = StallDetector()
+        self._scenes.clear()
+
+
+def restart_pauses() -> chain[float]:
+    """Seconds before each next simulator, from the first on."""
+    return chain(RESTART_PAUSES, repeat(LAST_RESTART_PAUSE))

@@ -1,1 +1,0 @@
-"""What brings work to the simulator and carries its results away."""
