@@ -25,7 +25,7 @@ help:
 	@echo "make clean   remove the environment, the site and the caches of the tools"
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -m examples.demo
+	@$(BIN)/python -m docs.demo
 
 test: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.demo import MARKER, clear
+from docs.demo import MARKER, clear
 from tests.common import PATIENCE, own_endpoint
 from tests.system.commands import Commands, says, wait_for
 

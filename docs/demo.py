@@ -54,7 +54,7 @@ def clear(out: Path) -> None:
 
 
 def main() -> None:
-    """Entry point of `python -m examples.demo`."""
+    """Entry point of `python -m docs.demo`."""
     run_command(app, "qdgrasp demo")
 
 
