@@ -82,7 +82,7 @@ def test_no_rule_goes_over_a_pattern_that_is_wider_than_a_kind_of_traffic() -> N
 
 def test_every_key_of_the_protocol_stands_in_the_table() -> None:
     job, named = keys.Keys("mugs"), []
-    for name in dir(keys.Keys):
+    for name in dir(job):
         if name.startswith("_"):
             continue
         member = getattr(job, name, None)
