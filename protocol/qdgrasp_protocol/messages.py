@@ -285,7 +285,7 @@ class SuccessPage(Message, frozen=True, kw_only=True):
     n: Annotated[int, Meta(ge=0, le=4096, description="How many finds these are.")]
     joints: Annotated[Width, Meta(description="Finger joints of the hand.")]
     columns: Annotated[
-        dict[str, bytes], Meta(description="Each of `finds.COLUMNS` by its name, little-endian.")
+        dict[str, bytes], Meta(description="Each column of `success_pages` by its name, little-endian.")
     ]
 
 

@@ -34,6 +34,8 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.floats(kind.ge, kind.le)
         case msgspec.inspect.StrType(pattern=str(pattern)):
             return st.from_regex(pattern.replace(r"\A", "^").replace(r"\Z", "$"), fullmatch=True)
+        case msgspec.inspect.StrType(max_length=int(most)):
+            return st.text(max_size=most)
         case msgspec.inspect.StrType():
             return st.text(max_size=300).map(shorten)
         case msgspec.inspect.LiteralType():

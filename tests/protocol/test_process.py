@@ -74,39 +74,39 @@ def test_what_others_wrote_is_escaped_in_sentences_fields_and_tracebacks() -> No
 
 
 @pytest.fixture
-def crew(tmp_path):
-    with ProcessGroup(tmp_path / "logs") as crew:
-        yield crew
+def processes(tmp_path):
+    with ProcessGroup(tmp_path / "logs") as processes:
+        yield processes
 
 
-def test_a_death_is_told_once_with_its_exit_code(crew):
-    crew.start("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
-    crew.process("sleeper").wait(PATIENCE)
-    assert crew.exits() == [ProcessExit("sleeper", 3)]
-    assert crew.exits() == []
+def test_a_death_is_told_once_with_its_exit_code(processes):
+    processes.start("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
+    processes.process("sleeper").wait(PATIENCE)
+    assert processes.exits() == [ProcessExit("sleeper", 3)]
+    assert processes.exits() == []
 
 
-def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
-    crew.start("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
-    crew.process("sleeper").kill()
-    crew.process("sleeper").wait(PATIENCE)
-    (death,) = crew.exits()
+def test_a_killed_member_is_started_again_when_its_back_off_is_over(processes):
+    processes.start("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+    processes.process("sleeper").kill()
+    processes.process("sleeper").wait(PATIENCE)
+    (death,) = processes.exits()
     assert death.description == "was killed by SIGKILL"
-    pause = crew.restart_later("sleeper", now=100.0)
-    crew.restart_due(100.0 + pause - 0.01)
-    assert crew.pids() == {}
-    crew.restart_due(100.0 + pause)
-    assert set(crew.pids()) == {"sleeper"}
+    pause = processes.restart_later("sleeper", now=100.0)
+    processes.restart_due(100.0 + pause - 0.01)
+    assert processes.pids() == {}
+    processes.restart_due(100.0 + pause)
+    assert set(processes.pids()) == {"sleeper"}
 
 
-def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(crew, monkeypatch):
+def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(processes, monkeypatch):
     monkeypatch.setenv(SECURITY_VARIABLE, "security")
-    crew.start(
+    processes.start(
         "asked",
         "timeit",
         ["-n1", "-r1", f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)"],
     )
-    assert crew.process("asked").wait(PATIENCE) == 4
+    assert processes.process("asked").wait(PATIENCE) == 4
 
 
 def test_back_off_grows_to_a_limit():
@@ -117,14 +117,14 @@ def test_back_off_grows_to_a_limit():
 
 def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); time.sleep(600)"
-    with ProcessGroup(tmp_path) as crew:
-        crew.start("stubborn", "timeit", ["-n1", "-r1", stubborn])
-        process = crew.process("stubborn")
+    with ProcessGroup(tmp_path) as processes:
+        processes.start("stubborn", "timeit", ["-n1", "-r1", stubborn])
+        process = processes.process("stubborn")
     assert process.poll() is not None
 
 
-def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
-    crew.start(
+def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(processes):
+    processes.start(
         "talker",
         "timeit",
         [
@@ -133,8 +133,8 @@ def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
             r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)",
         ],
     )
-    crew.process("talker").wait(PATIENCE)
-    assert crew.last_error("talker") == "at: last"
+    processes.process("talker").wait(PATIENCE)
+    assert processes.last_error("talker") == "at: last"
 
 
 ORPHAN = """
@@ -163,8 +163,8 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
 
 
 def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
-    with ProcessGroup(tmp_path, grace=600) as crew:
-        crew.start("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
-        crew.request_stop()
-        crew.process("polite").wait(PATIENCE)
-    assert crew.process("polite").returncode == -signal.SIGTERM
+    with ProcessGroup(tmp_path, grace=600) as processes:
+        processes.start("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+        processes.request_stop()
+        processes.process("polite").wait(PATIENCE)
+    assert processes.process("polite").returncode == -signal.SIGTERM

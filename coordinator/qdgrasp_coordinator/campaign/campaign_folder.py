@@ -30,7 +30,7 @@ from qdgrasp_protocol.text import counted
 
 
 def extend_run(folder: RunFolder, **goals: int) -> None:
-    """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
+    """Give a run a new budget, or other stop criteria: any of `spec.STOP_KEYS`.
 
     Raises ImpossibleValue if one is not allowed, or the journal goes on behind it.
     """

@@ -24,7 +24,6 @@ from qdgrasp_protocol.session import Endpoint
 
 GIVES = {TrafficKind.PUT: "put", TrafficKind.QUERY: "ask", TrafficKind.TOKEN: "live"}
 TAKES = {TrafficKind.PUT: "hear", TrafficKind.QUERY: "answer", TrafficKind.TOKEN: "watch"}
-VERBS = tuple(verb for way in TrafficKind for verb in (GIVES[way], TAKES[way]))
 
 
 @dataclass(frozen=True)

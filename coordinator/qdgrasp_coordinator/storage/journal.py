@@ -1,6 +1,6 @@
 """The journal of a run: every evaluation in order, in `run.sqlite` (docs/run-folder.md).
 
-Rows are kept as blocks of packed structured arrays (`rows.Shape.dtype`), one transaction per group of rows;
+Rows are kept as blocks of structured arrays (`rows.RowShape.dtype`), one transaction per group of rows;
 beside them stand the successes with what queries need, reasons of errors, the spec and the platform. One
 process writes; any number may read while it does, each sees the journal as it was when it was opened.
 """

@@ -101,7 +101,7 @@ def evaluated_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 @pytest.fixture(scope="module")
 def panda() -> Callable[..., ImportedPoses]:
-    """Reads a file for the Panda hand, on an object whose centre of mass is at `foreign.COM`."""
+    """Reads a file for the Panda hand, on an object whose centre of mass is at `COM`."""
     hand = hand_named("panda")
     return lambda path, **settings: importer.import_poses(
         path, hand, ObjectFrame(foreign_files.COM, 1.0), **settings

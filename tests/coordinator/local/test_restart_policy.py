@@ -20,7 +20,7 @@ from qdgrasp_protocol.process import GRACE_MARGIN, ProcessExit, ProcessGroup
 
 
 class Staff:
-    """A crew whose members die when they are told to, and a display."""
+    """Processes whose members die when they are told to, and a display."""
 
     def __init__(self) -> None:
         self.dead: list[ProcessExit] = []

@@ -16,7 +16,7 @@ CHOSEN = "tcp/127.0.0.1:50123"
 
 
 class Staff:
-    """A crew of names: its first coordinator is killed, its second one gets done."""
+    """Processes by name: its first coordinator is killed, its second one gets done."""
 
     members_grace = 0.25
 

@@ -52,8 +52,8 @@ def test_a_worker_that_leaves_long_after_its_beginning_does_not_end_one_that_beg
     assert not any(hopeless(("a", 2, 1.0), ("b", 2, 5000.0)))
 
 
-class Crewlike:
-    """A crew that is told which of its workers to start again."""
+class FakeProcesses:
+    """Processes, of which it is noted which ones are started again."""
 
     def __init__(self) -> None:
         self.restarted: list[str] = []
@@ -64,10 +64,10 @@ class Crewlike:
 
 
 def test_a_worker_that_is_turned_away_while_another_serves_is_started_again():
-    crew, team = Crewlike(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
+    processes, pool = FakeProcesses(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
     for _ in range(2):
-        team._on_exit(crew, ProcessExit("worker-0", 2), 0.0)
-    assert crew.restarted == ["worker-0", "worker-0"]
+        pool._on_exit(processes, ProcessExit("worker-0", 2), 0.0)
+    assert processes.restarted == ["worker-0", "worker-0"]
 
 
 MEMBER = """
