@@ -27,8 +27,7 @@ Successes = Annotated[
     int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")
 ]
 NoNewCell = Annotated[
-    int | None,
-    typer.Option(metavar="N", min=1, help="End when N evaluations in a row found no new cell."),
+    int | None, typer.Option(metavar="N", min=1, help="End when N evaluations in a row found no new cell.")
 ]
 Seconds = Annotated[
     float | None,

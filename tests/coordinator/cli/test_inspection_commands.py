@@ -129,11 +129,7 @@ def test_a_run_without_rows_is_refused(tmp_path: Path, make_scene: SceneMaker) -
 
 @pytest.mark.parametrize(
     ("text", "place"),
-    [
-        ("127.0.0.1:8080", ("127.0.0.1", 8080)),
-        ("[::1]:80", ("::1", 80)),
-        ("head:0", ("head", 0)),
-    ],
+    [("127.0.0.1:8080", ("127.0.0.1", 8080)), ("[::1]:80", ("::1", 80)), ("head:0", ("head", 0))],
 )
 def test_the_place_of_the_page_is_a_host_and_a_port(text: str, place: tuple[str, int]) -> None:
     assert host_and_port(text) == place

@@ -159,9 +159,6 @@ def test_a_router_that_is_not_there_is_one_sentence(folder: Path, monkeypatch: p
 def test_every_cell_is_as_it_should_be_through_two_routers(folder: Path) -> None:
     first, second = encrypted_endpoint(), encrypted_endpoint()
     shown = Credentials.find(folder, Role.ROUTER)
-    with (
-        ZenohBus.router(first, credentials=shown),
-        ZenohBus.router(second, connect=first, credentials=shown),
-    ):
+    with ZenohBus.router(first, credentials=shown), ZenohBus.router(second, connect=first, credentials=shown):
         found = check_access(first, folder, takers_at=second)
     assert found.faults == []
