@@ -35,11 +35,9 @@ Vector3 = tuple[float, float, float]
 class GripperQuestion:
     """A question about a hand."""
 
-    field: str
-    """Field of `DraftOverrides`, and of the file."""
+    field: str  # Field of `DraftOverrides`, and of the file
     words: str
-    read: Callable[[str, str], Any]
-    """Parses an answer, given its field and its text; raises ImpossibleValue."""
+    read: Callable[[str, str], Any]  # Parses an answer, given its field and its text; raises ImpossibleValue
 
 
 def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> DraftOverrides:

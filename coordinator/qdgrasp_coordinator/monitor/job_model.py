@@ -32,8 +32,7 @@ COUNTS = frozenset({*TOTAL_NAMES, "rows", "outcomes"})
 SILENCE_SECONDS = 5.0  # seconds without a message until a coordinator is silent; it publishes twice a second
 LATE_MESSAGE_SECONDS = 1.0  # seconds by which a message may come after the end of its coordinator's token
 RETRY_SECONDS = 5.0  # seconds until a query without an answer is repeated
-MOST_RUNS = 512
-"""The most runs kept of a job: those in progress first, then those with the latest messages."""
+MOST_RUNS = 512  # The most runs kept of a job: those in progress first, then those with the latest messages
 MAX_JOBS = 64  # The most jobs that are kept: those with the latest messages
 ALL_KEYS = ""  # Stands for all jobs
 
@@ -115,10 +114,8 @@ class JobModel:
         self.name = name
         self.meta: JobMeta | None = None
         self.figures: JobStatus | None = None
-        self.is_readable = True
-        """False while its coordinator publishes figures of another version."""
-        self.received_at = 0.0
-        """Time of its latest message [s since 1970]."""
+        self.is_readable = True  # False while its coordinator publishes figures of another version
+        self.received_at = 0.0  # Time of its latest message [s since 1970]
         self._epoch_meta: JobMeta | None = None  # the latest that says which job it goes on with
         self._published: JobStatus | None = None
         self._events: dict[tuple[float, int], JobEvent] = {}
@@ -274,8 +271,7 @@ class JobModels:
 
     def __init__(self, keys: Keys | None = None) -> None:
         self._keys = keys or AnyJob()
-        self.is_linked = True
-        """False while the router cannot be reached."""
+        self.is_linked = True  # False while the router cannot be reached
         self._linked_at = 0.0
         self._jobs: dict[str, JobModel] = {}
         self._due: dict[str, float] = {ALL_KEYS: 0.0}  # when to query a job

@@ -21,11 +21,9 @@ Point = TypeVar("Point")
 class Series(Struct, frozen=True, kw_only=True):
     """Figures of a job or a run over time, in columns of one length, at most `MAX_POINTS`."""
 
-    at: list[float]
-    """Seconds since 1970."""
+    at: list[float]  # Seconds since 1970
     evaluations: list[int]
-    rate: list[float]
-    """Counted evaluations per second over the `WINDOW` before, replayed ones apart."""
+    rate: list[float]  # Counted evaluations per second over the `WINDOW` before, replayed ones apart
     successes: list[int]
     cells: list[int]
     robust: list[int]
@@ -113,22 +111,15 @@ class JobView(Struct, frozen=True, kw_only=True):
     Where it publishes nothing: "silent" (for an unknown reason: the router may be away), "gone" (it died) or
     "ended" (all runs are done, or failed).
     """
-    silent: float
-    """Seconds since the last message of its coordinator."""
+    silent: float  # Seconds since the last message of its coordinator
     meta: JobMeta
     figures: JobStatus
-    runs: list[RunStatus]
-    """Runs in progress, and those that ended during the watch; by their first messages."""
-    workers: list[WorkerStatus]
-    """Each once: on its way to another page one may stand on both."""
-    events: list[JobEvent]
-    """The latest, eldest first."""
-    history: Series
-    """Figures of the job during the watch."""
-    histories: dict[str, Series]
-    """The same of its runs, by their names."""
-    curves: dict[str, GrowthCurve]
-    """Curves of the runs from their beginnings on, by their names."""
+    runs: list[RunStatus]  # Runs in progress, and those that ended during the watch; by their first messages
+    workers: list[WorkerStatus]  # Each once: on its way to another page one may stand on both
+    events: list[JobEvent]  # The latest, eldest first
+    history: Series  # Figures of the job during the watch
+    histories: dict[str, Series]  # The same of its runs, by their names
+    curves: dict[str, GrowthCurve]  # Curves of the runs from their beginnings on, by their names
 
     def foremost(self, most: int) -> list[RunStatus]:
         """Return so many of its runs, in order; first left out are finished, then silent ones."""

@@ -26,17 +26,14 @@ from qdgrasp_coordinator.metrics.job_status import (
 )
 from qdgrasp_coordinator.monitor.job_view import OVER, JobView
 
-MOST_RUNS = 256
-"""The most runs of a job with series: first those in progress, then the latest heard."""
-MOST_WORKERS = 512
-"""The most workers of a job with series, by their joins; `qdgrasp_workers` counts all."""
+MOST_RUNS = 256  # The most runs of a job with series: first those in progress, then the latest heard
+MOST_WORKERS = 512  # The most workers of a job with series, by their joins; `qdgrasp_workers` counts all
 INACTIVE_STATES = ("silent", *OVER)  # The states of a job without messages
 STATES = ("starting", "running", "paused", "ending", *INACTIVE_STATES)  # Of a job: see `JobView`
 RUN_LABELS = ("gripper", "object", "method", "protocol", "seed")  # Labels of `qdgrasp_run_info`
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
-Samples: TypeAlias = Iterable[tuple[Sequence[str], float]]
-"""Values of a metric's labels, and its own."""
+Samples: TypeAlias = Iterable[tuple[Sequence[str], float]]  # Values of a metric's labels, and its own
 
 
 class MetricSpec(NamedTuple):

@@ -30,10 +30,8 @@ MONITORING = frozenset({Role.MONITOR, Role.ADMIN})
 class TrafficKind(StrEnum):
     """The kind of exchange on a key."""
 
-    PUT = "put"
-    """One side publishes, the other subscribes."""
-    QUERY = "query"
-    """One side asks, the other answers."""
+    PUT = "put"  # One side publishes, the other subscribes
+    QUERY = "query"  # One side asks, the other answers
     TOKEN = "token"  # noqa: S105  # a sign of life
     """One side is alive, the other watches."""
 
@@ -42,17 +40,12 @@ class TrafficKind(StrEnum):
 class Traffic:
     """One kind of traffic."""
 
-    key: str
-    """A pattern over the keys of all jobs."""
+    key: str  # A pattern over the keys of all jobs
     kind: TrafficKind
-    givers: frozenset[Role]
-    """Roles that publish, ask, or are alive."""
-    takers: frozenset[Role]
-    """Roles that subscribe, answer, or watch."""
-    limit: int = 0
-    """The most bytes of a message or question."""
-    answer_limit: int = 0
-    """The most bytes of an answer."""
+    givers: frozenset[Role]  # Roles that publish, ask, or are alive
+    takers: frozenset[Role]  # Roles that subscribe, answer, or watch
+    limit: int = 0  # The most bytes of a message or question
+    answer_limit: int = 0  # The most bytes of an answer
 
 
 def _put(key: str, givers: Set[Role], takers: Set[Role], limit: int) -> Traffic:

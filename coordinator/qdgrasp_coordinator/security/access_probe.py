@@ -54,19 +54,16 @@ WIDE_PATTERNS = (
 class ProbeReceiver:
     """A session that subscribes, answers and watches."""
 
-    name: str
-    """Its role, and the kind of its patterns."""
+    name: str  # Its role, and the kind of its patterns
     bus: Bus
-    patterns: tuple[str, ...]
-    """Key patterns that it declares."""
+    patterns: tuple[str, ...]  # Key patterns that it declares
 
 
 @dataclass(frozen=True)
 class ProbeSessions:
     """Sessions of all roles at a router."""
 
-    givers: dict[str, Bus]
-    """Sessions that publish, ask and are alive, by role."""
+    givers: dict[str, Bus]  # Sessions that publish, ask and are alive, by role
     takers: list[ProbeReceiver]
 
 
@@ -135,10 +132,8 @@ class Delivery:
 
     kind: TrafficKind
     key: str
-    giver: str
-    """Name of the session that published, asked or was alive."""
-    taker: str
-    """Name of the session that received, answered or watched."""
+    giver: str  # Name of the session that published, asked or was alive
+    taker: str  # Name of the session that received, answered or watched
 
 
 def allowed_givers(kind: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
@@ -299,10 +294,8 @@ LONG_AGO = timedelta(days=2)  # a certificate that was issued then for a day has
 class LoginAttempt:
     """An attempt to open a session without the right to one."""
 
-    who: str
-    """The certificate that was shown, in words."""
-    got_in: bool
-    """A session was opened, which is wrong."""
+    who: str  # The certificate that was shown, in words
+    got_in: bool  # A session was opened, which is wrong
 
 
 def try_logins(endpoint: str, folder: Path) -> list[LoginAttempt]:

@@ -31,13 +31,10 @@ class AccessCell:
     """A role's use of one verb on one key."""
 
     key: str
-    verb: str
-    """put, hear, ask, answer, live or watch."""
+    verb: str  # put, hear, ask, answer, live or watch
     role: str
-    is_allowed: bool
-    """By the table of traffic."""
-    wrong: tuple[str, ...] = ()
-    """Deliveries that are not allowed, or were not seen; empty: as it should be."""
+    is_allowed: bool  # By the table of traffic
+    wrong: tuple[str, ...] = ()  # Deliveries that are not allowed, or were not seen; empty: as it should be
 
     @property
     def mark(self) -> str:
@@ -127,10 +124,8 @@ SESSION_SECONDS = 10.0  # seconds that opening a session may take
 class AccessReport:
     """The result of `qdgrasp security check`."""
 
-    matrix: list[AccessCell]
-    """One cell for every key, verb and role."""
-    wide: list[str]
-    """Deliveries over patterns that no role may use, in words."""
+    matrix: list[AccessCell]  # One cell for every key, verb and role
+    wide: list[str]  # Deliveries over patterns that no role may use, in words
     logins: list[LoginAttempt]
 
     @property

@@ -37,8 +37,7 @@ class Keyboard:
     While its context lasts keys are read at once, without echo. Without a source there are no keys.
     """
 
-    is_suspended = False
-    """Ctrl-Z was pressed: restore the terminal, then call `suspend`."""
+    is_suspended = False  # Ctrl-Z was pressed: restore the terminal, then call `suspend`
 
     def __init__(self, stop: Stop, source: int | None) -> None:
         self._stop = stop

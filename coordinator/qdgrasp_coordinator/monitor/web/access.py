@@ -52,10 +52,8 @@ class Access:
 
     Otherwise a page elsewhere could read it through a name that resolves to this machine (DNS rebinding).
     """
-    token: str = ""
-    """Token that a request must have; empty: none."""
-    is_generated: bool = False
-    """True for a new token, which the user must be told."""
+    token: str = ""  # Token that a request must have; empty: none
+    is_generated: bool = False  # True for a new token, which the user must be told
 
     @classmethod
     def at(cls, host: str, token: str = "") -> "Access":

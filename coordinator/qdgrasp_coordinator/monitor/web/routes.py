@@ -34,8 +34,7 @@ class Site:
     """A page with its data."""
 
     routes: list[BaseRoute]
-    end: Callable[[], None] = lambda: None
-    """Called when the server ends, to end streams."""
+    end: Callable[[], None] = lambda: None  # Called when the server ends, to end streams
 
 
 class JobListing(Struct, frozen=True):

@@ -178,12 +178,9 @@ class VoxelPages:
     """
 
     def __init__(self, origin: int = 0) -> None:
-        self.origin = origin
-        """A number that differs for another run or journal, uint32."""
-        self.next = 0
-        """The journal number up to which successes were inserted."""
-        self.is_whole = True
-        """True if these were all in the journal."""
+        self.origin = origin  # A number that differs for another run or journal, uint32
+        self.next = 0  # The journal number up to which successes were inserted
+        self.is_whole = True  # True if these were all in the journal
         self._kept = np.zeros(0, VOXEL)  # by serial
         self._serial = 0
 
