@@ -32,8 +32,7 @@ class TrafficKind(StrEnum):
 
     PUT = "put"  # One side publishes, the other subscribes
     QUERY = "query"  # One side asks, the other answers
-    TOKEN = "token"  # noqa: S105  # a sign of life
-    """One side is alive, the other watches."""
+    TOKEN = "token"  # noqa: S105  # One side is alive, the other watches
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,11 @@ from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_protocol.keys import AnyJob, Keys
 
 
+@pytest.fixture
+def jobs() -> JobModels:
+    return watching()
+
+
 def test_whoever_comes_late_sees_all_that_coordinators_answer() -> None:
     more = {MUGS.stat("curve/a"): curve("a", 2, 5, 9), MUGS.recent: JobEvents(events=[event(1), event(2)])}
     answers = values(workers=130) | {key: to_json(value) for key, value in more.items()}
@@ -47,14 +52,11 @@ def test_whoever_comes_late_sees_all_that_coordinators_answer() -> None:
     assert [point.evaluations for point in view.curves["b"].points] == [10]
 
 
-def test_what_is_heard_takes_the_place_of_what_was_heard_before() -> None:
-    jobs = watching()
+def test_what_is_heard_takes_the_place_of_what_was_heard_before(jobs: JobModels) -> None:
     for second in range(1, 5):
+        job = figures(evaluations=1000 + second, seconds=10.0 + second)
         publish(
-            jobs,
-            START + second,
-            stat_job=figures(evaluations=1000 + second, seconds=10.0 + second),
-            stat_run_a=run("a", evaluations=10 + second, cells=second),
+            jobs, START + second, stat_job=job, stat_run_a=run("a", evaluations=10 + second, cells=second)
         )
     view = view_of(jobs, START + 4)
     assert view.figures.evaluations == 1004
@@ -67,10 +69,8 @@ def test_what_is_heard_takes_the_place_of_what_was_heard_before() -> None:
 def test_two_jobs_are_told_apart() -> None:
     jobs = watching(answers=values("mugs") | values("cubes", runs=7))
     jobs.receive(Keys("cubes").stat("job"), to_json(figures(job="cubes", evaluations=2000)), START)
-    assert [(view.job, view.figures.evaluations) for view in jobs.views(START)] == [
-        ("cubes", 2000),
-        ("mugs", 1000),
-    ]
+    seen = [(view.job, view.figures.evaluations) for view in jobs.views(START)]
+    assert seen == [("cubes", 2000), ("mugs", 1000)]
 
 
 def test_pages_of_a_team_that_are_no_more_are_forgotten() -> None:
@@ -90,16 +90,14 @@ def test_a_worker_on_two_pages_is_shown_once() -> None:
     assert before[64].wid in wids
 
 
-def test_events_that_are_told_twice_are_shown_once_in_their_order() -> None:
-    jobs = watching()
+def test_events_that_are_told_twice_are_shown_once_in_their_order(jobs: JobModels) -> None:
     for number in (3, 1, 2, 3):
         publish(jobs, START, event_job=event(number))
     publish(jobs, START, event_recent=JobEvents(events=[event(2), event(4)]))
     assert [one.number for one in view_of(jobs, START).events] == [1, 2, 3, 4]
 
 
-def test_what_is_remembered_is_bounded() -> None:
-    jobs = watching()
+def test_what_is_remembered_is_bounded(jobs: JobModels) -> None:
     for number in range(MOST_RUNS + 5):
         publish(jobs, START, event_job=event(number), **{f"stat_run_r{number}": run(f"r{number}")})
     view = view_of(jobs, START)
@@ -120,10 +118,8 @@ def test_the_job_that_is_forgotten_is_the_one_that_was_silent_for_longest() -> N
     assert (len(names), names & {"job-00", "job-01", "new"}) == (MAX_JOBS, {"job-00", "new"})
 
 
-def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_ones() -> None:
-    jobs = watching()
-    over = run("over", finished="all are spent")
-    publish(jobs, START + 2, stat_run_over=over)
+def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_ones(jobs: JobModels) -> None:
+    publish(jobs, START + 2, stat_run_over=run("over", finished="all are spent"))
     for number in range(MOST_RUNS - 3):
         publish(jobs, START + 1, **{f"stat_run_r{number}": run(f"r{number}")})
     publish(jobs, START + 3, stat_run_a=run("a"), stat_run_new=run("new"))
@@ -134,17 +130,13 @@ def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_on
     assert (len(names), names[0], "b" in names) == (MOST_RUNS, "a", False)
 
 
-def test_what_is_left_out_where_not_all_runs_can_be_shown_is_over_or_silent() -> None:
-    jobs = watching()
+def test_what_is_left_out_where_not_all_runs_can_be_shown_is_over_or_silent(jobs: JobModels) -> None:
     publish(jobs, START + 1, stat_run_c=run("c", finished="all are spent"), stat_run_d=run("d"))
     publish(jobs, START + 2, stat_run_a=run("a"))
     view = view_of(jobs, START + 2)
     assert [one.run for one in view.runs] == ["a", "b", "c", "d"]
-    assert [[one.run for one in view.foremost(most)] for most in (1, 2, 3)] == [
-        ["a"],
-        ["a", "d"],
-        ["a", "b", "d"],
-    ]
+    foremost = ["".join(one.run for one in view.foremost(most)) for most in (1, 2, 3)]
+    assert foremost == ["a", "ad", "abd"]
 
 
 def begins(jobs: JobModels, now: float, epoch: int, identity: str = "") -> None:
@@ -177,18 +169,15 @@ def test_no_count_falls_where_one_goes_on() -> None:
     assert view.histories["a"].successes == [500, 500, 500, 501]
 
 
-def test_what_remains_does_not_rise_while_runs_are_opened_again() -> None:
-    jobs = watching()
+def test_what_remains_does_not_rise_while_runs_are_opened_again(jobs: JobModels) -> None:
     for second, count in enumerate((2400, 0, 900, 2500), 1):
-        publish(
-            jobs, START + second, stat_job=figures(evaluations=count, budget=3000, remaining=3000 - count)
-        )
+        told = figures(evaluations=count, budget=3000, remaining=3000 - count)
+        publish(jobs, START + second, stat_job=told)
         one = view_of(jobs, START + second).figures
         assert (one.remaining, one.done) == (3000 - one.evaluations, one.evaluations / 3000)
 
 
-def test_what_a_coordinator_counts_of_itself_begins_anew() -> None:
-    jobs = watching()
+def test_what_a_coordinator_counts_of_itself_begins_anew(jobs: JobModels) -> None:
     publish(jobs, START + 1, stat_job=figures(requeued=7, waiting=50))
     begins(jobs, START + 20, 3)
     publish(jobs, START + 20, stat_job=figures(requeued=1, waiting=2))
@@ -196,8 +185,7 @@ def test_what_a_coordinator_counts_of_itself_begins_anew() -> None:
     assert (one.requeued, one.waiting) == (1, 2)
 
 
-def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one() -> None:
-    jobs = watching()
+def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one(jobs: JobModels) -> None:
     publish(jobs, START + 1, event_job=event(1), stat_run_old=run("old", evaluations=70, cells=9))
     publish(jobs, START + 2, stat_job=figures(evaluations=2000))
     begins(jobs, START + 60, 0)  # whose work it goes on with it does not know yet
@@ -234,8 +222,7 @@ def test_a_job_is_known_by_its_identity_and_by_its_turns_where_it_has_none(
     assert (view.figures.evaluations, view.runs[0].evaluations) == (shown, shown)
 
 
-def test_answers_of_another_job_take_the_place_of_all_that_was_heard_of_the_old_one() -> None:
-    jobs = watching()
+def test_answers_of_another_job_take_the_place_of_all_that_was_heard_of_the_old_one(jobs: JobModels) -> None:
     publish(jobs, START + 1, stat_run_a=run("a", evaluations=900))
     since = structs.replace(meta(epoch=1), since=NOON + timedelta(seconds=60))
     answers = {key: value for key, value in values().items() if key != MUGS.meta}
@@ -245,8 +232,7 @@ def test_answers_of_another_job_take_the_place_of_all_that_was_heard_of_the_old_
 
 
 @pytest.mark.parametrize("last", [{"runs_done": 3}, {"state": "cancelled"}])
-def test_what_is_over_is_shown_as_it_is(last: dict[str, object]) -> None:
-    jobs = watching()
+def test_what_is_over_is_shown_as_it_is(jobs: JobModels, last: dict[str, object]) -> None:
     publish(jobs, START + 1, stat_run_a=run("a", cells=50))
     begins(jobs, START + 20, 3)
     publish(jobs, START + 20, stat_run_a=run("a", cells=40), stat_job=figures(cells=4))
@@ -257,8 +243,7 @@ def test_what_is_over_is_shown_as_it_is(last: dict[str, object]) -> None:
     assert view_of(jobs, START + 21).runs[0].cells == 39
 
 
-def test_a_run_that_is_over_is_shown_as_it_is() -> None:
-    jobs = watching()
+def test_a_run_that_is_over_is_shown_as_it_is(jobs: JobModels) -> None:
     publish(jobs, START + 1, stat_run_a=run("a", cells=50))
     publish(jobs, START + 2, stat_run_a=run("a", cells=40, finished="all are spent"))
     assert view_of(jobs, START + 2).runs[0].cells == 40
@@ -271,15 +256,13 @@ def test_at_first_everything_is_asked_once() -> None:
     assert jobs.due_queries(START + 60) == []
 
 
-def test_a_coordinator_that_appears_is_asked() -> None:
-    jobs = watching()
+def test_a_coordinator_that_appears_is_asked(jobs: JobModels) -> None:
     assert jobs.due_queries(START + 1) == []
     jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 2)
     assert MUGS.stat() in jobs.due_queries(START + 2)
 
 
-def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_away() -> None:
-    jobs = watching()
+def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_away(jobs: JobModels) -> None:
     jobs.link_changed(False, START)
     jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 1)
     assert jobs.due_queries(START + 1) == []
@@ -303,9 +286,8 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
     jobs = JobModels()
     jobs.due_queries(START)
     jobs.receive_answers({MUGS.meta: to_json(meta()), MUGS.stat("job"): to_json(figures())}, START)
-    publish(
-        jobs, START, stat_run_new=run("new", evaluations=0), stat_run_resumed=run("resumed", evaluations=70)
-    )
+    publish(jobs, START, stat_run_new=run("new", evaluations=0))
+    publish(jobs, START, stat_run_resumed=run("resumed", evaluations=70))
     asked = [MUGS.stat("curve/resumed")]
     assert jobs.due_queries(START) == asked
     jobs.receive_answers({}, START + 1)  # it did not come in time
@@ -316,16 +298,14 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
     assert jobs.due_queries(START + 60) == []
 
 
-def test_curves_are_asked_for_also_when_another_job_begins() -> None:
-    jobs = watching()
+def test_curves_are_asked_for_also_when_another_job_begins(jobs: JobModels) -> None:
     publish(jobs, START, stat_run_resumed=run("resumed", evaluations=70))
     jobs.coordinator_changed(Keys("cubes").coordinator_token(1), True, START)
     asked = jobs.due_queries(START)
     assert {MUGS.stat("curve/resumed"), Keys("cubes").meta} <= {*asked}
 
 
-def test_many_curves_are_one_question() -> None:
-    jobs = watching()
+def test_many_curves_are_one_question(jobs: JobModels) -> None:
     for name in ("c", "d"):
         publish(jobs, START, **{f"stat_run_{name}": run(name)})
     assert jobs.due_queries(START) == [MUGS.stat("curve/*")]
@@ -347,23 +327,20 @@ def test_a_job_is_what_its_coordinator_says_while_it_speaks() -> None:
     assert view_of(jobs, START + SILENCE_SECONDS).state == "paused"
 
 
-def test_a_coordinator_that_says_nothing_is_silent_and_is_heard_again() -> None:
-    jobs = watching()
+def test_a_coordinator_that_says_nothing_is_silent_and_is_heard_again(jobs: JobModels) -> None:
     view = view_of(jobs, START + SILENCE_SECONDS + 1)
     assert (view.state, view.silent) == ("silent", SILENCE_SECONDS + 1)
     publish(jobs, START + 20, stat_job=figures())
     assert view_of(jobs, START + 21).state == "running"
 
 
-def test_a_coordinator_whose_token_vanishes_is_gone_at_once() -> None:
-    jobs = watching()
+def test_a_coordinator_whose_token_vanishes_is_gone_at_once(jobs: JobModels) -> None:
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     publish(jobs, START + 1.5, stat_job=figures())  # it was on its way
     assert view_of(jobs, START + 2).state == "gone"
 
 
-def test_another_coordinator_goes_on_with_a_job() -> None:
-    jobs = watching()
+def test_another_coordinator_goes_on_with_a_job(jobs: JobModels) -> None:
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     publish(jobs, START + 9, meta=meta(epoch=0), stat_job=figures(state="starting"))
     assert view_of(jobs, START + 9).state == "starting"
@@ -372,8 +349,7 @@ def test_another_coordinator_goes_on_with_a_job() -> None:
     assert (view_of(jobs, START + 10).state, view_of(jobs, START + 10).meta.epoch) == ("running", 3)
 
 
-def test_a_token_of_an_epoch_that_is_over_takes_nothing_away() -> None:
-    jobs = watching()
+def test_a_token_of_an_epoch_that_is_over_takes_nothing_away(jobs: JobModels) -> None:
     jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 1)
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 2)
     assert view_of(jobs, START + 2).state == "running"
@@ -391,17 +367,17 @@ def test_a_token_of_an_epoch_that_is_over_takes_nothing_away() -> None:
     ],
 )
 def test_how_a_job_ended_is_told_by_what_its_coordinator_said_last(
-    last: dict[str, object], state: str
+    jobs: JobModels, last: dict[str, object], state: str
 ) -> None:
-    jobs = watching()
     publish(jobs, START + 1, stat_job=figures(**last))
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1.1)
     assert view_of(jobs, START + 2).state == state
 
 
 @pytest.mark.parametrize("news", [("link", "token"), ("token", "link")])
-def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(news: tuple[str, str]) -> None:
-    jobs = watching()
+def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(
+    jobs: JobModels, news: tuple[str, str]
+) -> None:
     for one in news:
         if one == "link":
             jobs.link_changed(False, START + 1)
@@ -414,8 +390,7 @@ def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(ne
     assert view_of(jobs, START + 62).state == "running"
 
 
-def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone() -> None:
-    jobs = watching()
+def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone(jobs: JobModels) -> None:
     jobs.link_changed(False, START + 1)
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     jobs.link_changed(True, START + 60)
@@ -423,17 +398,7 @@ def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone() -> None
     assert view_of(jobs, START + 60 + SILENCE_SECONDS + 1).state == "gone"
 
 
-PLACES = (
-    "meta",
-    "stat/job",
-    "stat/run/a",
-    "stat/team/0",
-    "stat/curve/a",
-    "event/job",
-    "event/recent",
-    "x",
-    "",
-)
+PLACES = ("meta", "stat/job", "stat/run/a", "stat/team/0", "stat/curve/a", "event/job", "event/recent", "x")
 
 
 @given(st.binary(max_size=200), st.sampled_from(PLACES))
@@ -462,8 +427,7 @@ def test_a_job_of_another_version_is_named_until_it_can_be_read() -> None:
     assert (len(jobs.views(START)), jobs.foreign_jobs) == (1, [])
 
 
-def test_fields_that_a_later_version_adds_are_passed_over() -> None:
-    jobs = watching()
+def test_fields_that_a_later_version_adds_are_passed_over(jobs: JobModels) -> None:
     later = to_json(figures(evaluations=2000)).replace(b'{"job"', b'{"mood": "good", "job"', 1)
     jobs.receive(MUGS.stat("job"), later, START)
     assert view_of(jobs, START).figures.evaluations == 2000

@@ -1,8 +1,10 @@
 """The screen on a terminal, in the room that it has, and what keys change of it."""
 
 import io
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import get_args, get_type_hints
+from functools import reduce
+from typing import Any, get_args, get_type_hints
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -12,61 +14,23 @@ from rich.cells import cell_len
 from rich.console import Console
 from tests.coordinator.monitor.sample_jobs import ENDPOINT, NOW, event, figures, job, shown, worker
 
-from qdgrasp_coordinator.metrics.job_status import (
-    GREATEST_COUNT,
-    EventKind,
-    JobEvent,
-    JobMeta,
-    JobStatus,
-    RunStatus,
-    WorkersPage,
-    WorkerStatus,
-    to_json,
-)
+from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_coordinator.monitor.feed import summary_lines as told
 from qdgrasp_coordinator.monitor.job_model import JobModels
-from qdgrasp_coordinator.monitor.terminal import screen
-from qdgrasp_coordinator.monitor.terminal.charts import (
-    curve_charts,
-    obstacle_text,
-    outcome_counts,
-    outcome_lines,
-    plot_curve,
-    progress_line,
-    sample_curve,
-    split_width,
-)
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.terminal import charts, screen
+from qdgrasp_coordinator.monitor.terminal import text_tables as tables
 from qdgrasp_coordinator.monitor.terminal.keyboard import parse_keys
-from qdgrasp_coordinator.monitor.terminal.screen import (
-    MIN_SIZE,
-    ScreenSelection,
-    ScreenState,
-    list_rows,
-    report_lines,
-    screen_lines,
-    share_rows,
-)
-from qdgrasp_coordinator.monitor.terminal.text_tables import (
-    ASCII,
-    UNICODE,
-    Glyphs,
-    count_text,
-    percent_text,
-    short_count,
-    size_text,
-    span_text,
-)
+from qdgrasp_coordinator.monitor.terminal.screen import ScreenSelection, ScreenState
+from qdgrasp_coordinator.monitor.terminal.text_tables import ASCII, UNICODE, Glyphs
 from qdgrasp_protocol.keys import Keys
 
 JOBS = ["a", "b", "c"]
 
 
-def after(*pressed: str, choice: ScreenSelection | None = None) -> ScreenSelection:
-    found = choice or ScreenSelection()
-    for key in pressed:
-        found = found.after_key(key, JOBS, 10)
-    return found
+def after(*pressed: str) -> ScreenSelection:
+    return reduce(lambda choice, key: choice.after_key(key, JOBS, 10), pressed, ScreenSelection())
 
 
 @pytest.mark.parametrize(
@@ -92,11 +56,14 @@ def test_a_list_takes_all_the_room_and_gives_it_back(key: str, long: str) -> Non
 
 
 def test_a_long_list_is_scrolled_line_by_line_and_page_by_page() -> None:
-    assert after("w", "down", "down", "up").top == 1
-    assert after("w", "pagedown", " ", "pageup").top == 10
-    assert after("w", "up").top == 0
-    assert after("w", "pagedown", "home").top == 0
-    assert after("w", "pagedown", "e").top == 0
+    steps = (
+        ("down", "down", "up"),
+        ("pagedown", " ", "pageup"),
+        ("up",),
+        ("pagedown", "home"),
+        ("pagedown", "e"),
+    )
+    assert [after("w", *pressed).top for pressed in steps] == [1, 10, 0, 0, 0]
     assert after("w", "down").job == ""
 
 
@@ -120,32 +87,24 @@ ONE = shown(job())
 MANY = shown(
     job("cubes", runs=24), job("mugs"), job("a-job-with-a-name-that-is-much-too-long-for-its-column")
 )
-SIZES = [(80, 24), (200, 60), (100, 30), (120, 40), (60, 20), MIN_SIZE]
-
-
-def drawn(
-    what: ScreenState,
-    width: int,
-    height: int,
-    choice: ScreenSelection | None = None,
-    glyphs: Glyphs = UNICODE,
-) -> list[str]:
-    """The lines as a terminal of that size gets them."""
-    console = Console(file=io.StringIO(), width=width, height=height, force_terminal=True, color_system=None)
-    for line in screen_lines(what, choice or ScreenSelection(), width, height, glyphs):
-        console.print(line)
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue().splitlines()
+SIZES = [(80, 24), (200, 60), (100, 30), (120, 40), (60, 20), screen.MIN_SIZE]
 
 
 def text(
-    what: ScreenState,
-    width: int,
-    height: int,
-    choice: ScreenSelection | None = None,
-    glyphs: Glyphs = UNICODE,
+    what: ScreenState, width: int = 80, height: int = 24, glyphs: Glyphs = UNICODE, **choice: Any
 ) -> str:
-    return "\n".join(drawn(what, width, height, choice, glyphs))
+    """What a terminal of that size shows, with a list or a job that was chosen."""
+    file = io.StringIO()
+    console = Console(file=file, width=width, height=height, force_terminal=True, color_system=None)
+    for line in screen.screen_lines(what, ScreenSelection(**choice), width, height, glyphs):
+        console.print(line)
+    return file.getvalue().removesuffix("\n")
+
+
+def check_fits(shown: str, width: int, height: int) -> None:
+    lines = shown.splitlines()
+    assert len(lines) == height
+    assert max(map(cell_len, lines)) <= width
 
 
 class TestRoom:
@@ -156,31 +115,26 @@ class TestRoom:
     def test_a_frame_fills_its_terminal_exactly(
         self, width: int, height: int, what: ScreenState, long: str, glyphs: Glyphs
     ) -> None:
-        lines = drawn(what, width, height, ScreenSelection(list=long, top=3), glyphs)  # type: ignore[arg-type]
-        assert len(lines) == height
-        assert max(map(cell_len, lines)) <= width
+        check_fits(text(what, width, height, glyphs, list=long, top=3), width, height)
 
     def test_eighty_columns_and_24_lines_show_the_essential(self) -> None:
-        seen = text(ONE, 80, 24)
+        seen = text(ONE)
         for words in (
             ENDPOINT, "mugs", "running", "24 900 of 100 000 evaluations", "25 %", "15:05 left", "83/s lately",
             "2 766 successes", "498 cells", "830 robust", "0 errors", "overlap 40%", "no contact", "dropped",
             "held", "evaluations/s 83", "cells 498", "15 working, 15 idle on 7 hosts", "node-0", "310 MB",
             "leases", "rows/s",
-            "Worker 19 joined.", "q quit",
+            "Worker 19 joined.", "q quit", "(27 more)",
         ):  # fmt: skip
             assert words in seen
 
     def test_a_large_terminal_shows_more(self) -> None:
-        small, large = text(MANY, 80, 24), text(MANY, 200, 60)
+        small, large = text(MANY), text(MANY, 200, 60)
         assert "panda-mug-aimed-s1" not in small
         for words in ("panda-mug-aimed-s0", "panda-mug-aimed-s1", "Worker 15 joined.", "restarts"):
             assert words in large
         assert large.count("node-") > small.count("node-")
         assert large.count("Worker 1") > small.count("Worker 1")
-
-    def test_what_is_left_out_is_counted(self) -> None:
-        assert "(27 more)" in text(ONE, 80, 24)
 
     def test_ascii_is_ascii(self) -> None:
         for width, height in SIZES:
@@ -192,33 +146,24 @@ class TestRoom:
 
 class TestLongLists:
     def test_a_long_list_has_all_the_room_and_scrolls(self) -> None:
-        first = text(ONE, 80, 24, ScreenSelection(list="workers"))
-        later = text(ONE, 80, 24, ScreenSelection(list="workers", top=12))
+        first, later = text(ONE, list="workers"), text(ONE, list="workers", top=12)
         assert "workers of mugs: 1 to 18 of 30" in first
         assert "workers of mugs: 13 to 30 of 30" in later
-        assert first.count("node-") == later.count("node-") == 18
-
-    def test_a_page_is_as_many_rows_as_are_seen(self) -> None:
-        rows = list_rows(ONE, 80, 24, UNICODE)
-        assert text(ONE, 80, 24, ScreenSelection(list="workers")).count("node-") == rows
+        assert first.count("node-") == later.count("node-") == 18 == screen.list_rows(ONE, 80, 24, UNICODE)
 
     def test_the_job_that_is_chosen_is_among_those_that_are_seen(self) -> None:
         many = shown(*(job(f"job-{number:02}", seconds=2) for number in range(40)))
         for number in (0, 20, 39):
-            assert f"▸{'' if number > 8 else f'  {number + 1}'}" in text(
-                many, 80, 24, ScreenSelection(job=f"job-{number:02}")
-            )
-            assert f"── job-{number:02} ──" in text(many, 80, 24, ScreenSelection(job=f"job-{number:02}"))
+            seen = text(many, job=f"job-{number:02}")
+            assert f"▸{'' if number > 8 else f'  {number + 1}'}" in seen
+            assert f"── job-{number:02} ──" in seen
 
 
 class TestTrouble:
     def test_workers_in_trouble_come_first(self) -> None:
-        workers = [
-            worker(0, host="well"),
-            worker(1, host="lost", state="gone"),
-            worker(2, host="slow", state="stuck"),
-        ]
-        seen = text(shown(job(workers=workers)), 80, 24)
+        states = {"well": "idle", "lost": "gone", "slow": "stuck"}
+        workers = [worker(n, host=host, state=state) for n, (host, state) in enumerate(states.items())]
+        seen = text(shown(job(workers=workers)))
         assert seen.index("lost") < seen.index("slow") < seen.index("well")
 
     @pytest.mark.parametrize(
@@ -231,30 +176,36 @@ class TestTrouble:
             (job(waiting=1234), "1 234 rows not on disk yet"),
             (job(requeued=3, strays=2), "3 batches given again · 2 results dropped"),
             (job(workers=[]), "workers: none has joined"),
+            (job(state="cancelled"), "ended before it was done: `qdgrasp resume DIR` goes on"),
+            (job(state="ending", later=60.0), "nothing was heard of it"),
+            (job(), "all on disk"),
         ],
-        ids=["silent", "disk", "recorder", "paused", "behind", "requeued", "alone"],
+        ids=[
+            *("silent", "disk", "recorder", "paused", "behind", "requeued", "alone"),
+            *("cancelled", "ending", "running"),
+        ],
     )  # fmt: skip
     def test_what_is_in_the_way_is_said(self, view, words: str) -> None:
-        assert words in text(shown(view), 80, 24)
+        assert words in text(shown(view))
+        assert ("left" in charts.progress_line(view, 80, ASCII).plain) == (view.state != "cancelled")
 
-    def test_a_router_that_is_away_is_said(self) -> None:
-        assert "The router is away" in text(shown(job(), is_linked=False), 80, 24)
-        assert "The router is away" in text(shown(job(runs_done=1), job("bowls"), is_linked=False), 80, 24)
+    @pytest.mark.parametrize("views", [(job(),), (job(runs_done=1), job("bowls"))])
+    def test_a_router_that_is_away_is_said(self, views: tuple[JobView, ...]) -> None:
+        assert "The router is away" in text(shown(*views, is_linked=False))
 
     def test_a_router_that_left_with_the_last_job_is_not_missed(self) -> None:
         over = shown(job(runs_done=1), job("bowls", state="cancelled"), is_linked=False)
-        assert "The router has left" in text(over, 80, 24)
-        assert "away" not in text(over, 80, 24)
+        assert "The router has left" in text(over)
+        assert "away" not in text(over)
         words = screen.status_lines(over, 80, ASCII)
         assert (words[0][:6], words[-1][:19]) == ("mugs: ", "The router has left")
 
     def test_jobs_of_another_version_are_named(self) -> None:
-        assert "Watch with their own version of qdgrasp-monitor: old" in text(
-            shown(foreign_jobs=["old"]), 80, 24
-        )
+        words = "Watch with their own version of qdgrasp-monitor: old"
+        assert words in text(shown(foreign_jobs=["old"]))
 
     def test_where_there_is_no_job_it_is_said_what_to_do(self) -> None:
-        seen = text(shown(), 80, 24)
+        seen = text(shown())
         assert f"No job is at {ENDPOINT}" in seen
         assert "qdgrasp run" in seen
 
@@ -269,14 +220,14 @@ class TestTrouble:
         )
         for glyphs in (UNICODE, ASCII):
             for long in ("", "workers", "events"):
-                seen = text(shown(view), 200, 60, ScreenSelection(list=long), glyphs)  # type: ignore[arg-type]
+                seen = text(shown(view), 200, 60, glyphs, list=long)
                 assert "\x1b" not in seen
                 assert "\u202e" not in seen
                 assert "\\x1b[2J\\n\\u202eevil" in seen
 
 
-WILD = st.integers(0, GREATEST_COUNT) | st.integers(0, 3)
-WILD_FLOAT = st.floats(0, GREATEST_COUNT)
+WILD = st.integers(0, job_status.GREATEST_COUNT) | st.integers(0, 3)
+WILD_FLOAT = st.floats(0, job_status.GREATEST_COUNT)
 WILD_TEXT = st.text(max_size=40)
 
 
@@ -288,8 +239,10 @@ def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
         str: WILD_TEXT,
         datetime: st.datetimes(timezones=st.just(UTC)),
         dict[str, int]: st.dictionaries(WILD_TEXT, WILD, max_size=3),
-        EventKind: st.sampled_from(get_args(EventKind)),
-        list[WorkerStatus]: st.lists(st.deferred(lambda: wild(WorkerStatus)), max_size=3),
+        job_status.EventKind: st.sampled_from(get_args(job_status.EventKind)),
+        list[job_status.WorkerStatus]: st.lists(
+            st.deferred(lambda: wild(job_status.WorkerStatus)), max_size=3
+        ),
         list[CurvePoint]: st.lists(st.builds(CurvePoint, *[WILD] * 5), max_size=5),
     }
     return st.builds(kind, **{name: of_type[hint] for name, hint in get_type_hints(kind).items()})
@@ -301,11 +254,11 @@ def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
 )
 @given(
-    meta=wild(JobMeta),
-    figures=st.lists(wild(JobStatus), min_size=1, max_size=3),
-    runs=st.lists(wild(RunStatus), max_size=3),
-    pages=st.lists(wild(WorkersPage), max_size=2),
-    events=st.lists(wild(JobEvent), max_size=3),
+    meta=wild(job_status.JobMeta),
+    figures=st.lists(wild(job_status.JobStatus), min_size=1, max_size=3),
+    runs=st.lists(wild(job_status.RunStatus), max_size=3),
+    pages=st.lists(wild(job_status.WorkersPage), max_size=2),
+    events=st.lists(wild(job_status.JobEvent), max_size=3),
     curve=wild(GrowthCurve),
     size=st.sampled_from(SIZES),
 )
@@ -317,20 +270,18 @@ def test_whatever_a_coordinator_says_fits(meta, figures, runs, pages, events, cu
     says += [(keys.event("job"), one) for one in events]
     says += [(keys.meta, meta), (keys.stat("curve/a"), curve)]
     for number, (key, one) in enumerate(says):
-        jobs.receive(key, to_json(one), 1000.0 + number)
+        jobs.receive(key, job_status.to_json(one), 1000.0 + number)
     (view,) = jobs.views(1005.0)
     for long in ("", "runs", "workers", "events"):
         for glyphs in (UNICODE, ASCII):
-            for line in screen_lines(shown(view), ScreenSelection(list=long), *size, glyphs):
+            for line in screen.screen_lines(shown(view), ScreenSelection(list=long), *size, glyphs):
                 assert line.cell_len <= size[0], line.plain
-            lines = drawn(shown(view), *size, ScreenSelection(list=long), glyphs)
-            assert len(lines) == size[1]
-            assert max(map(cell_len, lines)) <= size[0]
+            check_fits(text(shown(view), *size, glyphs, list=long), *size)
     assert list(told(view, NOW))
 
 
 def test_a_sheet_shows_everything_of_all_jobs() -> None:
-    seen = [line.plain for line in report_lines(MANY, 80, UNICODE)]
+    seen = [line.plain for line in screen.report_lines(MANY, 80, UNICODE)]
     assert max(map(cell_len, seen)) <= 80
     assert sum("node-" in line for line in seen) == 90
     assert sum(line.startswith("── ") and "running" in line for line in seen) == 3
@@ -339,7 +290,7 @@ def test_a_sheet_shows_everything_of_all_jobs() -> None:
 @given(st.integers(0, 60), st.lists(st.tuples(st.integers(0, 5), st.integers(0, 30)), max_size=5))
 def test_parts_share_the_room_and_the_first_come_first(room: int, wishes: list[tuple[int, int]]) -> None:
     wishes = [(least, max(least, most)) for least, most in wishes]
-    given_ = share_rows(room, wishes)
+    given_ = screen.share_rows(room, wishes)
     assert sum(given_) <= room
     assert all(wide == 0 or least <= wide <= most for wide, (least, most) in zip(given_, wishes, strict=True))
     if wishes and wishes[0][0] <= room:
@@ -348,22 +299,22 @@ def test_parts_share_the_room_and_the_first_come_first(room: int, wishes: list[t
 
 def test_every_genome_ends_at_one_stage() -> None:
     found = figures(dead_ends=5, overlaps=10, simulated=100, successes=60, grasps=40, robust=25)
-    assert outcome_counts(found) == {
+    assert charts.outcome_counts(found) == {
         "no pose": 5, "overlap": 10, "no contact": 40, "dropped": 20, "shaken": 15, "held": 25,
     }  # fmt: skip
-    assert sum(outcome_counts(found).values()) == 115
+    assert sum(charts.outcome_counts(found).values()) == 115
 
 
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=6), st.integers(12, 200))
 def test_a_bar_is_as_wide_as_it_is_to_be_and_shows_whatever_is_there(numbers: list[int], width: int) -> None:
-    parts = split_width(numbers, width)
+    parts = charts.split_width(numbers, width)
     assert sum(parts) == (width if any(numbers) else 0)
     assert all((wide > 0) == (number > 0) for wide, number in zip(parts, numbers, strict=True))
 
 
 @pytest.mark.parametrize("width", [80, 100, 200])
 def test_all_stages_are_named_beside_their_bar(width: int) -> None:
-    bar, legend = outcome_lines(job(), width, UNICODE)
+    bar, legend = charts.outcome_lines(job(), width, UNICODE)
     assert bar.cell_len == width
     for name in ("no pose", "overlap", "no contact", "dropped", "shaken", "held"):
         assert name in legend.plain
@@ -371,14 +322,14 @@ def test_all_stages_are_named_beside_their_bar(width: int) -> None:
 
 @pytest.mark.parametrize(("evaluations", "full"), [(0, 0), (50_000, 0.5), (100_000, 1), (120_000, 1)])
 def test_a_bar_is_full_when_the_budget_is_spent(evaluations: int, full: float) -> None:
-    words = progress_line(job(evaluations=evaluations), 80, ASCII).plain
+    words = charts.progress_line(job(evaluations=evaluations), 80, ASCII).plain
     marks = words.count("#") + words.count(".")
     assert len(words) == 80
     assert words.count("#") == int(full * marks)
 
 
 def test_a_run_is_drawn_over_evaluations_and_many_runs_over_time() -> None:
-    alone, many = curve_charts(job(runs=1)), curve_charts(job(runs=3))
+    alone, many = charts.curve_charts(job(runs=1)), charts.curve_charts(job(runs=3))
     assert [one.title for one in alone] == ["cells", "successes", "evaluations/s"]
     assert (alone[0].places[0], alone[0].values[0], alone[0].values[-1]) == (0, 0, 498)
     assert [one.places[0] for one in many] == [1001.0] * 3
@@ -387,68 +338,59 @@ def test_a_run_is_drawn_over_evaluations_and_many_runs_over_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "later", "expected"),
+    ("text_of", "texts"),
     [
-        ("cancelled", 0.5, "ended before it was done: `qdgrasp resume DIR` goes on"),
-        ("ending", 60.0, "nothing was heard of it"),
-        ("running", 0.5, "all on disk"),
+        (tables.count_text, {1_234_567.4: "1 234 567"}),
+        (tables.short_count, {0: "0", 0.84: "0.8", 41_234: "41.2k", 9_876: "9876", 1.2e6: "1.2M"}),
+        (tables.span_text, {4.2: "4 s", 59.7: "1:00", 725: "12:05", 11_520: "3:12 h", 216_000: "2.5 d"}),
+        (tables.size_text, {0: "0 B", 310e6: "310 MB", 1.5e9: "1.5 GB"}),
+        (lambda some: tables.percent_text(*some), {(0, 0): "0 %", (1, 1000): "<1 %", (62, 100): "62 %"}),
     ],
 )
-def test_what_keeps_a_job_from_going_on_is_said(state: str, later: float, expected: str) -> None:
-    view = job(state=state, later=later)
-    assert expected in obstacle_text(view, ASCII)
-    assert ("left" in progress_line(view, 80, ASCII).plain) == (state != "cancelled")
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (count_text(1_234_567.4), "1 234 567"), (short_count(0), "0"), (short_count(0.84), "0.8"),
-        (short_count(41_234), "41.2k"), (short_count(9_876), "9876"), (short_count(1.2e6), "1.2M"),
-        (percent_text(0, 0), "0 %"), (percent_text(1, 1000), "<1 %"), (percent_text(62, 100), "62 %"),
-        (span_text(4.2), "4 s"), (span_text(59.7), "1:00"), (span_text(725), "12:05"),
-        (span_text(11_520), "3:12 h"), (span_text(216_000), "2.5 d"),
-        (size_text(0), "0 B"), (size_text(310e6), "310 MB"), (size_text(1.5e9), "1.5 GB"),
-    ],
-)  # fmt: skip
-def test_figures_are_said_in_a_few_characters(words: str, expected: str) -> None:
-    assert words == expected
+def test_figures_are_said_in_a_few_characters(text_of: Callable[[Any], str], texts: dict[Any, str]) -> None:
+    assert {figure: text_of(figure) for figure in texts} == texts
 
 
 @given(st.floats(0, 1e12), st.floats(0, 1e9))
 def test_figures_never_take_more_room_than_they_have(number: float, seconds: float) -> None:
-    assert len(short_count(number)) <= 5
-    assert len(size_text(number)) <= 6
-    assert len(span_text(seconds)) <= 7
+    assert len(tables.short_count(number)) <= 5
+    assert len(tables.size_text(number)) <= 6
+    assert len(tables.span_text(seconds)) <= 7
 
 
 @pytest.mark.parametrize("glyphs", [ASCII, UNICODE], ids=["ascii", "unicode"])
 @given(values=st.lists(st.floats(0, 1e6), max_size=50), width=st.integers(1, 40), height=st.integers(1, 10))
 def test_a_curve_takes_exactly_its_room(glyphs: Glyphs, values: list[float], width: int, height: int) -> None:
-    lines = plot_curve(range(len(values)), values, width, height, max(values, default=0.0), glyphs)
+    lines = charts.plot_curve(range(len(values)), values, width, height, max(values, default=0.0), glyphs)
     assert [len(line) for line in lines] == [width] * height
     assert (glyphs is UNICODE) or "".join(lines).isascii()
 
 
 def test_a_straight_line_is_drawn_as_one() -> None:
-    assert plot_curve([0, 10], [0, 10], 5, 5, 10, ASCII) == ["    *", "   * ", "  *  ", " *   ", "*    "]
+    assert charts.plot_curve([0, 10], [0, 10], 5, 5, 10, ASCII) == [
+        "    *",
+        "   * ",
+        "  *  ",
+        " *   ",
+        "*    ",
+    ]
 
 
 def test_a_jump_is_drawn_without_a_gap() -> None:
-    lines = plot_curve([0, 5, 5.001, 10], [0, 0, 10, 10], 4, 4, 10, ASCII)
+    lines = charts.plot_curve([0, 5, 5.001, 10], [0, 0, 10, 10], 4, 4, 10, ASCII)
     assert all("*" in line for line in lines)
 
 
 def test_braille_has_two_by_four_dots() -> None:
-    assert plot_curve([0, 1], [0, 7], 1, 2, 8, UNICODE) == ["⢸", "⡸"]
-    assert plot_curve([0, 1], [3, 3], 1, 1, 4, UNICODE) == ["⠉"]
+    assert charts.plot_curve([0, 1], [0, 7], 1, 2, 8, UNICODE) == ["⢸", "⡸"]
+    assert charts.plot_curve([0, 1], [3, 3], 1, 1, 4, UNICODE) == ["⠉"]
 
 
 def test_one_point_and_none_are_curves_as_well() -> None:
-    assert plot_curve([], [], 4, 1, 0, ASCII) == ["    "]
-    assert plot_curve([3], [5], 4, 1, 5, ASCII) == ["*   "]
+    assert charts.plot_curve([], [], 4, 1, 0, ASCII) == ["    "]
+    assert charts.plot_curve([3], [5], 4, 1, 5, ASCII) == ["*   "]
 
 
 def test_a_curve_is_read_between_its_points() -> None:
-    assert sample_curve([0, 10, 20], [0, 10, 10], 5) == [0, 5, 10, 10, 10]
-    assert sample_curve([], [], 5) == []
+    assert charts.sample_curve([0, 10, 20], [0, 10, 10], 5) == [0, 5, 10, 10, 10]
+    assert charts.sample_curve([], [], 5) == []
