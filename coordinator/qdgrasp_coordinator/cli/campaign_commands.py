@@ -8,13 +8,8 @@ import msgspec
 import typer
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
-from qdgrasp_coordinator.campaign.campaign_file import (
-    Campaign,
-    MassRule,
-    campaign_of_meshes,
-    check_meshes,
-    read_campaign,
-)
+from qdgrasp_coordinator.campaign import campaign_file
+from qdgrasp_coordinator.campaign.campaign_file import Campaign, MassRule, read_campaign
 from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue, begin_campaign, open_campaign
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.run_commands import check_not_stopped, resume_hint, run_job
@@ -100,7 +95,7 @@ def campaign(
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        asked = campaign_of_meshes(objects, MassRule(mass, density), metres, {**keys, **goals})
+        asked = campaign_file.campaign_of_meshes(objects, MassRule(mass, density), metres, {**keys, **goals})
     elif flags := options.given(**keys, mass=mass, density=density, scale=metres):
         raise InputError(
             f"--{next(iter(flags))} goes with --objects DIR: a campaign's file says its own, "
@@ -119,7 +114,7 @@ def campaign(
         typer.echo(asked.words)
         return
     if not JobFolder.is_job(path):
-        check_meshes(asked.runs.values())
+        campaign_file.check_meshes(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
     listening = ListenConfig(listen, security, insecure)

@@ -9,14 +9,8 @@ import typer
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.campaign import ranking
 from qdgrasp_coordinator.campaign.campaign_folder import extend_run
-from qdgrasp_coordinator.campaign.ranking import (
-    best_of_kinds,
-    is_reranking,
-    read_run_grasps,
-    write_ranking,
-    write_source,
-)
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
@@ -167,8 +161,8 @@ def print_result(folder: RunFolder, stop: Stop) -> None:
 
 def write_ranking_of(folder: RunFolder) -> None:
     """Rank the grasps of a complete run that has scored them again."""
-    if is_reranking(folder):
-        typer.echo(write_ranking(folder))
+    if ranking.is_reranking(folder):
+        typer.echo(ranking.write_ranking(folder))
 
 
 def resume(
@@ -262,7 +256,7 @@ def rerank(
     folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
     RunFolder.check_free(folder)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None)
-    chosen = best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
+    chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
     spec = rerank_spec(source, protocol, chosen)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
@@ -272,14 +266,14 @@ def rerank(
         _check_same(source.scene(), scene)
         with lifetime("qdgrasp rerank") as stop:
             begun = RunFolder.create(folder, spec, bundle, job=job)
-            write_source(begun, source, chosen)
+            ranking.write_source(begun, source, chosen)
             run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
 
 
 def _grasps_of(source: RunFolder, object_pose: str | None) -> Rows:
     """The grasps of a run, clear of a table if the object stands on one."""
-    found = read_run_grasps(source)
+    found = ranking.read_run_grasps(source)
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
     if object_pose is not None:

@@ -13,14 +13,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
+from qdgrasp_coordinator.metrics import niches
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import (
-    NicheArchive,
-    NicheKeys,
-    cell_of,
-    without_orientation,
-    without_synergy,
-)
+from qdgrasp_coordinator.metrics.niches import NicheArchive, NicheKeys
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, success_mask, successes
 from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, eta
@@ -304,11 +299,11 @@ def diversity(archive: NicheArchive) -> Diversity:
     """Count the niches of an archive."""
     elites = archive.elites
     keys: NicheKeys = elites["niche"]
-    cells = len(np.unique(cell_of(keys)))
+    cells = len(np.unique(niches.cell_of(keys)))
     return Diversity(
         niches=len(keys),
         grasp_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.SHAKEN)),
         robust_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.HELD)),
-        orientations=len(np.unique(without_synergy(keys))) / cells if cells else None,
-        synergies=len(np.unique(without_orientation(keys))) / cells if cells else None,
+        orientations=len(np.unique(niches.without_synergy(keys))) / cells if cells else None,
+        synergies=len(np.unique(niches.without_orientation(keys))) / cells if cells else None,
     )

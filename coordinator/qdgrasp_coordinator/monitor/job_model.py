@@ -9,17 +9,8 @@ from typing import Any, TypeVar
 
 from msgspec import Struct, structs
 
-from qdgrasp_coordinator.metrics.job_status import (
-    EVENTS_KEPT,
-    JobEvent,
-    JobEvents,
-    JobMeta,
-    JobStatus,
-    RunStatus,
-    WorkersPage,
-    WorkerStatus,
-    from_json,
-)
+from qdgrasp_coordinator.metrics import job_status
+from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus, RunStatus
 from qdgrasp_coordinator.metrics.run_stats import CURVE_POINTS, TOTAL_NAMES, CurvePoint, GrowthCurve
 from qdgrasp_coordinator.monitor.job_view import JobView, SeriesBuilder, ThinnedSamples, end_state
 from qdgrasp_protocol.errors import MessageError
@@ -127,7 +118,7 @@ class JobModel:
         """Drop everything about the job's progress."""
         self._floor: JobStatus | None = None  # counts do not fall below these
         self._runs: dict[str, RunModel] = {}
-        self._pages: dict[int, list[WorkerStatus]] = {}
+        self._pages: dict[int, list[job_status.WorkerStatus]] = {}
         self._history = SeriesBuilder()
         self._missing_curves: dict[str, float] = {}  # of runs not seen from their beginnings: when to query
 
@@ -138,7 +129,7 @@ class JobModel:
         for pattern, kind, take in self._handlers(last_chunk(key)):
             if key == pattern:
                 try:
-                    take(from_json(payload, kind), now)
+                    take(job_status.from_json(payload, kind), now)
                 except MessageError:  # of another version, or of no coordinator
                     self.is_readable = self.is_readable and key != self.keys.stat("job")
                     return False
@@ -164,10 +155,10 @@ class JobModel:
         keys = self.keys
         yield keys.stat("job"), JobStatus, self._take_figures
         yield keys.stat(f"run/{last}"), RunStatus, self._take_run
-        yield keys.stat(f"team/{last}"), WorkersPage, self._take_workers
+        yield keys.stat(f"team/{last}"), job_status.WorkersPage, self._take_workers
         yield keys.stat(f"curve/{last}"), GrowthCurve, self._take_curve
         yield keys.meta, JobMeta, self._take_meta
-        yield keys.recent, JobEvents, self._take_events
+        yield keys.recent, job_status.JobEvents, self._take_events
         yield keys.event(last), JobEvent, self._take_event
 
     def _take_meta(self, meta: JobMeta, now: float) -> None:
@@ -204,17 +195,17 @@ class JobModel:
         if curve.run in self._runs:
             self._runs[curve.run].prepend(curve)
 
-    def _take_workers(self, page: WorkersPage, now: float) -> None:
+    def _take_workers(self, page: job_status.WorkersPage, now: float) -> None:
         pages = self._pages | {page.page: page.workers}
         self._pages = {number: pages[number] for number in sorted(pages) if 0 <= number < page.pages}
 
-    def _take_events(self, events: JobEvents, now: float) -> None:
+    def _take_events(self, events: job_status.JobEvents, now: float) -> None:
         for event in events.events:
             self._take_event(event, now)
 
     def _take_event(self, event: JobEvent, now: float) -> None:
         self._events[event.at.timestamp(), event.number] = event
-        for old in sorted(self._events)[:-EVENTS_KEPT]:
+        for old in sorted(self._events)[: -job_status.EVENTS_KEPT]:
             del self._events[old]
 
     # Queries and views

@@ -16,14 +16,8 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4, generate_late
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from qdgrasp_coordinator.metrics.job_status import (
-    JobEvent,
-    JobMeta,
-    JobStatus,
-    RunStatus,
-    WorkerStatus,
-    meanings,
-)
+from qdgrasp_coordinator.metrics import job_status
+from qdgrasp_coordinator.metrics.job_status import JobMeta, JobStatus, RunStatus, WorkerStatus, meanings
 from qdgrasp_coordinator.monitor.job_view import OVER, JobView
 
 MOST_RUNS = 256  # The most runs of a job with series: first those in progress, then the latest heard
@@ -152,7 +146,8 @@ class JobCollector(Collector):
         runs = [((view.job, state), float(n)) for view in views for state, n in _run_states(view.figures)]
         yield metric(gauge, "job_runs", "The job's runs by state.", labels, runs)
         events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in views]
-        yield metric(CounterMetricFamily, "job_events", meanings(JobEvent)["number"], ("job",), events)
+        words = meanings(job_status.JobEvent)["number"]
+        yield metric(CounterMetricFamily, "job_events", words, ("job",), events)
 
     def _run_infos(self) -> Iterator[Metric]:
         info = InfoMetricFamily("qdgrasp_run", "What a run is.", labels=("job", "run"))

@@ -9,17 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from qdgrasp_protocol import session
 from qdgrasp_protocol.keys import AnyJob, patterns_intersect
 from qdgrasp_protocol.messages import MAX_PAYLOAD
-from qdgrasp_protocol.session import (
-    PORT,
-    Credentials,
-    Endpoint,
-    Role,
-    ZenohSettings,
-    session_settings,
-    to_json5,
-)
+from qdgrasp_protocol.session import PORT, Credentials, Endpoint, Role, session_settings
 
 JOBS = AnyJob()
 KIB, MIB = 1 << 10, 1 << 20
@@ -100,7 +93,7 @@ TAKEN = {
 """Zenoh messages of the taking side: ingress from it, egress to the givers."""
 
 
-def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> ZenohSettings:
+def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> session.ZenohSettings:
     """Return the access list and the size limits of a router's configuration."""
     flows = tuple(traffic)
     rules = {role: list(_rules(role, flows)) for role in Role}
@@ -190,7 +183,7 @@ def role_configuration(credentials: Credentials, host: str) -> str:
     if credentials.role is Role.ROUTER:
         here = Endpoint.parse(f"tls/{LISTEN_EVERYWHERE}:{PORT}")
         chosen = session_settings("router", listen=[here], credentials=credentials)
-        return to_json5(chosen | access_list(), ROUTER_TEMPLATE)
+        return session.to_json5(chosen | access_list(), ROUTER_TEMPLATE)
     there = Endpoint.parse(f"tls/{f'[{host}]' if ':' in host else host}:{PORT}")
     chosen = session_settings("client", connect=[there], credentials=credentials, seconds=10.0)
-    return to_json5(chosen, CLIENT_TEMPLATE.format(role=credentials.role))
+    return session.to_json5(chosen, CLIENT_TEMPLATE.format(role=credentials.role))

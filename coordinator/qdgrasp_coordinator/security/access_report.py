@@ -4,21 +4,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from qdgrasp_coordinator.security import access_probe
 from qdgrasp_coordinator.security.access_list import TrafficKind
-from qdgrasp_coordinator.security.access_probe import (
-    PROBE_JOB,
-    PROBE_KEYS,
-    PROBE_NAMES,
-    PROBES,
-    WIDE_PATTERNS,
-    Delivery,
-    LoginAttempt,
-    allowed_deliveries,
-    allowed_givers,
-    allowed_takers,
-    open_sessions,
-    try_logins,
-)
+from qdgrasp_coordinator.security.access_probe import PROBE_KEYS, PROBE_NAMES, allowed_givers, allowed_takers
 from qdgrasp_protocol.keys import ROOT
 from qdgrasp_protocol.session import Endpoint
 
@@ -44,7 +32,7 @@ class AccessCell:
         return "yes" if self.is_allowed else "-"
 
 
-def access_matrix(seen: set[Delivery]) -> list[AccessCell]:
+def access_matrix(seen: set[access_probe.Delivery]) -> list[AccessCell]:
     """Make the matrix from all deliveries that were seen."""
     faults = _faults_by_cell(seen)
     return [
@@ -56,7 +44,7 @@ def access_matrix(seen: set[Delivery]) -> list[AccessCell]:
     ]
 
 
-def wide_deliveries(seen: set[Delivery]) -> list[str]:
+def wide_deliveries(seen: set[access_probe.Delivery]) -> list[str]:
     """Describe the deliveries over patterns that no role may use."""
     return sorted(_words(delivery) for delivery in seen if _is_wide(delivery))
 
@@ -77,16 +65,16 @@ def matrix_table(matrix: Iterable[AccessCell]) -> str:
 
 def short_key(key: str) -> str:
     """Return a key without the prefix that all keys share."""
-    return key.removeprefix(f"{ROOT}/{PROBE_JOB}/").replace(PROBE_JOB, "*")
+    return key.removeprefix(f"{ROOT}/{access_probe.PROBE_JOB}/").replace(access_probe.PROBE_JOB, "*")
 
 
-def _faults_by_cell(seen: set[Delivery]) -> dict[tuple[str, str, str], list[str]]:
+def _faults_by_cell(seen: set[access_probe.Delivery]) -> dict[tuple[str, str, str], list[str]]:
     """Collect the faults of each cell: deliveries that are not allowed or were not seen.
 
     One that is not allowed counts against the giver, or against the taker if the giver may give there.
     """
     found: dict[tuple[str, str, str], list[str]] = {}
-    due = set().union(*(allowed_deliveries(kind, PROBE_KEYS) for kind in TrafficKind))
+    due = set().union(*(access_probe.allowed_deliveries(kind, PROBE_KEYS) for kind in TrafficKind))
     for delivery in sorted(seen - due, key=_words):
         if _is_wide(delivery):
             continue
@@ -99,20 +87,20 @@ def _faults_by_cell(seen: set[Delivery]) -> dict[tuple[str, str, str], list[str]
     return found
 
 
-def _gives(delivery: Delivery) -> tuple[str, str, str]:
+def _gives(delivery: access_probe.Delivery) -> tuple[str, str, str]:
     return delivery.key, GIVES[delivery.kind], delivery.giver
 
 
-def _takes(delivery: Delivery) -> tuple[str, str, str]:
+def _takes(delivery: access_probe.Delivery) -> tuple[str, str, str]:
     return delivery.key, TAKES[delivery.kind], delivery.taker
 
 
-def _is_wide(delivery: Delivery) -> bool:
+def _is_wide(delivery: access_probe.Delivery) -> bool:
     """Return True if the giver or the taker used a wide pattern."""
     return delivery.key not in PROBE_KEYS or delivery.taker not in PROBE_NAMES
 
 
-def _words(delivery: Delivery) -> str:
+def _words(delivery: access_probe.Delivery) -> str:
     kind, key = delivery.kind, delivery.key
     return f"{delivery.giver} to {delivery.taker} ({GIVES[kind]}, {TAKES[kind]}) on {short_key(key)}"
 
@@ -126,7 +114,7 @@ class AccessReport:
 
     matrix: list[AccessCell]  # One cell for every key, verb and role
     wide: list[str]  # Deliveries over patterns that no role may use, in words
-    logins: list[LoginAttempt]
+    logins: list[access_probe.LoginAttempt]
 
     @property
     def faults(self) -> list[str]:
@@ -144,7 +132,7 @@ class AccessReport:
         inside = sum(login.got_in for login in self.logins)
         return (
             f"{len(self.matrix)} cells measured: {permitted} allowed, {len(self.matrix) - permitted} silent, "
-            f"{wrong} wrong; {len(WIDE_PATTERNS)} wide patterns tried by {len(PROBE_NAMES)} "
+            f"{wrong} wrong; {len(access_probe.WIDE_PATTERNS)} wide patterns tried by {len(PROBE_NAMES)} "
             f"roles, {len(self.wide)} leaks; "
             f"{len(self.logins)} kinds of strangers, {inside} got in."
         )
@@ -169,6 +157,6 @@ def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -
     """
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)
-    with open_sessions(endpoint, folder, SESSION_SECONDS, takers_at) as sessions:
-        seen = set().union(*(probe(sessions) for probe in PROBES.values()))
-    return AccessReport(access_matrix(seen), wide_deliveries(seen), try_logins(endpoint, folder))
+    with access_probe.open_sessions(endpoint, folder, SESSION_SECONDS, takers_at) as sessions:
+        seen = set().union(*(probe(sessions) for probe in access_probe.PROBES.values()))
+    return AccessReport(access_matrix(seen), wide_deliveries(seen), access_probe.try_logins(endpoint, folder))

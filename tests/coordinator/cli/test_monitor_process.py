@@ -15,15 +15,7 @@ from tests.coordinator.monitor.sample_jobs import values, views
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli import monitor_process
-from qdgrasp_coordinator.cli.monitor_process import (
-    app,
-    check_flags,
-    chosen_views,
-    print_look,
-    read_token,
-    stream_looks,
-    to_json,
-)
+from qdgrasp_coordinator.cli.monitor_process import app
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.terminal import screen
 from qdgrasp_coordinator.monitor.terminal.screen import watch_jobs
@@ -37,18 +29,18 @@ BOTH = views(values("mugs") | values("cubes"))
 
 
 def test_one_job_is_chosen_by_its_name_and_all_without_one() -> None:
-    assert [view.job for view in chosen_views(BOTH, None)] == ["cubes", "mugs"]
-    assert [view.job for view in chosen_views(BOTH, "mugs")] == ["mugs"]
+    assert [view.job for view in monitor_process.chosen_views(BOTH, None)] == ["cubes", "mugs"]
+    assert [view.job for view in monitor_process.chosen_views(BOTH, "mugs")] == ["mugs"]
 
 
 def test_a_job_that_is_not_there_is_missed_only_where_there_are_others() -> None:
     with pytest.raises(UnknownName, match="Did you mean 'mugs'"):
-        chosen_views(BOTH, "mug")
-    assert chosen_views([], "mug") == []
+        monitor_process.chosen_views(BOTH, "mug")
+    assert monitor_process.chosen_views([], "mug") == []
 
 
 def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
-    line = to_json(BOTH, ENDPOINT)
+    line = monitor_process.to_json(BOTH, ENDPOINT)
     assert "\n" not in line
     read = json.loads(line)
     assert read["endpoint"] == ENDPOINT
@@ -60,7 +52,7 @@ def test_one_look_shows_all_jobs_and_names_those_of_another_version(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ascii_only: bool
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    print_look(BOTH, ENDPOINT, ["old"], ascii_only=ascii_only)
+    monitor_process.print_look(BOTH, ENDPOINT, ["old"], ascii_only=ascii_only)
     said = capsys.readouterr().out
     for words in ("mugs: running", "cubes: running", "qdgrasp-monitor: old", "1 000 of 3 000", "n0"):
         assert words in said
@@ -84,7 +76,7 @@ class OneLook:
 @pytest.mark.parametrize(
     "work",
     [
-        lambda feed, stop: stream_looks(feed, ENDPOINT, stop),
+        lambda feed, stop: monitor_process.stream_looks(feed, ENDPOINT, stop),
         lambda feed, stop: watch_jobs(feed, ENDPOINT, Console(), ASCII, stop),
     ],
     ids=["json", "lines"],
@@ -107,7 +99,7 @@ def test_what_draws_nothing_leaves_the_terminal_and_its_keys_alone(
 
 
 def test_one_look_at_nothing_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
-    print_look([], ENDPOINT, [], ascii_only=False)
+    monitor_process.print_look([], ENDPOINT, [], ascii_only=False)
     assert capsys.readouterr().out.startswith(f"No job is at {ENDPOINT}")
 
 
@@ -131,16 +123,14 @@ def test_flags_that_have_nothing_to_do_are_refused(flags: list[str], words: str)
 
 def test_a_token_in_the_environment_is_there_for_those_who_need_it() -> None:
     for given in ({"once"}, {"as_json", "once"}, {"web", "token"}, {"web", "token_file", "job"}):
-        check_flags(given)
-    other = CliRunner().invoke(
-        app, ["--once", "--connect", "nowhere"], env={"QDGRASP_TOKEN": TOKEN}, catch_exceptions=True
-    )
+        monitor_process.check_flags(given)
+    other = CliRunner().invoke(app, ["--once", "--connect", "nowhere"], env={"QDGRASP_TOKEN": TOKEN})
     assert "--token" not in str(other.exception)
 
 
 def test_a_token_is_read_from_the_first_line_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "token").write_text(f" {TOKEN}\nanother\n", encoding="utf-8")
-    assert read_token(tmp_path / "token") == TOKEN
+    assert monitor_process.read_token(tmp_path / "token") == TOKEN
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\n", b"\xff\xfe"])
@@ -148,4 +138,4 @@ def test_a_file_without_a_token_is_named(tmp_path: Path, content: bytes | None) 
     if content is not None:
         (tmp_path / "token").write_bytes(content)
     with pytest.raises(InputError, match=r"--token-file .*token (cannot be read|has no token)"):
-        read_token(tmp_path / "token")
+        monitor_process.read_token(tmp_path / "token")

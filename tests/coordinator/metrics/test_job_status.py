@@ -7,22 +7,7 @@ import pytest
 from msgspec import Struct
 from tests.coordinator.monitor.sample_jobs import event, figures, run, team, worker
 
-from qdgrasp_coordinator.metrics.job_status import (
-    GREATEST_COUNT,
-    JobEvent,
-    JobEvents,
-    JobMeta,
-    JobStatus,
-    RunListing,
-    RunListings,
-    RunStatus,
-    WorkersPage,
-    WorkerStatus,
-    from_json,
-    meanings,
-    to_json,
-)
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunTotals
+from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.storage.success_pages import SUCCESS_COLUMNS
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Heartbeat, SuccessPage
@@ -31,14 +16,14 @@ from qdgrasp_protocol.messages import Heartbeat, SuccessPage
 @pytest.mark.parametrize(
     "shown",
     [
-        figures(evaluations=GREATEST_COUNT),
-        run("a", seed=GREATEST_COUNT - 1),
+        figures(evaluations=job_status.GREATEST_COUNT),
+        run("a", seed=job_status.GREATEST_COUNT - 1),
         event(1),
         *team(worker(1), worker(2)),
     ],
 )
 def test_what_is_shown_arrives_as_it_was(shown) -> None:
-    assert from_json(to_json(shown), type(shown)) == shown
+    assert job_status.from_json(job_status.to_json(shown), type(shown)) == shown
 
 
 @pytest.mark.parametrize(
@@ -53,7 +38,7 @@ def test_what_is_shown_arrives_as_it_was(shown) -> None:
 )
 def test_numbers_that_are_no_counts_are_refused(shown) -> None:
     with pytest.raises(MessageError, match="negative, or beyond"):
-        from_json(to_json(shown), type(shown))
+        job_status.from_json(job_status.to_json(shown), type(shown))
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-300, 5e-324])
@@ -75,14 +60,12 @@ def test_one_of_a_thing_is_told_in_the_singular() -> None:
 def test_what_is_no_json_is_refused() -> None:
     for payload in (b"", b"\xff", b"[" * 100_000, b'{"job": 1}', b'{"rate": NaN}'):
         with pytest.raises(MessageError, match="not figures"):
-            from_json(payload, JobStatus)
+            job_status.from_json(payload, job_status.JobStatus)
 
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "bus.md").read_text()
-SHOWN = (
-    *(RunTotals, JobStatus, RunListing, RunStatus, WorkersPage, WorkerStatus, JobMeta),
-    *(JobEvent, JobEvents, GrowthCurve, RunListings, SuccessPage, Heartbeat),
-)
+STRUCTS = [kind for kind in vars(job_status).values() if isinstance(kind, type) and issubclass(kind, Struct)]
+SHOWN = [kind for kind in STRUCTS if ".metrics." in kind.__module__] + [SuccessPage, Heartbeat]
 
 
 def own(kind: type[Struct]) -> list[str]:
@@ -95,7 +78,7 @@ def own(kind: type[Struct]) -> list[str]:
 def test_the_page_says_of_each_figure_what_the_source_does(kind: type[Struct]) -> None:
     section = PAGE.partition(f"### `{kind.__name__}`\n")[2].partition("\n###")[0]
     described = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", section, re.MULTILINE))
-    assert described == {name: meanings(kind)[name] for name in own(kind)}
+    assert described == {name: job_status.meanings(kind)[name] for name in own(kind)}
 
 
 def test_the_page_has_no_other_figures() -> None:

@@ -3,17 +3,8 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.scheduler.search_plans import Plan, evaluate
 
-from qdgrasp_coordinator.metrics.run_stats import (
-    BARREN,
-    BARREN_GENOMES,
-    CURVE_POINTS,
-    NO_TOTALS,
-    CurvePoint,
-    CurveRecorder,
-    RunCounter,
-    count_rows,
-    evaluation_mask,
-)
+from qdgrasp_coordinator.metrics import run_stats
+from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, CURVE_POINTS, RunCounter, count_rows
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 
@@ -30,8 +21,8 @@ def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
 
 def test_count_takes_every_nominal_row_and_redraw_the_simulated_ones() -> None:
     every = rows(*Outcome)
-    assert evaluation_mask(every, "count").all()
-    assert [Outcome(value) for value in every["outcome"][evaluation_mask(every, "redraw")]] == [
+    assert run_stats.evaluation_mask(every, "count").all()
+    assert [Outcome(value) for value in every["outcome"][run_stats.evaluation_mask(every, "redraw")]] == [
         outcome for outcome in Outcome if outcome.is_simulated
     ]
 
@@ -40,7 +31,7 @@ def test_count_takes_every_nominal_row_and_redraw_the_simulated_ones() -> None:
 def test_randomised_trials_never_count(overlaps) -> None:
     trials = rows(Outcome.HELD, Outcome.HELD, Outcome.HELD)
     trials["trial"] = [0, 1, 100]
-    assert evaluation_mask(trials, overlaps).tolist() == [True, False, False]
+    assert run_stats.evaluation_mask(trials, overlaps).tolist() == [True, False, False]
     total = RunCounter(10, overlaps)
     total.count(trials)
     assert (total.rows, total.evaluations, total.successes, total.proposals) == (3, 1, 1, 3)
@@ -157,7 +148,7 @@ def test_a_simulator_that_fails_in_a_trial_is_counted_among_the_errors_alone() -
 
 
 def test_totals_are_the_sums_of_what_tallies_count() -> None:
-    found = NO_TOTALS
+    found = run_stats.NO_TOTALS
     for seed in (0, 1):
         rows = random_rows(50, seed)
         rows["outcome"][:5], rows["proposals"] = Outcome.DEAD_END, 3
@@ -167,14 +158,14 @@ def test_totals_are_the_sums_of_what_tallies_count() -> None:
     assert (found.proposals, found.dead_ends, found.trials) == (300, 10, 0)
     assert found.evaluations == found.simulated == 90 - found.overlaps
     assert found.cells <= found.successes < found.simulated
-    assert found + NO_TOTALS == found
+    assert found + run_stats.NO_TOTALS == found
     assert found.overlaps > 0
 
 
 def recorded(generations: int) -> list[int]:
-    recorder = CurveRecorder()
+    recorder = run_stats.CurveRecorder()
     for generation in range(1, generations + 1):
-        recorder.record(CurvePoint(generation, 0, 0, 0, 0))
+        recorder.record(run_stats.CurvePoint(generation, 0, 0, 0, 0))
     return [point.evaluations for point in recorder.points]
 
 

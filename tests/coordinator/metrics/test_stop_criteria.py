@@ -26,26 +26,11 @@ def evaluate(rows: Rows) -> Rows:
 
 
 FEW_CELLS = Task(Chain, evaluate, SHAPE)
+GOALS = (("successes", 1), ("successes", 9), ("no_new_cell", 1), ("no_new_cell", 6), ("no_new_cell", 20))
+KINDS = {"population": (1, 7), "overlaps": ("count", "redraw"), "in_flight": (1, 2), "trials": (0, 2)}
 PLANS = [
-    Plan(
-        population=population,
-        evaluations=150,
-        overlaps=overlaps,
-        in_flight=in_flight,
-        trials=trials,
-        seed=seed,
-        task=FEW_CELLS,
-        **goal,
-    )
-    for seed, (population, overlaps, in_flight, trials, goal) in enumerate(
-        itertools.product(
-            (1, 7),
-            ("count", "redraw"),
-            (1, 2),
-            (0, 2),
-            ({"successes": 1}, {"successes": 9}, {"no_new_cell": 1}, {"no_new_cell": 6}, {"no_new_cell": 20}),
-        )
-    )
+    Plan(evaluations=150, seed=seed, task=FEW_CELLS, **dict([*zip(KINDS, kind, strict=True), goal]))
+    for seed, (*kind, goal) in enumerate(itertools.product(*KINDS.values(), GOALS))
 ]
 
 
@@ -91,21 +76,13 @@ def test_a_tally_of_the_journal_knows_that_the_run_is_over(plan: Plan) -> None:
 
 
 def spec_of(plan: Plan) -> RunSpec:
-    return RunSpec(
-        gripper="hand",
-        object="thing",
-        population=plan.population,
-        evaluations=plan.evaluations,
-        overlaps=plan.overlaps,
-        successes=plan.successes,
-        no_new_cell=plan.no_new_cell,
-    )
+    same = ("population", "evaluations", "overlaps", "successes", "no_new_cell")
+    return RunSpec(gripper="hand", object="thing", **{name: getattr(plan, name) for name in same})
 
 
 def counted(plan: Plan, rows: Rows, size: int) -> RunCounter:
-    total = RunCounter(
-        plan.evaluations, plan.overlaps, plan.trials, StopCriteria(plan.successes, plan.no_new_cell)
-    )
+    goals = StopCriteria(plan.successes, plan.no_new_cell)
+    total = RunCounter(plan.evaluations, plan.overlaps, plan.trials, goals)
     for first in range(0, len(rows), size):
         total.count(rows[first : first + size])
     return total

@@ -99,9 +99,7 @@ def with_trials(*sums: int, trials: int = 10) -> Rows:
     nominal["descriptor"][:, 0] = np.arange(len(sums)) // 2 / 100  # two to a cell
     again = np.repeat(nominal, trials)
     again["trial"] = np.tile(np.arange(1, trials + 1), len(sums))
-    again["fitness"] = [
-        2.0 * (k < total // 2) + (k == total // 2) * (total % 2) for total in sums for k in range(trials)
-    ]
+    again["fitness"] = [min(2, max(0, total - 2 * k)) for total in sums for k in range(trials)]
     return np.concatenate([nominal, again])
 
 
@@ -189,14 +187,8 @@ def test_niches_are_never_fewer_than_cells_and_never_more_than_successes(n: int)
 
 def test_successes_and_their_cells_are_counted_along_the_nominal_rows() -> None:
     rows = RowShape(7, 2).empty(6)
-    rows["outcome"] = [
-        Outcome.MISSED,
-        Outcome.HELD,
-        Outcome.DROPPED,
-        Outcome.HELD,
-        Outcome.OVERLAP,
-        Outcome.HELD,
-    ]
+    rows["outcome"] = Outcome.HELD
+    rows["outcome"][[0, 2, 4]] = Outcome.MISSED, Outcome.DROPPED, Outcome.OVERLAP
     rows["descriptor"][:, 0] = [0.05, 0.01, 0.012, 0.03, 0.07, 0.09]
     rows["trial"] = [0, 0, 0, 0, 0, 1]
     found = archive_growth(rows)

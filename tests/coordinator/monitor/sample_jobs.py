@@ -5,16 +5,8 @@ from datetime import UTC, datetime
 
 from msgspec import Struct
 
-from qdgrasp_coordinator.metrics.job_status import (
-    WORKERS_PER_PAGE,
-    JobEvent,
-    JobMeta,
-    JobStatus,
-    RunStatus,
-    WorkersPage,
-    WorkerStatus,
-    to_json,
-)
+from qdgrasp_coordinator.metrics import job_status
+from qdgrasp_coordinator.metrics.job_status import JobEvent, JobStatus, WorkersPage, WorkerStatus, to_json
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
@@ -27,8 +19,9 @@ NOW = datetime(2026, 11, 22, 13, 2, 3, tzinfo=UTC)
 COUNTS = ("simulated", "proposals", "overlaps", "dead_ends", "successes", "grasps", "robust", "errors")
 
 
-def meta(job: str = "mugs", runs: int = 3, epoch: int = 2) -> JobMeta:
-    return JobMeta(job=job, epoch=epoch, since=NOON, host="head", pid=7, version="0", runs=runs, budget=3000)
+def meta(job: str = "mugs", runs: int = 3, epoch: int = 2) -> job_status.JobMeta:
+    who = {"host": "head", "pid": 7, "version": "0"}
+    return job_status.JobMeta(job=job, epoch=epoch, since=NOON, runs=runs, budget=3000, **who)
 
 
 def figures(**more: object) -> JobStatus:
@@ -38,12 +31,12 @@ def figures(**more: object) -> JobStatus:
     return JobStatus(**(counts | {"remaining": max(0, values["budget"] - values["evaluations"])} | values))
 
 
-def run(name: str, **more: object) -> RunStatus:
+def run(name: str, **more: object) -> job_status.RunStatus:
     counts = dict.fromkeys(("rows", "trials", "cells", "durable", *COUNTS), 0)
     what = {"gripper": "panda", "object": "mug", "method": "aimed", "protocol": "paper", "seed": 0}
     rest = {"scene": "ab" * 32, "outcomes": {one.name.lower(): 0 for one in Outcome}}
     values = {"run": name, "evaluations": 10, "budget": 1000, "workers": 9, "seconds": 1.0, "rate": 1.0}
-    return RunStatus(**(counts | what | rest | values | more))
+    return job_status.RunStatus(**(counts | what | rest | values | more))
 
 
 def worker(number: int, **more: object) -> WorkerStatus:
@@ -63,9 +56,8 @@ def curve(name: str, *evaluations: int) -> GrowthCurve:
 
 
 def team(*workers: WorkerStatus) -> list[WorkersPage]:
-    pages = [
-        list(workers[first : first + WORKERS_PER_PAGE]) for first in range(0, len(workers), WORKERS_PER_PAGE)
-    ] or [[]]
+    size = job_status.WORKERS_PER_PAGE
+    pages = [list(workers[first : first + size]) for first in range(0, len(workers), size)] or [[]]
     return [WorkersPage(page=n, pages=len(pages), workers=page) for n, page in enumerate(pages)]
 
 
@@ -114,10 +106,8 @@ def view_of(jobs: JobModels, now: float) -> JobView:
 
 
 ENDPOINT = "tcp/127.0.0.1:7447"
-WORKERS = [
-    worker(n, rate=10.5, batches=2, rows=12_345, seen=0.4, memory=310_000_000, host=f"node-{n % 7}")
-    for n in range(30)
-]
+BUSY = {"rate": 10.5, "batches": 2, "rows": 12_345, "seen": 0.4, "memory": 310_000_000}
+WORKERS = [worker(n, host=f"node-{n % 7}", **BUSY) for n in range(30)]
 
 
 def job(
@@ -148,9 +138,8 @@ def job(
     send("meta", meta(name, runs))
     for one in names[:1]:
         points = [CurvePoint(n, 4 * n, n // 9, n // 50, n // 30) for n in range(0, 83 * seconds, 83)]
-        jobs.receive_answers(
-            {keys.stat(f"curve/{one}"): to_json(GrowthCurve(run=one, points=points))}, 1000.0 + seconds
-        )
+        grown = to_json(GrowthCurve(run=one, points=points))
+        jobs.receive_answers({keys.stat(f"curve/{one}"): grown}, 1000.0 + seconds)
     for page in team(*workers):
         send(f"stat/team/{page.page}", page)
     for one in events or [event(n, f"Worker {n} joined.", kind="worker") for n in range(20)]:

@@ -24,13 +24,8 @@ from tests.coordinator.monitor.sample_jobs import (
 )
 
 from qdgrasp_coordinator.metrics.job_status import EVENTS_KEPT, JobEvents, to_json
-from qdgrasp_coordinator.monitor.job_model import (
-    MAX_JOBS,
-    MOST_RUNS,
-    RETRY_SECONDS,
-    SILENCE_SECONDS,
-    JobModels,
-)
+from qdgrasp_coordinator.monitor import job_model
+from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_protocol.keys import AnyJob, Keys
 
@@ -98,36 +93,36 @@ def test_events_that_are_told_twice_are_shown_once_in_their_order(jobs: JobModel
 
 
 def test_what_is_remembered_is_bounded(jobs: JobModels) -> None:
-    for number in range(MOST_RUNS + 5):
+    for number in range(job_model.MOST_RUNS + 5):
         publish(jobs, START, event_job=event(number), **{f"stat_run_r{number}": run(f"r{number}")})
     view = view_of(jobs, START)
-    assert len(view.runs) == len(view.curves) == MOST_RUNS
+    assert len(view.runs) == len(view.curves) == job_model.MOST_RUNS
     assert len(view.events) == EVENTS_KEPT
-    for number in range(MAX_JOBS + 5):
+    for number in range(job_model.MAX_JOBS + 5):
         jobs.receive_answers(values(f"job-{number}"), START)
-    assert len(jobs.views(START)) == MAX_JOBS
+    assert len(jobs.views(START)) == job_model.MAX_JOBS
 
 
 def test_the_job_that_is_forgotten_is_the_one_that_was_silent_for_longest() -> None:
     jobs = JobModels()
-    for number in range(MAX_JOBS):
+    for number in range(job_model.MAX_JOBS):
         jobs.receive_answers(values(f"job-{number:02}"), START + number)
-    jobs.receive(Keys("job-00").stat("job"), to_json(figures(job="job-00")), START + MAX_JOBS)
-    jobs.receive_answers(values("new"), START + MAX_JOBS)
-    names = {view.job for view in jobs.views(START + MAX_JOBS)}
-    assert (len(names), names & {"job-00", "job-01", "new"}) == (MAX_JOBS, {"job-00", "new"})
+    jobs.receive(Keys("job-00").stat("job"), to_json(figures(job="job-00")), START + job_model.MAX_JOBS)
+    jobs.receive_answers(values("new"), START + job_model.MAX_JOBS)
+    names = {view.job for view in jobs.views(START + job_model.MAX_JOBS)}
+    assert (len(names), names & {"job-00", "job-01", "new"}) == (job_model.MAX_JOBS, {"job-00", "new"})
 
 
 def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_ones(jobs: JobModels) -> None:
     publish(jobs, START + 2, stat_run_over=run("over", finished="all are spent"))
-    for number in range(MOST_RUNS - 3):
+    for number in range(job_model.MOST_RUNS - 3):
         publish(jobs, START + 1, **{f"stat_run_r{number}": run(f"r{number}")})
     publish(jobs, START + 3, stat_run_a=run("a"), stat_run_new=run("new"))
     names = [one.run for one in view_of(jobs, START + 3).runs]
-    assert (len(names), names[0], "b" in names, "over" in names) == (MOST_RUNS, "a", True, False)
+    assert (len(names), names[0], "b" in names, "over" in names) == (job_model.MOST_RUNS, "a", True, False)
     publish(jobs, START + 4, stat_run_newer=run("newer"))
     names = [one.run for one in view_of(jobs, START + 4).runs]
-    assert (len(names), names[0], "b" in names) == (MOST_RUNS, "a", False)
+    assert (len(names), names[0], "b" in names) == (job_model.MOST_RUNS, "a", False)
 
 
 def test_what_is_left_out_where_not_all_runs_can_be_shown_is_over_or_silent(jobs: JobModels) -> None:
@@ -277,7 +272,7 @@ def test_a_job_of_which_too_little_is_known_is_asked_again_now_and_then() -> Non
     assert MUGS.meta in jobs.due_queries(START + 1)
     publish(jobs, START + 1.5, stat_job=figures())
     assert jobs.due_queries(START + 1.5) == []
-    assert MUGS.meta in jobs.due_queries(START + 1 + RETRY_SECONDS)
+    assert MUGS.meta in jobs.due_queries(START + 1 + job_model.RETRY_SECONDS)
     jobs.receive_answers(values(), START + 7)
     assert not set(jobs.due_queries(START + 60)) & {MUGS.meta, MUGS.stat()}
 
@@ -291,8 +286,8 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
     asked = [MUGS.stat("curve/resumed")]
     assert jobs.due_queries(START) == asked
     jobs.receive_answers({}, START + 1)  # it did not come in time
-    publish(jobs, START + RETRY_SECONDS, stat_job=figures())
-    assert (jobs.due_queries(START + 1), jobs.due_queries(START + RETRY_SECONDS)) == ([], asked)
+    publish(jobs, START + job_model.RETRY_SECONDS, stat_job=figures())
+    assert (jobs.due_queries(START + 1), jobs.due_queries(START + job_model.RETRY_SECONDS)) == ([], asked)
     jobs.receive_answers({MUGS.stat("curve/resumed"): to_json(curve("resumed", 5, 70))}, START + 6)
     publish(jobs, START + 60, stat_job=figures())
     assert jobs.due_queries(START + 60) == []
@@ -319,17 +314,17 @@ def test_curves_that_nobody_has_any_more_are_not_asked_for() -> None:
     publish(jobs, START, stat_run_c=run("c", finished="all are spent"))
     assert jobs.due_queries(START) == []
     publish(jobs, START, stat_run_d=run("d"))
-    assert jobs.due_queries(START + 2 * SILENCE_SECONDS) == []
+    assert jobs.due_queries(START + 2 * job_model.SILENCE_SECONDS) == []
 
 
 def test_a_job_is_what_its_coordinator_says_while_it_speaks() -> None:
     jobs = watching(answers=values(state="paused"))
-    assert view_of(jobs, START + SILENCE_SECONDS).state == "paused"
+    assert view_of(jobs, START + job_model.SILENCE_SECONDS).state == "paused"
 
 
 def test_a_coordinator_that_says_nothing_is_silent_and_is_heard_again(jobs: JobModels) -> None:
-    view = view_of(jobs, START + SILENCE_SECONDS + 1)
-    assert (view.state, view.silent) == ("silent", SILENCE_SECONDS + 1)
+    view = view_of(jobs, START + job_model.SILENCE_SECONDS + 1)
+    assert (view.state, view.silent) == ("silent", job_model.SILENCE_SECONDS + 1)
     publish(jobs, START + 20, stat_job=figures())
     assert view_of(jobs, START + 21).state == "running"
 
@@ -395,7 +390,7 @@ def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone(jobs: Job
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     jobs.link_changed(True, START + 60)
     assert view_of(jobs, START + 61).state == "silent"
-    assert view_of(jobs, START + 60 + SILENCE_SECONDS + 1).state == "gone"
+    assert view_of(jobs, START + 60 + job_model.SILENCE_SECONDS + 1).state == "gone"
 
 
 PLACES = ("meta", "stat/job", "stat/run/a", "stat/team/0", "stat/curve/a", "event/job", "event/recent", "x")

@@ -7,15 +7,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from qdgrasp_coordinator.security import access_probe
 from qdgrasp_coordinator.security.access_list import TRAFFIC, TrafficKind, access_list, role_configuration
-from qdgrasp_coordinator.security.access_probe import (
-    PROBE_KEYS,
-    PROBE_NAMES,
-    WIDE_PATTERNS,
-    allowed_deliveries,
-    allowed_givers,
-    allowed_takers,
-)
+from qdgrasp_coordinator.security.access_probe import PROBE_KEYS, PROBE_NAMES, allowed_givers, allowed_takers
 from qdgrasp_coordinator.security.access_report import access_matrix, short_key
 from qdgrasp_protocol import keys
 from qdgrasp_protocol.keys import matches
@@ -75,7 +69,7 @@ def test_nobody_may_delete() -> None:
 def test_no_rule_goes_over_a_pattern_that_is_wider_than_a_kind_of_traffic() -> None:
     held = {key for rule in access_list()["access_control"]["rules"] for key in rule["key_exprs"]}
     assert held <= {flow.key for flow in TRAFFIC}
-    for pattern in WIDE_PATTERNS:
+    for pattern in access_probe.WIDE_PATTERNS:
         expression = zenoh.KeyExpr(pattern)
         assert not [key for key in held if zenoh.KeyExpr(key).includes(expression)]
 
@@ -185,7 +179,7 @@ def test_the_page_has_the_table_of_traffic() -> None:
 
 
 def test_the_page_has_the_matrix() -> None:
-    seen = {meeting for way in TrafficKind for meeting in allowed_deliveries(way, PROBE_KEYS)}
+    seen = {meeting for way in TrafficKind for meeting in access_probe.allowed_deliveries(way, PROBE_KEYS)}
     matrix: dict[tuple[str, str], list[str]] = {}
     for cell in access_matrix(seen):
         matrix.setdefault((short_key(cell.key), cell.verb), []).append(cell.mark)

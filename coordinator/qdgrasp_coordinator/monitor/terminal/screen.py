@@ -17,21 +17,10 @@ from rich.text import Text
 from qdgrasp_coordinator.metrics.job_status import utc_now
 from qdgrasp_coordinator.monitor.feed import Feed, summary_lines
 from qdgrasp_coordinator.monitor.job_view import JobView, end_state
+from qdgrasp_coordinator.monitor.terminal import text_tables as tables
 from qdgrasp_coordinator.monitor.terminal.charts import count_lines, curve_lines, outcome_lines, progress_line
 from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard, keyboard
-from qdgrasp_coordinator.monitor.terminal.text_tables import (
-    Glyphs,
-    Lines,
-    event_list,
-    first_row,
-    fit_text,
-    job_list,
-    run_list,
-    state_text,
-    text_line,
-    worker_list,
-    worker_words,
-)
+from qdgrasp_coordinator.monitor.terminal.text_tables import Glyphs, Lines, fit_text, text_line
 from qdgrasp_protocol.process import Stop
 
 ListName = Literal["", "runs", "workers", "events"]
@@ -128,11 +117,11 @@ def report_lines(shown: ScreenState, width: int, glyphs: Glyphs) -> Lines:
     lines = _head(shown, width, glyphs)
     for view in shown.views:
         lists = {
-            "runs": run_list(view, width, glyphs),
-            f"workers: {worker_words(view, glyphs)}": worker_list(view, width, glyphs),
-            "events": event_list(view.events, width, glyphs),
+            "runs": tables.run_list(view, width, glyphs),
+            f"workers: {tables.worker_words(view, glyphs)}": tables.worker_list(view, width, glyphs),
+            "events": tables.event_list(view.events, width, glyphs),
         }
-        lines += _job_lines(f"{view.job}: {glyphs.text(state_text(view))}", view, width, glyphs)
+        lines += _job_lines(f"{view.job}: {glyphs.text(tables.state_text(view))}", view, width, glyphs)
         lines += curve_lines(view, width, 8, glyphs) if view.figures.evaluations else []
         for title, rows in lists.items():
             lines += [_rule(title, width, glyphs), *rows] if len(rows) > 1 else []
@@ -184,9 +173,9 @@ def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int, gl
     view = shown.views[chosen]
     rows = min(len(shown.views), max(2, room // 7))
     if choice.list:
-        jobs = job_list(shown.views, chosen, width, min(2, rows), glyphs)
+        jobs = tables.job_list(shown.views, chosen, width, min(2, rows), glyphs)
         return [*jobs, *_long_list(view, choice, width, room - len(jobs), glyphs)]
-    jobs = job_list(shown.views, chosen, width, rows, glyphs)
+    jobs = tables.job_list(shown.views, chosen, width, rows, glyphs)
     above = [*jobs, *_job_lines(view.job, view, width, glyphs)]
     return [*above, *_below(view, width, room - len(above), glyphs)]
 
@@ -199,8 +188,8 @@ def _below(view: JobView, width: int, room: int, glyphs: Glyphs) -> Lines:
     has_many = view.figures.runs > 1
     is_beside = has_many and width >= WIDE_COLUMNS
     wide = (width - 2) // 2 if is_beside else width
-    runs = run_list(view, wide, glyphs) if has_many else []
-    workers, events = worker_list(view, wide, glyphs), event_list(view.events, width, glyphs)
+    runs = tables.run_list(view, wide, glyphs) if has_many else []
+    workers, events = tables.worker_list(view, wide, glyphs), tables.event_list(view.events, width, glyphs)
     tallest = max(len(runs), len(workers)) if is_beside else len(workers)
     wishes = [
         (4, tallest + 1),
@@ -209,7 +198,7 @@ def _below(view: JobView, width: int, room: int, glyphs: Glyphs) -> Lines:
         (0 if is_beside else 4, len(runs) + 1),
     ]
     worker_rows, curve_rows, event_rows, run_rows = share_rows(room, wishes)
-    title = f"workers: {worker_words(view, glyphs)}"
+    title = f"workers: {tables.worker_words(view, glyphs)}"
     curves = curve_lines(view, width, curve_rows, glyphs) if curve_rows else []
     left = _titled_list("runs", runs, wide, worker_rows if is_beside else run_rows, glyphs) if runs else []
     right = _titled_list(title, workers, wide, worker_rows, glyphs)
@@ -236,12 +225,12 @@ def share_rows(room: int, wishes: Sequence[tuple[int, int]]) -> list[int]:
 def _long_list(view: JobView, choice: ScreenSelection, width: int, room: int, glyphs: Glyphs) -> Lines:
     """Return the selected list with all the room, from the row that it is scrolled to."""
     lists = {
-        "runs": lambda: run_list(view, width, glyphs),
-        "workers": lambda: worker_list(view, width, glyphs),
-        "events": lambda: event_list(view.events, width, glyphs),
+        "runs": lambda: tables.run_list(view, width, glyphs),
+        "workers": lambda: tables.worker_list(view, width, glyphs),
+        "events": lambda: tables.event_list(view.events, width, glyphs),
     }
     head, *rows = lists[choice.list]()
-    first = first_row(len(rows), room - 2, choice.top)
+    first = tables.first_row(len(rows), room - 2, choice.top)
     last = min(len(rows), first + room - 2)
     title = f"{choice.list} of {view.job}: {first + 1} to {last} of {len(rows)}" if rows else choice.list
     return [_rule(title, width, glyphs), head, *rows[first:last]]

@@ -26,17 +26,10 @@ from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, RunLocation
+from qdgrasp_coordinator.monitor.web import scene_data
 from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_coordinator.monitor.web.routes import Site, live_site
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
-from qdgrasp_coordinator.monitor.web.scene_data import (
-    HEADER,
-    MARK,
-    BrowserScene,
-    LinkMesh,
-    SuccessKind,
-    TriangleMesh,
-)
 from qdgrasp_coordinator.monitor.web.server import application, serve
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, success_dtype
 from qdgrasp_protocol.errors import NoReply, UnknownName
@@ -205,7 +198,7 @@ class FakeLibrary:
         return msgspec.json.encode(STAGE)
 
     def cells(self, job: str, run: str, since: int) -> bytes:
-        return HEADER.pack(MARK, 0, since, 0, 0, 7)
+        return scene_data.HEADER.pack(scene_data.MARK, 0, since, 0, 0, 7)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
         return b'{"number":%d}' % number
@@ -213,8 +206,8 @@ class FakeLibrary:
 
 CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
 SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4")
-MESH = TriangleMesh(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
-STAGE = BrowserScene(
+MESH = scene_data.TriangleMesh(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
+STAGE = scene_data.BrowserScene(
     gripper="panda",
     object="mug",
     base="palm",
@@ -226,12 +219,12 @@ STAGE = BrowserScene(
     high=(0.05, 0.05, 0.05),
     reach=0.2,
     kinds=[
-        SuccessKind(5, "no shake survived", "#bdb7ad"),
-        SuccessKind(6, "one", "#f2a431"),
-        SuccessKind(7, "both", "#2a73b9"),
+        scene_data.SuccessKind(5, "no shake survived", "#bdb7ad"),
+        scene_data.SuccessKind(6, "one", "#f2a431"),
+        scene_data.SuccessKind(7, "both", "#2a73b9"),
     ],
     mesh=MESH,
-    links=[LinkMesh("palm", False, MESH)],
+    links=[scene_data.LinkMesh("palm", False, MESH)],
     origin=7,
 )
 
@@ -268,7 +261,7 @@ ORIGIN = JournalId("1" * 64, 1.0)
 
 @dataclass
 class HandMadeRecords:
-    """A single run, of whose finds each page has a few; counts what it was asked."""
+    """A single run, of whose finds each page has a few, and a clock; counts what it was asked."""
 
     a_scene: Scene
     found: SuccessTable = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
@@ -278,6 +271,7 @@ class HandMadeRecords:
     run: str = "run"
     origin: JournalId = ORIGIN
     listed: int = 0
+    now: float = 100.0
 
     def record(self, found: SuccessTable) -> None:
         """Have found these too."""

@@ -18,26 +18,14 @@ from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
 from qdgrasp_protocol.rows import Outcome
 
 
-class Clock:
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def records(make_scene) -> HandMadeRecords:
     return HandMadeRecords(make_scene())
 
 
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-@pytest.fixture
-def library(records: HandMadeRecords, clock: Clock) -> RunCaches:
-    return RunCaches(records, clock)
+def library(records: HandMadeRecords) -> RunCaches:
+    return RunCaches(records, lambda: records.now)
 
 
 def origin(page: bytes) -> int:
@@ -57,27 +45,27 @@ def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: 
     assert len({place for place, _, _ in shown}) == len(np.unique(records.found["descriptor"], axis=0))
 
 
-def test_what_is_found_later_is_added(records: HandMadeRecords, library: RunCaches, clock: Clock) -> None:
+def test_what_is_found_later_is_added(records: HandMadeRecords, library: RunCaches) -> None:
     records.record(finds([0], [(1, 0, 0)], [Outcome.HELD]))
     upto, _, _ = read(library.cells("job", "run", 0))
     records.record(finds([1], [(2, 0, 0)], [Outcome.HELD]))
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     assert in_cells(library.cells("job", "run", upto)) == {(2, 0, 0): (1, Outcome.HELD)}
 
 
 def test_many_browsers_cost_the_recorder_no_more_than_one(
-    records: HandMadeRecords, library: RunCaches, clock: Clock
+    records: HandMadeRecords, library: RunCaches
 ) -> None:
     records.record(random_finds(4))
     pages = {library.cells("job", "run", 0) for _ in range(20)}
     assert len(pages) == records.asked == 1
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     library.cells("job", "run", 0)
     assert records.asked == 2
 
 
 def test_a_long_journal_is_read_over_several_answers(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_cache, "SCENE_WAIT_SECONDS", -1.0)  # out of patience after each page
     records.record(random_finds(10))
@@ -88,28 +76,26 @@ def test_a_long_journal_is_read_over_several_answers(
     assert answers == 3  # four on a page
 
 
-def test_a_journal_that_fell_back_is_read_anew(
-    records: HandMadeRecords, library: RunCaches, clock: Clock
-) -> None:
+def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, library: RunCaches) -> None:
     records.record(random_finds(50))
     before = library.cells("job", "run", 0)
     records.found, records.rows = records.found[:0], 0
     records.record(finds([3], [(9, 9, 9)], [Outcome.DROPPED]))
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     after = library.cells("job", "run", 0)
     assert origin(after) != origin(before)
     assert in_cells(after) == {(9, 9, 9): (3, Outcome.DROPPED)}
 
 
 def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alone(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, make_scene
+    records: HandMadeRecords, library: RunCaches, make_scene
 ) -> None:
     records.record(random_finds(10))
     old = json.loads(library.scene("job", "run"))
     assert old["origin"] == origin(library.cells("job", "run", 0))
     many = finds(np.arange(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30, joints=1)
     records.become(half(make_scene("half")), JournalId("2" * 64, 2.0), many)
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     cells = library.cells("job", "run", 0)
     new = json.loads(library.scene("job", "run"))
     assert in_cells(cells).keys() == {(9, 9, k) for k in range(30)}
@@ -129,18 +115,18 @@ def test_a_grasp_of_another_job_stands_in_its_own_scene_before_the_cells_are_ask
 
 
 def test_the_list_of_runs_is_asked_for_once_for_all_browsers(
-    records: HandMadeRecords, library: RunCaches, clock: Clock
+    records: HandMadeRecords, library: RunCaches
 ) -> None:
     for _ in range(20):
         library.runs("job")
     assert records.listed == 1
-    clock.now += LISTED_SECONDS
+    records.now += LISTED_SECONDS
     library.runs("job")
     assert records.listed == 2
 
 
 def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     records.record(random_finds(4))
     before = library.cells("job", "run", 0)
@@ -152,7 +138,7 @@ def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
         raise NoReply("nobody answers")
 
     monkeypatch.setattr(records, "page", hang)
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(library.cells, "job", "run", 0)
         assert asked.wait(PATIENCE)
@@ -162,7 +148,7 @@ def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
 
 
 def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
 
@@ -175,7 +161,7 @@ def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(
         with pytest.raises(NoReply):
             library.cells("job", "run", 0)
     assert len(asked) == 1
-    clock.now += BUSY_SECONDS
+    records.now += BUSY_SECONDS
     with pytest.raises(NoReply):
         library.cells("job", "run", 0)
     assert len(asked) == 2
@@ -193,7 +179,7 @@ def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library:
 
 
 def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = finds([5], [(1, 0, 0)], [Outcome.HELD])
     scored = finds([5], [(1, 0, 0)], [Outcome.HELD], etas=[0.75])
@@ -204,9 +190,9 @@ def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
     assert (asked, more, list(shown.values())) == ([0, 5], False, [(5, -1)])
     library.cells("job", "run", upto)
     assert asked == [0, 5]
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     assert read(library.cells("job", "run", upto)) == (upto, False, {})
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     assert list(read(library.cells("job", "run", upto))[2].values()) == [(5, 0.75)]
     assert asked == [0, 5, 5, 5]
 
@@ -225,11 +211,9 @@ def test_a_run_that_is_not_there_is_named(library: RunCaches) -> None:
             ask("job", "rum")
 
 
-def test_only_so_many_runs_are_kept_ready(
-    records: HandMadeRecords, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_so_many_runs_are_kept_ready(records: HandMadeRecords, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_cache, "MAX_RUNS", 2)
-    library = RunCaches(records, clock)
+    library = RunCaches(records, lambda: records.now)
     for job in ("a", "b", "c", "c", "b"):
         library.cells(job, "run", 0)
     assert records.asked == 3
@@ -238,7 +222,7 @@ def test_only_so_many_runs_are_kept_ready(
 
 
 def test_what_was_read_is_shown_when_nobody_answers_any_more(
-    records: HandMadeRecords, library: RunCaches, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def away(*_: object) -> None:
         raise NoReply("nobody answers")
@@ -246,7 +230,7 @@ def test_what_was_read_is_shown_when_nobody_answers_any_more(
     records.record(random_finds(4))
     before = library.cells("job", "run", 0)
     monkeypatch.setattr(records, "page", away)
-    clock.now += FRESH_SECONDS
+    records.now += FRESH_SECONDS
     assert library.cells("job", "run", 0) == before
     with pytest.raises(NoReply):
         library.cells("job", "another", 0)

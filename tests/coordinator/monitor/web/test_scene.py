@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 from tests import browser
 from tests.browser import expect
-from tests.common import PATIENCE
+from tests.common import PATIENCE, with_gripper
 from tests.coordinator.monitor.web.conftest import (
     BUDGET,
     STEP,
@@ -23,7 +23,7 @@ from tests.coordinator.monitor.web.conftest import (
 )
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_assets.scene import Scene, Synergy
+from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.monitor.records import JournalId
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_protocol.rows import Outcome
@@ -95,7 +95,9 @@ def place(records: HandMadeRecords) -> Iterator[str]:
 
 @pytest.fixture
 def page(chromium: Any, place: str) -> Iterator[Page]:
-    yield from visited(chromium, place)
+    for visit in visited(chromium, place):
+        expect(visit.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+        yield visit
 
 
 @pytest.fixture
@@ -114,12 +116,10 @@ def visited(chromium: Any, place: str, **looks: Any) -> Iterator[Page]:
 
 
 def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
-    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     expect(page.locator("#scene-key li b")).to_have_text(["1", "1", "2"])
 
 
 def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeRecords) -> None:
-    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
     expect(page.locator("#scene-key li b")).to_have_text(["0", "1", "4"])
@@ -147,13 +147,13 @@ def test_another_job_of_the_same_name_is_shown_with_its_own_object(
 
 
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
-    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     page.locator("#scene").focus()
-    for key, number in {"n": 8, "N": 8, "p": 3}.items():
-        page.keyboard.press(key.lower() if key != "N" else "Escape")
-        if key == "N":
-            expect(page.locator("#grasp")).to_be_hidden()
-            page.keyboard.press("n")
+    page.keyboard.press("n")
+    expect(page.locator("#grasp h4")).to_have_text("Grasp 8")
+    page.keyboard.press("Escape")
+    expect(page.locator("#grasp")).to_be_hidden()
+    for key, number in {"n": 8, "p": 3}.items():
+        page.keyboard.press(key)
         expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
     expect(page.locator("#grasp .replay code").first).to_have_text("qdgrasp show runs/mug --grasp 3")
     expect(page.locator("#grasp")).to_contain_text("no shake survived")
@@ -167,7 +167,6 @@ def test_thousands_are_written_in_one_way(page: Page, records: HandMadeRecords) 
 
 
 def test_kinds_may_be_left_out(page: Page) -> None:
-    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     page.get_by_role("button", name="both survived").click()
     expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
     page.get_by_role("button", name="Next grasp").click()
@@ -186,11 +185,16 @@ def test_without_3d_the_page_says_so_and_goes_on(chromium: Any, place: str) -> N
     context.close()
 
 
-@pytest.mark.parametrize("number", [4, 9])
-def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
+def click(alone: Page, number: int) -> None:
+    """Click on the voxel of a grasp, and wait until it is chosen."""
     alone.mouse.click(*alone.evaluate(PLACE, number))
     alone.wait_for_function("() => window.grasp")
     assert alone.evaluate("grasp.number") == number
+
+
+@pytest.mark.parametrize("number", [4, 9])
+def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
+    click(alone, number)
     alone.wait_for_function(STAND, arg=True)
 
 
@@ -219,7 +223,8 @@ def test_pages_that_come_by_and_by_leave_what_one_would(alone: Page, records: Ha
     for start in range(0, 300, 100):
         records.record(more[start : start + 100])
         alone.wait_for_function("(upto) => Math.max(...view.cells.order()) >= upto - 60", arg=records.rows)
-    alone.wait_for_function("(words) => window.words === words", arg=_words(records))
+    cells = len(np.unique(records.found["descriptor"], axis=0))
+    alone.wait_for_function("(words) => window.words === words", arg=f"{cells} cells of 1 cm")
     by_and_by = alone.evaluate(CONTENT)
     alone.evaluate("view.stop()")
     alone.evaluate(ALONE)
@@ -247,9 +252,7 @@ def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
     drawn = alone.evaluate("view.renderer.drawn")
     alone.evaluate("card.restoreContext()")
     alone.wait_for_function("(drawn) => view.renderer.drawn > drawn", arg=drawn)
-    alone.mouse.click(*alone.evaluate(PLACE, 9))
-    alone.wait_for_function("() => window.grasp")
-    assert alone.evaluate("grasp.number") == 9
+    click(alone, 9)
 
 
 def test_a_view_that_was_stopped_holds_nothing(alone: Page, records: HandMadeRecords) -> None:
@@ -326,37 +329,23 @@ def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
           await view.start();
         }"""
     )
-    alone.mouse.click(*alone.evaluate(PLACE, 9))
-    alone.wait_for_function("() => window.grasp")
-    assert alone.evaluate("grasp.number") == 9
+    click(alone, 9)
 
 
-def _words(records: HandMadeRecords) -> str:
-    """What the view says when it has them all."""
-    return f"{len(np.unique(records.found['descriptor'], axis=0))} cells of 1 cm"
-
-
-pytestmark = browser.needed
-SCORED_NUMBERS = [2, 3, 5, 8, 9, 12]
 SCORED = finds(
-    SCORED_NUMBERS,
+    [2, 3, 5, 8, 9, 12],
     [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3), (0, 9, -4)],
     [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED],
     synergies=[0, 1, 1, 0, 0, 1],
     etas=[0.9, 0.1, 0.5, 0.4, 0.7, 0.0],
 )
-Page = Any
-
-
-def robust_scene() -> Scene:
-    scene = made_scene()
-    named = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
-    return replace(scene, protocol="robust", gripper=replace(scene.gripper, synergies=named))
 
 
 @pytest.fixture
 def scored() -> HandMadeRecords:
-    made = HandMadeRecords(robust_scene(), run="mug")
+    named = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
+    scene = replace(with_gripper(made_scene(), synergies=named), protocol="robust")
+    made = HandMadeRecords(scene, run="mug")
     made.record(SCORED)
     return made
 

@@ -17,23 +17,22 @@ from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
 from qdgrasp_coordinator.monitor.web import scene_data
 from qdgrasp_coordinator.monitor.web.scene_data import (
     HEADER,
-    MARK,
-    TriangleMesh,
+    BrowserScene,
     VoxelPages,
     browser_scene,
     grasp_view,
 )
 from qdgrasp_coordinator.monitor.web.server import STATIC
-from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
+from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome
 
 
-def positions(mesh: TriangleMesh) -> NDArray[np.float32]:
+def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:
     return np.frombuffer(b64decode(mesh.positions), "<f4").reshape(-1, 3)
 
 
-def indices(mesh: TriangleMesh) -> NDArray[np.uint32]:
+def indices(mesh: scene_data.TriangleMesh) -> NDArray[np.uint32]:
     return np.frombuffer(b64decode(mesh.indices), "<u4").reshape(-1, 3)
 
 
@@ -63,36 +62,36 @@ def test_links_stand_where_pictures_draw_them(make_scene, name: str) -> None:
         assert np.allclose(placed, np.concatenate(parts), rtol=0, atol=1e-6)
 
 
-def test_the_object_stands_in_its_centre_of_mass_frame(make_scene) -> None:
-    scene = make_scene()
-    told = browser_scene(scene, hand_geometry(scene.gripper))
-    corners = positions(told.mesh)[indices(told.mesh)]
-    assert np.array_equal(corners, scene.object.triangles)
-    assert np.allclose(corners.min(axis=(0, 1)), told.low, atol=1e-6)
-    assert np.allclose(corners.max(axis=(0, 1)), told.high, atol=1e-6)
+@pytest.fixture
+def drawn(make_scene) -> HandGeometry:
+    return hand_geometry(make_scene().gripper)
 
 
-def test_only_links_whose_contact_counts_are_fingers(make_scene) -> None:
-    scene = make_scene()
-    links = browser_scene(scene, hand_geometry(scene.gripper)).links
-    assert {link.name: link.finger for link in links} == {
-        "palm": False,
-        "left_finger": True,
-        "right_finger": True,
-    }
+@pytest.fixture
+def stands(make_scene, drawn: HandGeometry) -> BrowserScene:
+    return browser_scene(make_scene(), drawn)
 
 
-def test_the_kinds_of_cells_are_all_successes_from_worst_to_best(make_scene) -> None:
-    scene = make_scene()
-    kinds = browser_scene(scene, hand_geometry(scene.gripper)).kinds
+def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, stands: BrowserScene) -> None:
+    corners = positions(stands.mesh)[indices(stands.mesh)]
+    assert np.array_equal(corners, make_scene().object.triangles)
+    assert np.allclose(corners.min(axis=(0, 1)), stands.low, atol=1e-6)
+    assert np.allclose(corners.max(axis=(0, 1)), stands.high, atol=1e-6)
+
+
+def test_only_links_whose_contact_counts_are_fingers(stands: BrowserScene) -> None:
+    fingers = {link.name: link.finger for link in stands.links}
+    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
+
+
+def test_the_kinds_of_cells_are_all_successes_from_worst_to_best(stands: BrowserScene) -> None:
+    kinds = stands.kinds
     assert [kind.outcome for kind in kinds] == [kind for kind in Outcome if kind.is_success]
     assert len({kind.colour for kind in kinds}) == len({kind.words for kind in kinds}) == len(kinds)
 
 
-def test_a_grasp_says_all_that_is_known_of_it(make_scene) -> None:
-    scene = make_scene()
-    scene = replace(scene, object=replace(scene.object, com_in_mesh=(0.0, 0.1, 0.0)))
-    drawn = hand_geometry(scene.gripper)
+def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:
+    scene = replace(make_scene(), object=replace(make_scene().object, com_in_mesh=(0.0, 0.1, 0.0)))
     stands = replace(browser_scene(scene, drawn), synergies=["pinch", "power"])
     find = finds([41], [(3, -2, 7)], [Outcome.SHAKEN], synergies=1, etas=0.5)[0]
     find["joints"] = [0.02, 0.01]
@@ -116,10 +115,8 @@ def test_the_frame_of_the_hand_s_base_is_its_pose(make_scene) -> None:
     assert np.allclose(frame[:3, :3], Rotation.from_quat(find["base_to_object"][3:]).as_matrix(), atol=1e-6)
 
 
-def test_what_is_not_known_of_a_grasp_is_left_out(make_scene) -> None:
-    scene = make_scene()
-    drawn = hand_geometry(scene.gripper)
-    told = grasp_view(finds([4], [(3, -2, 7)], [Outcome.HELD])[0], drawn, browser_scene(scene, drawn), [])
+def test_what_is_not_known_of_a_grasp_is_left_out(stands: BrowserScene, drawn: HandGeometry) -> None:
+    told = grasp_view(finds([4], [(3, -2, 7)], [Outcome.HELD])[0], drawn, stands, [])
     assert (told.synergy, told.eta) == ("", None)
 
 
@@ -137,7 +134,7 @@ Shown = dict[tuple[Cell, int, int], tuple[int, float]]
 def read(page: bytes) -> tuple[int, bool, Shown]:
     """The serial to ask from next, whether there is more at once, and what a page shows."""
     mark, n, upto, more, _, _ = HEADER.unpack_from(page)
-    assert mark == MARK
+    assert mark == scene_data.MARK
     assert len(page) == HEADER.size + 17 * n
     numbers = np.frombuffer(page, "<u4", n, HEADER.size).tolist()
     etas = np.frombuffer(page, "<f4", n, HEADER.size + 4 * n).tolist()

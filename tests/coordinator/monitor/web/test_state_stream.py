@@ -23,18 +23,8 @@ from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.web import state_stream
 from qdgrasp_coordinator.monitor.web.routes import live_site
 from qdgrasp_coordinator.monitor.web.server import serve
-from qdgrasp_coordinator.monitor.web.state_stream import (
-    GZIP_HEADER,
-    MAX_BROWSERS,
-    MOST_RUNS,
-    MOST_WORKERS,
-    Broadcast,
-    EventFrame,
-    EventStream,
-    JobState,
-    PageState,
-)
-from qdgrasp_protocol.errors import EndpointError, UnknownName
+from qdgrasp_coordinator.monitor.web.state_stream import Broadcast, JobState, PageState
+from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 
@@ -153,10 +143,10 @@ async def test_after_a_state_that_could_not_be_made_the_next_one_who_watches_get
 
 
 def test_packed_frames_go_into_any_stream() -> None:
-    frames = [EventFrame.of(number, b"x" * 100 * number) for number in range(1, 6)]
+    frames = [state_stream.EventFrame.of(number, b"x" * 100 * number) for number in range(1, 6)]
     for chosen in (frames, frames[::2], frames[3:]):
         unpacker = zlib.decompressobj(31)
-        assert unpacker.decompress(GZIP_HEADER) == b""
+        assert unpacker.decompress(state_stream.GZIP_HEADER) == b""
         for frame in chosen:  # each is whole as soon as it has come
             assert unpacker.decompress(frame.packed) == frame.plain
 
@@ -175,7 +165,7 @@ async def test_a_browser_that_takes_nothing_is_dropped(monkeypatch: pytest.Monke
         if message["type"] == "http.response.body":
             await asyncio.Event().wait()
 
-    await EventStream(shown, packed=False)(SCOPE, receive, send)
+    await state_stream.EventStream(shown, packed=False)(SCOPE, receive, send)
     while shown.watchers:
         await asyncio.sleep(0.001)
 
@@ -195,7 +185,7 @@ async def test_a_browser_that_is_gone_is_let_go() -> None:
         if len(sent) > 5:
             enough.set()
 
-    await EventStream(shown, packed=True)(SCOPE, receive, send)
+    await state_stream.EventStream(shown, packed=True)(SCOPE, receive, send)
     while shown.watchers:
         await asyncio.sleep(0.001)
     assert zlib.decompressobj(31).decompress(b"".join(sent)).startswith(b"id: 1\ndata: 1\n\n")
@@ -235,7 +225,7 @@ def test_there_is_room_for_so_many_browsers_and_again_when_one_leaves(feed: Fake
     port = free_port()
     with serving(feed, port), ExitStack() as stack:
         leaver = ExitStack()
-        answers = [opened(leaver, port), *(opened(stack, port) for _ in range(MAX_BROWSERS - 1))]
+        answers = [opened(leaver, port), *(opened(stack, port) for _ in range(state_stream.MAX_BROWSERS - 1))]
         for answer in answers:
             states(answer, 1)
         refused = opened(stack, port)
@@ -267,11 +257,11 @@ def view(**more: int) -> JobView:
 
 
 def test_of_many_workers_those_in_trouble_are_listed_and_all_are_counted() -> None:
-    many = view(workers=MOST_WORKERS + 100)
+    many = view(workers=state_stream.MOST_WORKERS + 100)
     workers = [*many.workers[:-1], msgspec.structs.replace(many.workers[-1], state="stuck")]
     team = JobState.of(msgspec.structs.replace(many, workers=workers)).team
-    assert team.total == sum(team.states.values()) == MOST_WORKERS + 100
-    assert len(team.workers) == MOST_WORKERS
+    assert team.total == sum(team.states.values()) == state_stream.MOST_WORKERS + 100
+    assert len(team.workers) == state_stream.MOST_WORKERS
     assert team.workers[0].state == "stuck"
 
 
@@ -281,11 +271,11 @@ def test_of_few_workers_the_order_stays() -> None:
 
 def test_of_many_runs_the_latest_are_told() -> None:
     keys = Keys("mugs")
-    names = [f"run{number}" for number in range(MOST_RUNS + 5)]
+    names = [f"run{number}" for number in range(state_stream.MOST_RUNS + 5)]
     runs = {keys.stat(f"run/{name}"): job_status.to_json(sample_jobs.run(name)) for name in names}
     (many,) = sample_jobs.views(sample_jobs.values() | runs)
     state = JobState.of(many)
-    assert len(state.runs) == len(state.lefts) == len(state.speeds) == MOST_RUNS
+    assert len(state.runs) == len(state.lefts) == len(state.speeds) == state_stream.MOST_RUNS
 
 
 def test_what_is_told_are_the_figures_of_the_coordinator(feed: FakeFeed) -> None:
@@ -294,8 +284,3 @@ def test_what_is_told_are_the_figures_of_the_coordinator(feed: FakeFeed) -> None
     assert told["figures"] == msgspec.to_builtins(job.figures)
     assert told["runs"] == msgspec.to_builtins(job.runs)
     assert told["left"] == job.figures.left
-
-
-def test_a_job_that_nobody_knows_has_no_curves(feed: FakeFeed) -> None:
-    with pytest.raises(UnknownName, match="Known: hands, mug"):
-        PageState(feed).curves("mag")
