@@ -18,6 +18,8 @@ from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_check import AssetSummary, is_gripper
 from qdgrasp_assets.asset_check import check as check_asset
 from qdgrasp_assets.asset_report import AssetReport
+from qdgrasp_assets.grippers.gripper import Gripper
+from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, fetch_scan
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
@@ -41,12 +43,7 @@ def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as i
 def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> SharedFolder | None:
     """Return the folder that a flag names for pictures; None: no pictures are asked for.
 
-    Raises
-    ------
-    OutputError
-        They cannot be written there.
-    InputError
-        Two of them would be one file.
+    Raises `OutputError` where they cannot be written there, `InputError` where two would be one file.
     """
     if path is None:
         return None
@@ -67,6 +64,20 @@ def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> Shared
 def picture_file(folder: SharedFolder, name: str) -> OutFile:
     """Return the picture's file; an earlier picture drawn by this program is replaced."""
     return folder.file(f"{Path(name).stem}.png", is_kind=is_drawn_here)
+
+
+def draw_asset(asset: Gripper | ObjectModel, name: str, folder: SharedFolder) -> Path:
+    """Draw a hand or an object into the picture's file; returns its path."""
+    # matplotlib takes half a second to import, and most commands draw nothing
+    from qdgrasp_coordinator.rendering.drawings import draw_gripper, draw_object
+
+    drawn = picture_file(folder, name)
+    with drawn.writing() as made:
+        if isinstance(asset, Gripper):
+            draw_gripper(asset.on_carrier("paper"), made)
+        else:
+            draw_object(asset, made)
+    return drawn.path
 
 
 asset_app = typer.Typer(no_args_is_help=True, help="Grippers and objects: list, fetch and check them.")
@@ -144,7 +155,7 @@ def check(
         for line in _lines(report):
             typer.echo(line)
         if drawing is not None and not report.faults:
-            typer.echo(f"      drawn: {_drawn(report.name, drawing)}")
+            typer.echo(f"      drawn: {draw_asset(_asset(report.name), report.name, drawing)}")
     wrong = [report.name for report in reports if report.faults]
     if wrong:
         raise AssetError(
@@ -152,26 +163,16 @@ def check(
         )
 
 
+def _asset(name: str) -> Gripper | ObjectModel:
+    is_hand, any_mass = is_gripper(name), RunSpec(gripper="", object=name, mass=1.0)
+    return catalog.find_gripper(name) if is_hand else catalog.find_object(any_mass)
+
+
 def _lines(report: AssetSummary) -> Iterable[str]:
     if report.facts or not report.faults:
         yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
     for fault in report.faults:
         yield f"WRONG {report.name}: {fault}"
-
-
-def _drawn(name: str, folder: SharedFolder) -> Path:
-    """The picture of an asset."""
-    # matplotlib takes half a second to import, and most commands draw nothing
-    from qdgrasp_coordinator.rendering.drawings import draw_gripper, draw_object
-
-    drawn = picture_file(folder, name)
-    with drawn.writing() as made:
-        if is_gripper(name):
-            draw_gripper(catalog.find_gripper(name).on_carrier("paper"), made)
-        else:
-            any_mass = RunSpec(gripper="", object=name, mass=1.0)
-            draw_object(catalog.find_object(any_mass), made)
-    return drawn.path
 
 
 def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:

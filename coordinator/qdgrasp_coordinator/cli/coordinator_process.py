@@ -20,7 +20,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.process import Stop, configure_logging, lifetime
+from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.spec import read_run_spec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -66,7 +66,11 @@ def coordinator(
     name = job or (folder.name if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         configure_logging("coordinator")
-        bus, endpoint = _open_session(listen, connect, security, wait, stop, insecure=insecure)
+        credentials = Credentials.find(security, Role.COORDINATOR if connect else Role.ROUTER)
+        if connect:
+            bus, endpoint = ZenohBus.connect(connect, wait, stop, credentials), connect
+        else:
+            bus, endpoint = ZenohBus.embedded(listen, credentials, insecure=insecure)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if stop.is_set:  # whoever started this process may be gone, and another one be there for the folder
@@ -98,16 +102,6 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
         run = RunFolder.open(what)
         spec, scene, bundle = run.spec, run.scene(), run.bundle()
     return SingleRunQueue(lambda: run_plan.plan_run(spec, scene, bundle), spec.evaluations)
-
-
-def _open_session(
-    listen: str | None, connect: str | None, security: Path | None, wait: float, stop: Stop, *, insecure: bool
-) -> tuple[ZenohBus, str]:
-    """Open a session at a running router, or as the router itself; also return its endpoint."""
-    if connect:
-        credentials = Credentials.find(security, Role.COORDINATOR)
-        return ZenohBus.connect(connect, wait, stop, credentials), connect
-    return ZenohBus.embedded(listen, Credentials.find(security, Role.ROUTER), insecure=insecure)
 
 
 def main() -> None:

@@ -15,16 +15,15 @@ from typing import Annotated, Any
 import typer
 
 from qdgrasp_assets.asset_check import examine_gripper
-from qdgrasp_assets.asset_report import GripperReport, examine_hand, examine_urdf, hand_faults, read_robot
+from qdgrasp_assets.asset_report import examine_hand, examine_urdf, hand_faults, read_robot
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
-from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import Urdf, read_robot_element
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, SharedFolder
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, QdgraspError
 from qdgrasp_protocol.text import parse_numbers
 
@@ -230,10 +229,14 @@ def check(
     Example: qdgrasp gripper check my_hand.toml --picture pictures
     """
     drawing = asset_commands.picture_folder(picture, "--picture", [name])
-    found, hand = _examined(name)
+    if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):  # of a URDF alone, as it is guessed
+        found, hand = examine_urdf(Path(name).expanduser(), name)
+    else:
+        found, hand = examine_gripper(name), None
     asset_commands.print_findings(found, as_json=as_json)
     if drawing is not None and found.extents is not None:
-        typer.echo(f"drawn: {_drawn(hand or find_gripper(name), name, drawing)}", err=as_json)
+        drawn = asset_commands.draw_asset(hand or find_gripper(name), name, drawing)
+        typer.echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)
 
 
@@ -242,21 +245,7 @@ def is_asked() -> bool:
     return sys.stdin.isatty()
 
 
-def _examined(name: str) -> tuple[GripperReport, Gripper | None]:
-    """Examine a gripper by its name or file; of a URDF alone also return the guessed gripper."""
-    if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):
-        return examine_urdf(Path(name).expanduser(), name)
-    return examine_gripper(name), None
-
-
-def _check_copy(file: OutFile) -> None:
-    """Refuse to overwrite a mended copy unless the gripper's file is replaced too."""
-    OutFile(mended_urdf(file.path), force=file.force).check()
-    OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
-
-
 def _single_tree(urdf: Path) -> Urdf:
-    """The robot of a URDF that is one tree."""
     robot, found = read_robot(urdf, read_robot_element(urdf))
     if robot is None:
         raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
@@ -283,12 +272,12 @@ def _usable_robot(
         )
     if not mend:
         return robot, given
-    _check_copy(file)
+    OutFile(mended_urdf(file.path), force=file.force).check()
+    OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
     may_centre = given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
-    copy = until_written.enter_context(
-        mended_copy(robot, base, file.path, _print_examination, may_centre=may_centre)
-    )
+    mending = mended_copy(robot, base, file.path, _print_examination, may_centre=may_centre)
+    copy = until_written.enter_context(mending)
     for change in copy.changes or ("nothing had to be",):
         typer.echo(f"mended: {change}")
     typer.echo(f"written: {mended_urdf(file.path)}")
@@ -297,28 +286,17 @@ def _usable_robot(
     )
 
 
+def _print_examination(sentence: str) -> None:
+    typer.echo(f"{sentence} ...", err=True)
+
+
 def _wants_copy(found: Iterable[str]) -> bool:
     for fault in found:
         typer.echo(f"WRONG {fault}", err=True)
     return typer.confirm("Write a mended copy of the hand, and use that?", default=True)
 
 
-def _print_examination(sentence: str) -> None:
-    typer.echo(f"{sentence} ...", err=True)
-
-
 def _reference(urdf: Path, target: Path) -> str:
     """Return the URDF's path as the file names it: relative if it lies below the file's folder."""
     whole, folder = urdf.resolve(), target.resolve().parent
     return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)
-
-
-def _drawn(hand: Gripper, name: str, folder: SharedFolder) -> Path:
-    """The picture of a gripper."""
-    # matplotlib takes half a second to import, and most commands draw nothing
-    from qdgrasp_coordinator.rendering.drawings import draw_gripper
-
-    drawn = asset_commands.picture_file(folder, name)
-    with drawn.writing() as made:
-        draw_gripper(hand.on_carrier("paper"), made)
-    return drawn.path

@@ -30,12 +30,7 @@ def open_session(
 ) -> Iterator[Bus]:
     """Open a session at a router that answers within `wait` seconds; a signal ends it.
 
-    Raises
-    ------
-    EndpointError
-        Nothing answers there.
-    SecurityError
-        The folder of certificates lacks those of the role.
+    Raises `EndpointError` where nothing answers, `SecurityError` where the folder lacks the role's files.
     """
     credentials = Credentials.find(security, role)
     with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
@@ -134,12 +129,7 @@ def drain(
 def send_order(job: str, connect: str | None, security: Path | None, order: Order) -> None:
     """Send an order to a job's coordinator, and print its reply.
 
-    Raises
-    ------
-    UnknownName
-        There is no such job.
-    InputError
-        It cannot be done.
+    Raises `UnknownName` where there is no such job, another `InputError` where it cannot be done.
     """
     endpoint = router_endpoint(connect, security)
     with open_session(endpoint, security) as bus:
@@ -153,7 +143,6 @@ def send_order(job: str, connect: str | None, security: Path | None, order: Orde
 
 
 def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:
-    """Return the error for a job whose coordinator does not answer."""
     known = [view.meta.job for view in reachable_jobs(bus)]
     if not known:
         return InputError(no_job_message(endpoint))

@@ -53,7 +53,7 @@ def doctor() -> None:
     """
     checks: dict[str, Callable[[], str]] = {
         "python": _check_python,
-        "packages": _check_packages,
+        "packages": lambda: ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES),
         "cores": lambda: str(options.cores()),
         "bus": _check_bus,
         "simulator": _check_simulator,
@@ -78,10 +78,6 @@ def _check_python() -> str:
     if sys.version_info[:2] != (3, 11):
         raise MissingRequirement(f"Python 3.11 is needed, this is {machine.python_version()}.")
     return f"{machine.python_version()} on {machine.machine()}"
-
-
-def _check_packages() -> str:
-    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
 
 
 def _check_bus() -> str:

@@ -67,9 +67,13 @@ def check(
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
-    metres, path = _checked(units, scale, mass), _found(file)
+    if mass is not None:
+        run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
+    metres, path, writing = scale_of(units, scale), _found(file), None
     drawing = asset_commands.picture_folder(picture, "--picture", [path.name])
-    writing = _mesh_file(repaired)
+    if repaired is not None:
+        writing = OutFile(repaired, "name another path with --repaired", WRITABLE_FORMATS, force=None)
+        writing.check()
     draft = read_draft(path, metres, fill_holes=fill_holes)
     with nullcontext(ignore_progress) if as_json else progress_messages() as tell:
         tell("looking at its surface")
@@ -91,13 +95,6 @@ def check(
     typer.echo(f"next: {_next(used, used_scale, mass)}", err=as_json)
 
 
-def _checked(units: str | None, scale: float | None, mass: float | None) -> float | None:
-    """The scale [m], where it and the mass are such as a run takes."""
-    if mass is not None:
-        run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
-    return scale_of(units, scale)
-
-
 def _found(file: str) -> Path:
     path = named_path(file)
     if file in object_names() and path_problem(path):
@@ -107,19 +104,9 @@ def _found(file: str) -> Path:
     return path
 
 
-def _mesh_file(path: Path | None) -> OutFile | None:
-    """The file that a mesh is to be written to; None: none is."""
-    if path is None:
-        return None
-    file = OutFile(path, "name another path with --repaired", WRITABLE_FORMATS, force=None)
-    file.check()
-    return file
-
-
 def _made(
     found: ObjectReport, draft: ObjectDraft, path: Path, drawing: SharedFolder | None, writing: OutFile | None
 ) -> Iterator[str]:
-    """Draw and write what was asked for, and say so."""
     if drawing is not None:
         yield f"drawn: {_drawn(found, draft, path, drawing)}"
     if writing is not None and not found.faults:
@@ -128,21 +115,18 @@ def _made(
 
 
 def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: SharedFolder) -> Path:
-    """The picture of an object."""
-    # matplotlib takes half a second to import, and most commands draw nothing
-    from qdgrasp_coordinator.rendering.drawings import draw_mesh, draw_object
+    if found.convex is not None:
+        body = object_of_mesh(draft.mesh, path, found.mass or 1.0)
+        return asset_commands.draw_asset(body, path.name, folder)
+    from qdgrasp_coordinator.rendering.drawings import draw_mesh  # matplotlib takes its time to import
 
     drawn = asset_commands.picture_file(folder, path.name)
     with drawn.writing() as made:
-        if found.convex is None:
-            draw_mesh(path.name, draft.mesh, made)
-        else:
-            draw_object(object_of_mesh(draft.mesh, path, found.mass or 1.0), made)
+        draw_mesh(path.name, draft.mesh, made)
     return drawn.path
 
 
 def _next(file: str, scale: float | None, mass: float | None) -> str:
-    """The command that makes a run of the object."""
     size = "" if scale is None else f" {scale_in_words(scale)}"
     weight = "KG" if mass is None else f"{mass:g}"
     return f"qdgrasp run --gripper panda --object {shlex.quote(file)}{size} --mass {weight}"

@@ -8,7 +8,7 @@ import typer
 
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
-from qdgrasp_protocol.process import Stop, configure_logging, lifetime
+from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role, default_endpoint
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -41,17 +41,12 @@ def router(
         endpoint = listen or default_endpoint(encrypted=credentials is not None).text
         with ZenohBus.router(endpoint, connect=connect, credentials=credentials, insecure=insecure):
             log.info("listening", endpoint=endpoint, relays_with=connect or "no other router")
-            _wait(stop)
+            stopped: SimpleQueue[None] = SimpleQueue()
+            stop.tell(lambda: stopped.put(None))
+            if not stop.is_set:
+                stopped.get()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
-
-
-def _wait(stop: Stop) -> None:
-    """Wait until the process is asked to stop."""
-    inbox: SimpleQueue[None] = SimpleQueue()
-    stop.tell(lambda: inbox.put(None))
-    if not stop.is_set:
-        inbox.get()
 
 
 def main() -> None:

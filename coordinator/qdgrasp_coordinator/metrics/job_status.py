@@ -159,7 +159,33 @@ LONGEST_WAIT = 1e10  # seconds that nobody waits for
 STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
 
 
-class RunStatus(RunListing, frozen=True, kw_only=True):
+class TimedProgress:
+    """Share and time of a run or job."""
+
+    __slots__ = ()
+    evaluations: int
+    rate: float
+
+    @property
+    def remaining(self) -> int:
+        """Counted evaluations that it may still take."""
+        raise NotImplementedError
+
+    @property
+    def done(self) -> float:
+        """Share of it that is done, 0 to 1; a run that ended early or failed has nothing left."""
+        return self.evaluations / (self.evaluations + self.remaining) if self.evaluations else 0.0
+
+    @property
+    def left(self) -> str:
+        """The time left in words, at the speed so far."""
+        if self.rate <= 0 or self.remaining / self.rate > LONGEST_WAIT:
+            return "time left unknown"
+        hours, seconds = divmod(round(self.remaining / self.rate), 3600)
+        return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
+
+
+class RunStatus(RunListing, TimedProgress, frozen=True, kw_only=True):
     """Progress of a run. Travels as JSON on `stat/run/<run>`."""
 
     workers: Annotated[int, "Workers of the job that are there, and make progress."]
@@ -173,18 +199,8 @@ class RunStatus(RunListing, frozen=True, kw_only=True):
         """Counted evaluations that it may still take; 0 once it is over."""
         return 0 if self.finished else max(0, self.budget - self.evaluations)
 
-    @property
-    def done(self) -> float:
-        """Share of the run that is done, 0 to 1."""
-        return _share_done(self.evaluations, self.remaining)
 
-    @property
-    def left(self) -> str:
-        """The time left in words, at the speed so far."""
-        return _time_left(self.remaining, self.rate)
-
-
-class JobStatus(RunTotals, frozen=True, kw_only=True):
+class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     """Progress of a job with all of its runs. Travels as JSON on `stat/job`."""
 
     job: Annotated[str, "Its name."]
@@ -239,16 +255,6 @@ class JobStatus(RunTotals, frozen=True, kw_only=True):
         """The trouble; empty at first, while a recorder may still be starting."""
         return "" if self.state == "starting" and self.seconds < STARTUP_SECONDS else self.trouble
 
-    @property
-    def done(self) -> float:
-        """Share of the job that is done, 0 to 1; a run that ended early or failed has nothing left."""
-        return _share_done(self.evaluations, self.remaining)
-
-    @property
-    def left(self) -> str:
-        """The time left in words, at the speed so far."""
-        return _time_left(self.remaining, self.rate)
-
 
 class JobMeta(Struct, frozen=True, kw_only=True):
     """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
@@ -262,20 +268,6 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     runs: Annotated[int, "Of the job, begun or not."]
     budget: Annotated[int, "Counted evaluations after which all runs are over."]
     identity: Annotated[str, "What tells the job from another one of its name; empty: it is not known."] = ""
-
-
-def _share_done(evaluations: int, remaining: int) -> float:
-    """Return the share of evaluations that are done, 0 to 1."""
-    return evaluations / (evaluations + remaining) if evaluations else 0.0
-
-
-def _time_left(evaluations: int, rate: float) -> str:
-    """The time that so many evaluations take at so many per second, in words."""
-    if rate <= 0 or evaluations / rate > LONGEST_WAIT:
-        return "time left unknown"
-    seconds = round(evaluations / rate)
-    hours, seconds = divmod(seconds, 3600)
-    return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 
 
 Kind = TypeVar("Kind", bound=Struct)

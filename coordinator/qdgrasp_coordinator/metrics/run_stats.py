@@ -277,19 +277,15 @@ class RunCounter:
             raise ImpossibleValue(where, spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        if self.left <= 0 and not self._missing_trials:
+        has_all_trials = self.trials == self._trials * self.successes
+        if self.left <= 0 and has_all_trials:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._goal is not None and not self._missing_trials:
+        if self._goal is not None and has_all_trials:
             return self._goal
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:
             return f"the last {genomes} genomes, {self._barren} generations, counted no evaluation"
         return None
-
-    @property
-    def _missing_trials(self) -> int:
-        """Trials of the successes so far that have not been counted yet."""
-        return self._trials * self.successes - self.trials
 
     def _from(self, outcome: Outcome) -> int:
         return sum(self._outcomes[outcome:])

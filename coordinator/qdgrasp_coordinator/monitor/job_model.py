@@ -115,7 +115,6 @@ class JobModel:
         self._reset()
 
     def _reset(self) -> None:
-        """Drop everything about the job's progress."""
         self._floor: JobStatus | None = None  # counts do not fall below these
         self._runs: dict[str, RunModel] = {}
         self._pages: dict[int, list[job_status.WorkerStatus]] = {}

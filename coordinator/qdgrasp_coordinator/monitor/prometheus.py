@@ -170,7 +170,6 @@ class JobCollector(Collector):
 
 
 def _run_states(job: JobStatus) -> Iterator[tuple[str, int]]:
-    """Yield the number of a job's runs in each state."""
     yield "open", job.runs_open
     yield "done", job.runs_done
     yield "failed", job.runs_failed

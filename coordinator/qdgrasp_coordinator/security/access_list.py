@@ -4,7 +4,7 @@ The table says which role gives and takes which kind of message. A zenoh configu
 from it: for `zenohd`, `qdgrasp-router` and zenoh's own tools.
 """
 
-from collections.abc import Iterable, Iterator, Sequence, Set
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -93,10 +93,9 @@ TAKEN = {
 """Zenoh messages of the taking side: ingress from it, egress to the givers."""
 
 
-def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> session.ZenohSettings:
+def access_list() -> session.ZenohSettings:
     """Return the access list and the size limits of a router's configuration."""
-    flows = tuple(traffic)
-    rules = {role: list(_rules(role, flows)) for role in Role}
+    rules = {role: list(_rules(role)) for role in Role}
     return {
         "access_control": {
             "enabled": True,
@@ -108,25 +107,22 @@ def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> session.ZenohSettings:
                 for role, of_role in rules.items()
             ],
         },
-        "low_pass_filter": [limit for flow in flows for limit in _limits(flow)],
+        "low_pass_filter": [limit for flow in TRAFFIC for limit in _limits(flow)],
     }
 
 
-def _rules(role: Role, traffic: Sequence[Traffic]) -> Iterator[dict[str, Any]]:
+def _rules(role: Role) -> Iterator[dict[str, Any]]:
     """Yield the rules of one role: what it sends, and what it gets from the other side."""
     for kind in TrafficKind:
-        flows = [flow for flow in traffic if flow.kind is kind]
+        flows = [flow for flow in TRAFFIC if flow.kind is kind]
         if role is Role.ROUTER:  # a router takes from another one all that this lets in
             both, keys = ["ingress", "egress"], [flow.key for flow in flows]
             yield _rule(f"{role} relays ({kind})", GIVEN[kind] + TAKEN[kind], both, keys)
             continue
         given = [flow.key for flow in flows if role in flow.givers]
         taken = [flow.key for flow in flows if role in flow.takers]
-        takers = [
-            flow.key
-            for flow in flows
-            if flow.takers and any(patterns_intersect(flow.key, key) for key in given)
-        ]
+        heard = [flow.key for flow in flows if flow.takers]
+        takers = [key for key in heard if any(patterns_intersect(key, each) for each in given)]
         sides = (
             ("gives", GIVEN[kind], "ingress", given),
             ("is taken from", TAKEN[kind], "egress", takers),
@@ -149,7 +145,6 @@ def _rule(name: str, messages: list[str], directions: list[str], keys: list[str]
 
 
 def _limits(flow: Traffic) -> list[dict[str, Any]]:
-    """Return the size limits of a key's messages and answers."""
     sizes = {
         TrafficKind.PUT: [("put", flow.limit)],
         TrafficKind.QUERY: [("query", flow.limit), ("reply", flow.answer_limit)],

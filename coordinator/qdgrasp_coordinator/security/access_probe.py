@@ -73,18 +73,13 @@ def open_sessions(
 ) -> Iterator[ProbeSessions]:
     """Open all sessions at a router, each within `patience` seconds.
 
-    Parameters
-    ----------
-    folder
-        The folder that `qdgrasp security init` wrote, with the authority's key.
-    takers_at
-        Endpoint of another router for the takers; None: the same one.
+    `folder` is the one that `qdgrasp security init` wrote, with the authority's key; takers may have their
+    sessions at another router, `takers_at`.
     """
     with ExitStack() as stack:
         proofs: dict[str, Credentials] = {role.value: _credentials(folder, role) for role in PROBE_ROLES}
-        proofs[NO_ROLE] = stack.enter_context(
-            temporary_certificate(SecurityFolder(folder).authority, NO_ROLE)
-        )
+        ours = SecurityFolder(folder).authority
+        proofs[NO_ROLE] = stack.enter_context(temporary_certificate(ours, NO_ROLE))
 
         def enter(name: str, where: str) -> Bus:
             return stack.enter_context(ZenohBus.connect(where, patience, credentials=proofs[name]))
@@ -136,18 +131,18 @@ class Delivery:
     taker: str  # Name of the session that received, answered or watched
 
 
-def allowed_givers(kind: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
+def allowed_givers(kind: TrafficKind, key: str) -> frozenset[str]:
     """Return the roles that may publish, ask or be alive on a key."""
-    return frozenset(
-        role for flow in traffic if flow.kind is kind and matches(flow.key, key) for role in flow.givers
-    )
+    return frozenset().union(*(flow.givers for flow in _flows(kind, key)))
 
 
-def allowed_takers(kind: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
+def allowed_takers(kind: TrafficKind, key: str) -> frozenset[str]:
     """Return the roles that may subscribe, answer or watch on a key."""
-    return frozenset(
-        role for flow in traffic if flow.kind is kind and matches(flow.key, key) for role in flow.takers
-    )
+    return frozenset().union(*(flow.takers for flow in _flows(kind, key)))
+
+
+def _flows(kind: TrafficKind, key: str) -> list[Traffic]:
+    return [flow for flow in TRAFFIC if flow.kind is kind and matches(flow.key, key)]
 
 
 def allowed_deliveries(kind: TrafficKind, keys: Iterable[str]) -> set[Delivery]:
@@ -301,10 +296,8 @@ class LoginAttempt:
 def try_logins(endpoint: str, folder: Path) -> list[LoginAttempt]:
     """Try to open a session with every kind of bad certificate, and with a good one.
 
-    Raises
-    ------
-    EndpointError
-        The good one opens no session either: the router is away, or slower than `LOGIN_SECONDS`.
+    Raises `EndpointError` where the good one opens no session either: the router is away, or slower than
+    `LOGIN_SECONDS`.
     """
     ours, theirs, now = SecurityFolder(folder).authority, authority.create_authority(1), datetime.now(UTC)
     tried = [

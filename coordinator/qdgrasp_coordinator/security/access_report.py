@@ -139,21 +139,11 @@ class AccessReport:
 
 
 def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -> AccessReport:
-    """Probe the router on `endpoint`.
+    """Probe the router on `endpoint`; takers may be at a second one that relays with it, `takers_at`.
 
-    Parameters
-    ----------
-    folder
-        The folder that `qdgrasp security init` wrote, with the authority's key.
-    takers_at
-        Endpoint of a second router that relays with the first, for the takers; None: one router.
-
-    Raises
-    ------
-    EndpointError
-        The router does not answer, or takes none of the roles; or several were named.
-    SecurityError
-        The folder lacks a file.
+    `folder` is the one that `qdgrasp security init` wrote, with the authority's key; one that lacks a file
+    raises `SecurityError`. A router that does not answer, or takes none of the roles, raises `EndpointError`,
+    and so do several that are named.
     """
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)

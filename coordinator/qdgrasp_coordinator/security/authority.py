@@ -86,14 +86,8 @@ def issue_certificate(
 ) -> CertificateIdentity:
     """Issue a certificate that is good for `days`.
 
-    Parameters
-    ----------
-    common_name
-        A role's common name, which decides on its rights.
-    hosts
-        Names and addresses of the router that shows it.
-    holder
-        Its owner, for people: a node's name, for example.
+    A role's `common_name` decides on its rights; `hosts` are names and addresses of the router that shows it;
+    `holder` is its owner, for people: a node's name, for example.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     names = [_alternative(host) for host in hosts]

@@ -33,12 +33,8 @@ class SecurityFolder:
         """Create an authority and a certificate for each role, all files or none.
 
         The first of `hosts`, by which routers are reached, stands in clients' configurations. Certificates
-        are good for `days`.
-
-        Raises
-        ------
-        DiskFull, OutputError
-            There is something at `path` already, or it cannot be written.
+        are good for `days`. Raises `OutputError` or `DiskFull` where something is at `path` already, or it
+        cannot be written.
         """
         check_hosts(hosts)
         output = OutFolder(
@@ -68,12 +64,8 @@ class SecurityFolder:
     def add(self, role: Role, name: str, *, hosts: Sequence[str], days: int) -> Path:
         """Issue one more certificate of a role, in a folder of its own that a node can be given.
 
-        Raises
-        ------
-        SecurityError
-            There is no authority here that lasts as long.
-        DiskFull, OutputError
-            There is such a folder already, or it cannot be written.
+        Raises `SecurityError` where no authority is here that lasts as long, `OutputError` or `DiskFull`
+        where such a folder is there already, or cannot be written.
         """
         check_hosts(hosts)
         if not NAME.fullmatch(name):

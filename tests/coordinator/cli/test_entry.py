@@ -77,21 +77,19 @@ def test_a_signal_leaves_no_trace_whatever_is_being_loaded(
     assert (done.returncode, done.stderr) == (128 + number, "")
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_every_command_answers_for_help(name: str) -> None:
+def answer(name: str, flag: str) -> str:
+    """What a command prints."""
     function = SCRIPTS[name].partition(":")[2]
-    code = f"import sys; sys.argv = [{name!r}, '--help']; from qdgrasp.entry import {function} as f; f()"
+    code = f"import sys; sys.argv = [{name!r}, {flag!r}]; from qdgrasp.entry import {function} as f; f()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
     assert done.returncode == 0, done.stderr
-    assert f"Usage: {name}" in done.stdout
+    return done.stdout
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_every_command_says_its_version(name: str) -> None:
-    function = SCRIPTS[name].partition(":")[2]
-    code = f"import sys; sys.argv = [{name!r}, '--version']; from qdgrasp.entry import {function} as f; f()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
-    assert (done.returncode, done.stdout) == (0, f"{name} {version('qdgrasp')}\n"), done.stderr
+def test_every_command_answers_for_help_and_says_its_version(name: str) -> None:
+    assert f"Usage: {name}" in answer(name, "--help")
+    assert answer(name, "--version") == f"{name} {version('qdgrasp')}\n"
 
 
 def test_a_command_without_a_word_behind_it_shows_its_help() -> None:

@@ -29,14 +29,11 @@ def show(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["show", *map(str, arguments)])
 
 
-def test_a_grasp_is_shown_line_by_line(path: Path) -> None:
+def test_a_grasp_is_shown_line_by_line_and_the_run_by_the_name_of_its_folder(path: Path) -> None:
     lines = show(path, "--grasp", 1).stdout.splitlines()
-    assert "outcome          held: both shakes were survived" in lines
+    for words in ("run              mug", "outcome          held: both shakes were survived"):
+        assert words in lines
     assert "number           1 of 5 rows, counted from 0" in lines
-
-
-def test_the_run_is_told_by_the_name_of_its_folder(path: Path) -> None:
-    assert "run              mug" in show(path, "--grasp", 1).stdout.splitlines()
 
 
 def test_machines_are_told_the_same(path: Path) -> None:
@@ -53,8 +50,9 @@ def test_a_row_that_is_not_there_is_refused(path: Path) -> None:
     )
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    assert isinstance(show(tmp_path, "--grasp", 0).exception, FolderError)
+@pytest.mark.parametrize("command", [("show", "--grasp", "0"), ("verify",), ("view",)])
+def test_a_folder_without_a_run_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
+    assert isinstance(CliRunner().invoke(app, [*command, str(tmp_path)]).exception, FolderError)
 
 
 def test_a_number_is_asked_for(path: Path) -> None:
@@ -68,35 +66,24 @@ def refused(path: Path, out: object, *arguments: object, grasp: int = 1) -> str:
     return str(error)
 
 
-def test_a_file_of_another_kind_is_refused(path: Path, tmp_path: Path) -> None:
-    out = tmp_path / "a.jpg"
-    assert refused(path, out) == f"{out} must end with .png or .gif; name another path with --out."
+SIZE_WORDS = "--size must be 320x240 to 1280x960 for a .gif"
+SIZES = ("640", "640x", "10x10", "640x560x3", "-640x560", "9999x9999")
+VIEWS = ("40", "40,25,3", "x,y", "nan,3", "500,3", "0,91")
 
 
-def test_a_part_of_a_picture_is_refused(path: Path, tmp_path: Path) -> None:
-    assert "--what chooses a part of a film" in refused(path, tmp_path / "a.png", "--what", "shakes")
-
-
-def test_a_file_that_is_there_stays(path: Path, tmp_path: Path) -> None:
-    out = tmp_path / "a.png"
-    out.write_text("kept")
-    assert refused(path, out) == (
-        f"{out} is there already; name another path with --out, or replace it with --force."
-    )
-    assert out.read_text() == "kept"
-
-
-@pytest.mark.parametrize("size", ["640", "640x", "10x10", "640x560x3", "-640x560", "9999x9999"])
-def test_an_impossible_size_is_refused(path: Path, tmp_path: Path, size: str) -> None:
-    said = refused(path, tmp_path / "a.gif", f"--size={size}")
-    assert said == f"--size must be 320x240 to 1280x960 for a .gif, got '{size}'."
-
-
-@pytest.mark.parametrize("view", ["40", "40,25,3", "x,y", "nan,3", "500,3", "0,91"])
-def test_an_impossible_view_is_refused(path: Path, tmp_path: Path, view: str) -> None:
-    assert "--from must be AZIMUTH,ELEVATION in degrees" in refused(
-        path, tmp_path / "a.png", f"--from={view}"
-    )
+@pytest.mark.parametrize(
+    ("name", "flags", "words"),
+    [
+        ("a.jpg", (), "a.jpg must end with .png or .gif; name another path with --out."),
+        ("a.png", ("--what", "shakes"), "--what chooses a part of a film"),
+        *(("a.gif", (f"--size={size}",), f"{SIZE_WORDS}, got '{size}'.") for size in SIZES),
+        *(("a.png", (f"--from={view}",), "--from must be AZIMUTH,ELEVATION in degrees") for view in VIEWS),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused(
+    path: Path, tmp_path: Path, name: str, flags: tuple[str, ...], words: str
+) -> None:
+    assert refused(path, tmp_path / name, *flags).removeprefix(f"{tmp_path}/").startswith(words)
 
 
 def test_a_row_without_a_pose_is_refused(path: Path, tmp_path: Path) -> None:
@@ -114,10 +101,6 @@ def test_all_rows_leave_nothing_to_a_sample(tmp_path: Path) -> None:
     refused = refusal(tmp_path, "--all", "--sample", 3)
     assert isinstance(refused, InputError)
     assert str(refused) == "--all leaves nothing to --sample: give one of them."
-
-
-def test_verify_refuses_a_folder_without_a_run(tmp_path: Path) -> None:
-    assert isinstance(refusal(tmp_path), FolderError)
 
 
 def test_a_run_without_rows_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
@@ -153,12 +136,6 @@ def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
 )
 def test_a_browser_is_opened_where_somebody_sits(environment: dict[str, str], is_there: bool) -> None:
     assert has_desktop(environment) is is_there
-
-
-def test_view_refuses_a_folder_without_a_run(tmp_path: Path) -> None:
-    refused = CliRunner().invoke(app, ["view", str(tmp_path)])
-    assert isinstance(refused.exception, FolderError)
-    assert "holds no run and no campaign, nor does a folder in it" in str(refused.exception)
 
 
 @pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])

@@ -217,10 +217,3 @@ def test_a_name_of_the_catalog_is_no_file(check):
     assert str(done.exception) == (
         "'mug' is an object of the catalog, no file; `qdgrasp asset check mug` checks it."
     )
-
-
-def test_pictures_go_into_a_folder(check):
-    block().export("part.stl")
-    done = check("part.stl", "--picture", "part.stl")
-    assert isinstance(done.exception, FolderError)
-    assert "part.stl is a file, where a folder is to be written" in str(done.exception)

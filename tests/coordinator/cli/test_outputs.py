@@ -202,12 +202,12 @@ def test_a_file_takes_the_place_of_none_that_is_read(command: str, read: str) ->
 @pytest.mark.usefixtures("home")
 @each(FILES, ADDING)
 def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
-    out = written(command)
+    out, has_force = written(command), command not in ADDING.values() and flag(command) != "--repaired"
     for what, make in KINDS.items():
         make(out)
-        assert refused(command) == (
-            f"{out} is {what}, where a file is to be written; name another path with {flag(command)}."
-        )
+        words = f"{out} is {what}, where a file is to be written; name another path with {flag(command)}."
+        assert {refused(command), refused(command + " --force" * has_force)} == {words}
+        assert out.is_fifo() or out.is_symlink() or out.is_dir()
         out.rmdir() if what == "a folder" else out.unlink()
 
 
@@ -215,7 +215,9 @@ def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
 @each(FOLDERS, SHARED)
 def test_a_folder_takes_the_place_of_no_file(command: str) -> None:
     Path("out").write_text("mine")
-    assert refused(command).startswith("out is a file, where a folder is to be written; name another path")
+    ending = f" with {flag(command)}." if command in SHARED.values() else ""
+    words = f"out is a file, where a folder is to be written; name another path{ending}"
+    assert refused(command).startswith(words)
     assert Path("out").read_text() == "mine"
 
 

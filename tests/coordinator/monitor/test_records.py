@@ -134,10 +134,8 @@ def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> Non
 def test_the_synergy_of_each_success_comes_along(tmp_path: Path, make_scene, network: MemoryNetwork) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
-        told = [
-            records.page("mug", "run", 0).found["synergy"].tolist()
-            for records in (FolderRecords(FolderIndex([folder.path])), BusRecords(ours))
-        ]
+        both = FolderRecords(FolderIndex([folder.path])), BusRecords(ours)
+        told = [records.page("mug", "run", 0).found["synergy"].tolist() for records in both]
     assert told[0] == told[1] == synergies(folder.scene(), "spherical").labels(rows["genome"]).tolist()
     assert len(set(told[0])) == 3
 
@@ -175,9 +173,8 @@ def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
 def test_how_a_run_grew_is_told_generation_by_generation(records: Records) -> None:
     (entry,), curve = records.entries("mug").runs, records.curve("mug", "run")
     assert [point.evaluations for point in curve.points] == list(range(10, 301, 10))
-    assert [point.successes for point in curve.points] == [
-        len(successes(ROWS[:stop])) for stop in range(10, 301, 10)
-    ]
+    counts = [len(successes(ROWS[:stop])) for stop in range(10, 301, 10)]
+    assert [point.successes for point in curve.points] == counts
     assert (curve.run, curve.points[-1].cells, curve.points[-1].robust) == ("run", entry.cells, entry.robust)
 
 

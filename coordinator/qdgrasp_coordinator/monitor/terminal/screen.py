@@ -162,13 +162,11 @@ def _head(shown: ScreenState, width: int, glyphs: Glyphs) -> Lines:
 
 
 def _job_lines(title: str, view: JobView, width: int, glyphs: Glyphs) -> Lines:
-    """Return the progress, counts and outcomes of a job below a title."""
     lines = [_rule(title, width, glyphs), progress_line(view, width, glyphs)]
     return [*lines, *count_lines(view, width, glyphs), *outcome_lines(view, width, glyphs)]
 
 
 def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int, glyphs: Glyphs) -> Lines:
-    """Return the table of jobs, and the selected job."""
     chosen = choice.index(shown.names)
     view = shown.views[chosen]
     rows = min(len(shown.views), max(2, room // 7))

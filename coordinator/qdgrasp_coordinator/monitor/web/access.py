@@ -132,7 +132,6 @@ def _hostname(host: str) -> str:
 
 
 def _tokens_of(request: Request) -> list[str]:
-    """Return the tokens in the headers of a request."""
     scheme, _, word = request.headers.get("authorization", "").partition(" ")
     bearer = word.strip() if scheme.lower() == "bearer" else ""
     return [bearer, request.cookies.get(_cookie_name(request), "")]

@@ -132,7 +132,6 @@ def _json(text: bytes) -> Response:
 
 
 def _run(request: Request) -> tuple[str, str]:
-    """Return the job and the run in the path."""
     return request.path_params["job"], request.path_params["run"]
 
 

@@ -93,11 +93,6 @@ class JournalReading:
     origin: JournalId
     voxels: VoxelPages
 
-    @property
-    def fresh(self) -> float:
-        """The time for which it is good [s]."""
-        return FRESH_SECONDS if self.voxels.is_whole else 0.0
-
     def with_pages(self, pages: list[RecordPage]) -> "JournalReading":
         """Return this with the pages that follow."""
         voxels, last = copy(self.voxels), pages[-1]
@@ -112,7 +107,7 @@ class RunCache:
 
     def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
         self._records, self._job, self._run, self._clock = records, job, run, clock
-        self._reading = TtlCache(self._read, lambda reading: reading.fresh, clock)
+        self._reading = TtlCache(self._read, lambda one: FRESH_SECONDS if one.voxels.is_whole else 0.0, clock)
 
         def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene]]:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)

@@ -115,7 +115,6 @@ def serve(site: Site, host: str, port: int, token: str, stop: Stop, opened: Call
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
-    """Open the socket on which browsers connect."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)

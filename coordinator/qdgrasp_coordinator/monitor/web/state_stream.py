@@ -21,9 +21,8 @@ from starlette.responses import StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus, RunStatus, WorkerStatus
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.feed import Feed
-from qdgrasp_coordinator.monitor.job_view import JobView, Series
+from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_protocol.errors import UnknownName
 
 FRESH_SECONDS = 0.2  # seconds for which the views are reused
@@ -88,23 +87,6 @@ class JobState(Struct, frozen=True, kw_only=True):
         )
 
 
-class JobsState(Struct, frozen=True, kw_only=True):
-    """All jobs as they are sent twice a second."""
-
-    at: float  # Seconds since 1970
-    linked: bool  # False while the router cannot be reached
-    strangers: list[str]  # Jobs whose coordinators are of another version of qdgrasp
-    jobs: list[JobState]
-
-
-class JobCurves(Struct, frozen=True, kw_only=True):
-    """Figures of a job and its runs over time, and their curves."""
-
-    history: Series
-    histories: dict[str, Series]
-    curves: dict[str, GrowthCurve]
-
-
 class PageState:
     """JSON of the jobs in a feed; views are reused for `FRESH_SECONDS`."""
 
@@ -115,19 +97,19 @@ class PageState:
         self._read_at = float("-inf")
 
     def state(self) -> bytes:
-        """Return all jobs as they are now (`JobsState`), as JSON in one line."""
+        """Return all jobs as they are now, as JSON in one line: what is sent twice a second."""
         jobs = [JobState.of(view) for view in self.views()]
-        linked, foreign = self._feed.is_linked, self._feed.foreign_jobs
-        return msgspec.json.encode(JobsState(at=time.time(), linked=linked, strangers=foreign, jobs=jobs))
+        link = {"linked": self._feed.is_linked, "strangers": self._feed.foreign_jobs}
+        return msgspec.json.encode({"at": time.time(), **link, "jobs": jobs})
 
     def curves(self, job: str) -> bytes:
-        """Return the `JobCurves` of a job as JSON, or raise `UnknownName`."""
+        """Return the figures of a job and its runs over time as JSON, or raise `UnknownName`."""
         views = {view.job: view for view in self.views()}
         if job not in views:
             raise UnknownName("job", job, views)
         view = views[job]
-        curves = JobCurves(history=view.history, histories=view.histories, curves=view.curves)
-        return msgspec.json.encode(curves)
+        series = {"history": view.history, "histories": view.histories}
+        return msgspec.json.encode({**series, "curves": view.curves})
 
     def views(self) -> list[JobView]:
         """Return the jobs as they are now, or were a moment ago."""

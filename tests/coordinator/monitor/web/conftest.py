@@ -109,23 +109,13 @@ def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) ->
     courses = [_run(name, told, steps, number) for number, name in enumerate(runs)]
     sums = {name: sum(getattr(one, name) for one in courses) for name in SUMMED}
     done = len(runs) if told == BUDGET else 0
-    figures = sample_jobs.figures(
-        job=job,
-        runs=len(runs),
-        runs_open=len(runs) - done,
-        runs_done=done,
-        workers=4 - len(gone),
-        recorders=1,
-        waiting=told % 37,
-        seconds=steps * 1.0,
-        rate=sums["evaluations"] / max(1, steps),
-        **sums,
-    )
+    counts = {"runs": len(runs), "runs_open": len(runs) - done, "runs_done": done, "workers": 4 - len(gone)}
+    more = {"recorders": 1, "waiting": told % 37, "seconds": steps * 1.0}
+    figures = sample_jobs.figures(job=job, rate=sums["evaluations"] / max(1, steps), **counts, **more, **sums)
     team = [_worker(number, number in gone, told) for number in range(4)]
+    since = datetime.fromtimestamp(at - 40 - steps, UTC)
     values = {
-        keys.meta: replace(
-            sample_jobs.meta(job, len(runs)), since=datetime.fromtimestamp(at - 40 - steps, UTC)
-        ),
+        keys.meta: replace(sample_jobs.meta(job, len(runs)), since=since),
         keys.stat("job"): figures,
         **{keys.stat(f"run/{one.run}"): one for one in courses},
         **{keys.stat(f"team/{page.page}"): page for page in sample_jobs.team(*team)},
@@ -139,46 +129,28 @@ def _run(name: str, told: int, steps: int, number: int) -> RunStatus:
     rest = told - held - shaken - dropped
     parts = {"dead_end": 0.1, "overlap": 0.47, "missed": 0.25, "brushed": 0.18}
     failed = {outcome: int(rest * part) for outcome, part in parts.items()}
-    outcomes = {
-        "error": rest - sum(failed.values()),
-        **failed,
-        "dropped": dropped,
-        "shaken": shaken,
-        "held": held,
-    }
+    ends = {"dropped": dropped, "shaken": shaken, "held": held}
+    spec = {"budget": BUDGET, "seed": number % 2, "object": name.split("-")[1] if "-" in name else name}
+    counts = {"evaluations": told, "rows": told, "proposals": 2 * told, "durable": told - told % 37}
+    counts |= {"successes": held + shaken + dropped, "grasps": held + shaken, "robust": held}
     return sample_jobs.run(
         name,
-        evaluations=told,
-        budget=BUDGET,
-        rows=told,
-        seed=number % 2,
-        object=name.split("-")[1] if "-" in name else name,
-        outcomes=outcomes,
+        outcomes={"error": rest - sum(failed.values()), **failed, **ends},
         simulated=told - failed["overlap"] - failed["dead_end"],
-        proposals=2 * told,
-        successes=held + shaken + dropped,
-        grasps=held + shaken,
-        robust=held,
         cells=int(90 * (1 + number / 6) * (told / 1000) ** 0.6),
-        durable=told - told % 37,
         seconds=steps * 1.0,
         rate=told / max(1, steps),
         finished="its budget is spent" if told == BUDGET else "",
+        **spec,
+        **counts,
     )
 
 
 def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
-    return sample_jobs.worker(
-        number,
-        host=f"node{number // 2 + 1}",
-        pid=4100 + number,
-        state="gone" if is_gone else "working",
-        rate=0.0 if is_gone else 43.7 + number,
-        rows=told // 4,
-        batches=0 if is_gone else 2,
-        seen=3.0 if is_gone else 0.2 * number,
-        memory=(180 + 7 * number) << 20,
-    )
+    gone, working = {"rate": 0.0, "batches": 0, "seen": 3.0}, {"batches": 2, "seen": 0.2 * number}
+    doing = gone if is_gone else working | {"rate": 43.7 + number}
+    own = {"host": f"node{number // 2 + 1}", "pid": 4100 + number, "memory": (180 + 7 * number) << 20}
+    return sample_jobs.worker(number, state="gone" if is_gone else "working", rows=told // 4, **own, **doing)
 
 
 class FakeLibrary:
