@@ -139,11 +139,12 @@ class AccessReport:
 
 
 def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -> AccessReport:
-    """Probe the router on `endpoint`; takers may be at a second one that relays with it, `takers_at`.
+    """Probe the router on `endpoint`.
 
-    `folder` is the one that `qdgrasp security init` wrote, with the authority's key; one that lacks a file
-    raises `SecurityError`. A router that does not answer, or takes none of the roles, raises `EndpointError`,
-    and so do several that are named.
+    Takers may be at a second router that relays with it, `takers_at`. `folder` is the one that `qdgrasp
+    security init` wrote, with the authority's key; where it lacks a file, that raises `SecurityError`. A
+    router that does not answer, or takes none of the roles, raises `EndpointError`; so do several that are
+    named.
     """
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)

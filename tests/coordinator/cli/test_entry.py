@@ -1,4 +1,4 @@
-"""Where the commands begin, and what they load before they know what to do."""
+"""Entry points of the commands, and the modules that they load first."""
 
 import json
 import signal
@@ -13,7 +13,7 @@ import pytest
 from qdgrasp import entry
 
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
-"""What takes a tenth of a second or more to import; commands import it where they need it."""
+"""Packages that take a tenth of a second or more to import; commands import them where needed."""
 
 
 @pytest.mark.parametrize("module", ["main", "coordinator_process", "recorder_process"])
@@ -78,7 +78,7 @@ def test_a_signal_leaves_no_trace_whatever_is_being_loaded(
 
 
 def answer(name: str, flag: str) -> str:
-    """What a command prints."""
+    """Run a command with a flag; returns its output."""
     function = SCRIPTS[name].partition(":")[2]
     code = f"import sys; sys.argv = [{name!r}, {flag!r}]; from qdgrasp.entry import {function} as f; f()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)

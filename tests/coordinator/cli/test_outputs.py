@@ -1,4 +1,4 @@
-"""What every command says of a path that it cannot read or write."""
+"""Refusals of every command for a path that it cannot read or write."""
 
 import os
 from collections.abc import Callable
@@ -79,7 +79,7 @@ KINDS: dict[str, Callable[[Path], object]] = {
     "a link": lambda path: path.symlink_to("jaw.urdf"),
     "a device or pipe": os.mkfifo,
 }
-"""What may be in the place of a file, and how it comes there."""
+"""Things that may be in the place of a file, and functions that make them."""
 CAMPAIGN = '[[cross]]\ngripper = "panda"\nobject = "mug"\nmethod = "me_rand"\n'
 MAKING = ("export", "export graspgen", "import", "object check", "security init")
 """Commands that are quick enough to be carried out here."""

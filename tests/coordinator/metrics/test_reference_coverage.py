@@ -58,7 +58,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def saved(save: Callable[..., None], *given: object) -> bytes:
-    """What numpy writes of arrays."""
+    """Return the bytes of a file of arrays."""
     file = io.BytesIO()
     save(file, *given)
     return file.getvalue()

@@ -73,7 +73,7 @@ def values(
 
 
 def views(shown: dict[str, bytes]) -> list[JobView]:
-    """What is seen of answers that have just come."""
+    """Return the views of answers that have just come."""
     jobs = JobModels()
     jobs.receive_answers(shown, 100.0)
     return jobs.views(100.0)
@@ -119,7 +119,7 @@ def job(
     later: float = 0.5,
     **more: object,
 ) -> JobView:
-    """A job that goes on for so many seconds, 83 evaluations in each; nothing is heard of it later."""
+    """Return a job after so many seconds with 83 evaluations each, and silence `later` seconds."""
     jobs, keys = JobModels(), Keys(name)
     jobs.coordinator_changed(keys.coordinator_token(2), True, 1000.0)
     names = [f"panda-mug-aimed-s{number}" for number in range(runs)]

@@ -141,7 +141,7 @@ def begins(jobs: JobModels, now: float, epoch: int, identity: str = "") -> None:
 
 
 def finds(jobs: JobModels, now: float, count: int) -> JobView:
-    """What is seen where a coordinator says that so much was found."""
+    """Return the view of a job whose coordinator says that so much was found."""
     found = {"evaluations": count, "successes": count, "cells": count, "seconds": 1.0}
     publish(jobs, now, stat_job=figures(**found), stat_run_a=run("a", **found, outcomes={"held": count}))
     return view_of(jobs, now)

@@ -36,7 +36,7 @@ def read(text: str) -> dict[str, Metric]:
 
 
 def samples(text: str) -> dict[tuple[str, ...], float]:
-    """What is told, by the metric's name and the values of its labels in the order of theirs."""
+    """Return samples by the metric's name and the values of its labels, in their order."""
     found = [sample for one in read(text).values() for sample in one.samples]
     told = {(one.name, *(one.labels[label] for label in sorted(one.labels))): one.value for one in found}
     assert len(told) == len(found)

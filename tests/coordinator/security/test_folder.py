@@ -1,4 +1,4 @@
-"""What `qdgrasp security init` and `add` write."""
+"""Folders that `qdgrasp security init` and `add` write."""
 
 import os
 import ssl

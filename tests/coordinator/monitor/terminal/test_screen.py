@@ -88,7 +88,7 @@ SIZES = [(80, 24), (200, 60), (100, 30), (120, 40), (60, 20), screen.MIN_SIZE]
 def text(
     what: ScreenState, width: int = 80, height: int = 24, glyphs: Glyphs = UNICODE, **choice: Any
 ) -> str:
-    """What a terminal of that size shows, with a list or a job that was chosen."""
+    """Return the screen of a terminal of that size, with a list or a job selected."""
     file = io.StringIO()
     console = Console(file=file, width=width, height=height, force_terminal=True, color_system=None)
     for line in screen.screen_lines(what, ScreenSelection(**choice), width, height, glyphs):

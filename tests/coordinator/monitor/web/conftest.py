@@ -154,7 +154,7 @@ def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
 
 
 class FakeLibrary:
-    """A library of runs in which nothing was found; nobody lists those of the job `hands`."""
+    """A library of runs without finds; it has no list of those of the job `hands`."""
 
     def runs(self, job: str) -> bytes:
         if job == "hands":
@@ -209,7 +209,7 @@ def finds(
     synergies: ArrayLike = -1,
     etas: ArrayLike = -1,
 ) -> SuccessTable:
-    """Finds with these journal numbers (n,), in these cells (n, 3), with these outcomes (n,) and so on."""
+    """Return finds with journal numbers (n,), cells (n, 3), outcomes (n,) and so on."""
     made = np.zeros(len(np.asarray(numbers)), success_dtype(joints))
     made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
     made["descriptor"] = np.asarray(places) / 100
@@ -220,7 +220,7 @@ def finds(
 
 
 def random_finds(n: int, reach: int = 3, seed: int = 0) -> SuccessTable:
-    """So many finds in few cells, so that many of them meet; every other row of the journal is one."""
+    """Return `n` finds in few cells, at every other row of the journal."""
     random = np.random.default_rng(seed)
     places = random.integers(-reach, reach + 1, (n, 3))
     outcomes = random.integers(Outcome.DROPPED, Outcome.HELD + 1, n)
@@ -283,7 +283,7 @@ class HandMadeRecords:
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    """A browser for the tests of a module, which are skipped where there is none."""
+    """A browser for the tests of a module; without one they are skipped."""
     with browser.launched() as launched:
         yield launched
 

@@ -67,7 +67,7 @@ RESTS = """() => new Promise((done) => {
   look();
 })"""
 STAND = """(are) => view.objects.hand.visible === are && view.objects.mark.visible === are"""
-"""Whether the hand, and the mark at its cell, are there."""
+"""True where the hand, and the mark at its cell, are there."""
 CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
   (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
 Page = Any
@@ -367,7 +367,7 @@ def slide(filtered: Page, name: str, to: float) -> None:
 
 
 def kinds(filtered: Page) -> Any:
-    """What is expected of the numbers of cells that show each kind, from worst to best."""
+    """Expect numbers of cells of each kind, from worst to best."""
     return expect(filtered.locator("#scene-key li b"))
 
 

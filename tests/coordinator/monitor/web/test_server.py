@@ -212,7 +212,7 @@ def test_the_state_is_one_line_so_that_it_can_be_an_event(feed: FakeFeed) -> Non
 
 
 def ended(connection: socket.socket) -> bool:
-    """Whether the server ends a connection; False: it said something."""
+    """True where the server ends a connection; False where it says something."""
     connection.settimeout(PATIENCE)
     try:
         return connection.recv(1) == b""
@@ -282,7 +282,7 @@ def test_whoever_comes_to_a_full_house_is_asked_to_try_again(
 
 
 def asked(guest: HTTPConnection) -> int:
-    """What a connection is answered with that stays there afterwards."""
+    """Return the status of an answer; the connection stays open."""
     guest.request("GET", "/api/state")
     answer = guest.getresponse()
     answer.read()
