@@ -1,5 +1,6 @@
 """`qdgrasp run`, `resume` and `rerank`: runs that this machine carries out."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -124,13 +125,24 @@ def run(
     asked = run_plan.full_spec(values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
-    out = out or Path("runs") / run_plan.default_run_name(asked)
+    start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)
+
+
+def start_run(
+    spec: RunSpec,
+    out: Path,
+    config: LocalJobConfig,
+    job: str | None = None,
+    begun: Callable[[RunFolder], None] = lambda _folder: None,
+) -> None:
+    """Begin a run in a new folder and carry it out; `begun` is called in between."""
     RunFolder.check_free(out)
-    with progress_display(out.name, asked.evaluations) as shown:
-        shown.say(f"building the scene of {asked.gripper} and {asked.object}")
-        _, bundle = run_plan.make_bundle(asked)
+    with progress_display(out.name, spec.evaluations) as shown:
+        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        _, bundle = run_plan.make_bundle(spec)
         with lifetime("qdgrasp run") as stop:
-            folder = RunFolder.create(out, asked, bundle, job=job)
+            folder = RunFolder.create(out, spec, bundle, job=job)
+            begun(folder)
             run_job(folder.job, config, shown, stop)
     print_result(folder, stop)
 

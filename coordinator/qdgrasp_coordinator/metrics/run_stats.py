@@ -141,14 +141,10 @@ class RunCounter:
     """
 
     rows: int = 0
-    evaluations: int = 0
-    """Counted evaluations: what the budget limits."""
+    evaluations: int = 0  # Counted ones: what the budget limits
     proposals: int = 0
-    """Poses that decoding screened."""
     trials: int = 0
-    """Rows that are trials."""
     errors: int = 0
-    """Rows on which the simulator failed three times, trials included."""
 
     def __init__(
         self, budget: int, overlaps: Overlaps, trials: int = 0, goals: StopCriteria = BUDGET_ALONE

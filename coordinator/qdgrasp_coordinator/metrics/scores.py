@@ -26,10 +26,9 @@ class TrialSums:
 
     def __init__(self, trials: int) -> None:
         self._trials = trials
+        # Successes whose trials are not complete, in journal order, with the `fitness` so far in sum
         self._waiting: Rows | None = None
-        """Successes whose trials are not complete, in journal order; `fitness` is the sum so far."""
-        self._seen = np.zeros(0, dtype=np.int64)
-        """Number of trials of each of them that were added."""
+        self._seen = np.zeros(0, dtype=np.int64)  # Number of trials of each of them that were added
 
     def take(self, rows: Rows) -> Rows:
         """The nominal successes whose score is known with these rows, in journal order: (n,).

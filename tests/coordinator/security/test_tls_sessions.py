@@ -85,9 +85,7 @@ def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
     key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
     with (
         ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.RECORDER)) as recorder,
-        ZenohBus.connect(
-            secured, PATIENCE, credentials=Credentials.find(folder, Role.COORDINATOR)
-        ) as coordinator,
+        ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.COORDINATOR)) as coordinator,
         coordinator.subscribe(key, lambda sample: heard.put(len(sample.payload))),
     ):
         sizes = []
