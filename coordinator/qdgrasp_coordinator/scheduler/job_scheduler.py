@@ -121,8 +121,7 @@ class JobScheduler:
         self.events = events or EventLog()
         self.stopping = stopping or EarlyStop(None, 0.0)
         self.drops = DropCounter()
-        self.is_paused = False
-        """True: nothing is leased; leased batches still count."""
+        self.is_paused = False  # True: nothing is leased; leased batches still count
         self.is_cancelled = False
         """True if the job ends before it is done: it was cancelled, or its time is over."""
         self._keys = Keys(job)
@@ -223,7 +222,6 @@ class JobScheduler:
             run.sink.on_recorder_up(now)
 
     def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
-        """Add a run that is open, unless its rows were made on another platform."""
         if not self.epoch:
             self.start_epoch(opened.epoch)
             self._on_epoch(opened.epoch, opened.identity)
@@ -253,14 +251,12 @@ class JobScheduler:
         self.events.note("error", f"Run '{reason.run}' cannot be carried out: {reason}", run=reason.run)
 
     def _remove(self, run: ActiveRun, now: float) -> None:
-        """Remove a run that is finished and recorded."""
         self._on_finished(run, now)
         self.runs.remove(run)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
         self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
 
     def _withdraw(self, run: str) -> None:
-        """Withdraw a run's queued and leased rows."""
         for wid, batches in self.dispatcher.withdraw(run).items():
             self._drop(wid, batches)
 
@@ -294,7 +290,6 @@ class JobScheduler:
         self.events.note("worker", f"{worker.description} {how}{again}.", worker=worker.wid)
 
     def _drop(self, wid: str, batches: list[bytes]) -> None:
-        """Take batches back from a worker."""
         self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drop=batches), Channel.CONTROL)
 
     def _send_away(self, wid: str) -> None:
@@ -370,7 +365,6 @@ class JobScheduler:
         return f"Job '{self.job}' is paused: nothing is handed out; {out}."
 
     def _drain(self, order: Order) -> str:
-        """Have workers finish what they hold, and leave."""
         chosen = _choose_workers(list(self.workers), order, self.job)
         for worker in chosen:
             self.workers.drain(worker.wid)
@@ -416,6 +410,5 @@ def _choose_workers(workers: list[Worker], order: Order, job: str) -> list[Worke
 
 
 def _list_workers(workers: list[Worker]) -> str:
-    """Return the known workers in words."""
     names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
     return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"
