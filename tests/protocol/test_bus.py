@@ -18,6 +18,7 @@ from structlog.testing import capture_logs
 from tests.common import PATIENCE, free_port, own_endpoint
 
 from qdgrasp_protocol import bundle_transfer, messages, session
+from qdgrasp_protocol.bundle_transfer import CHUNK_SIZE
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Query, Sample
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys, matches
@@ -242,9 +243,7 @@ class TestBus:
                 near.ask("test/q", timeout=0.1)
             asked_enough.set()
 
-    def test_tokens_declared_before_and_after_the_watch_are_seen_and_so_is_their_end(
-        self, near: Bus, far: Bus
-    ) -> None:
+    def test_tokens_declared_before_and_after_the_watch_are_seen_and_so_is_their_end(self, near, far) -> None:
         ear = Ear()
         with far.token("test/live/early"):
             connected(near, far)
@@ -354,9 +353,7 @@ class TestZenohBus:
             with pytest.raises(EndpointError, match="tcp/HOST:PORT"):
                 opener(text)
 
-    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self, monkeypatch) -> None:
         monkeypatch.setattr(session, "PORT", free_port())
         default = f"tcp/{session.LOOPBACK}:{session.PORT}"
         assert free_endpoint() == default
@@ -434,17 +431,7 @@ def digest(payload: bytes) -> str:
     return hashlib.sha256(payload).hexdigest()
 
 
-@pytest.mark.parametrize(
-    "length",
-    [
-        0,
-        1,
-        bundle_transfer.CHUNK_SIZE - 1,
-        bundle_transfer.CHUNK_SIZE,
-        bundle_transfer.CHUNK_SIZE + 1,
-        3 * bundle_transfer.CHUNK_SIZE,
-    ],
-)
+@pytest.mark.parametrize("length", [0, 1, CHUNK_SIZE - 1, CHUNK_SIZE, CHUNK_SIZE + 1, 3 * CHUNK_SIZE])
 def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
     payload = bytes(i % 251 for i in range(length))
     network = MemoryNetwork()
@@ -455,17 +442,16 @@ def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
         assert bundle_transfer.fetch_bundle(worker, "mugs", digest(payload)) == payload
 
 
-@pytest.mark.parametrize("parameters", ["", "i=", "i=2", "i=-1", "i=x", "j=0", "i=²"])
-def test_a_chunk_that_there_is_not_is_refused(parameters: str) -> None:
-    with pytest.raises(Refused, match="is not one of 2"):
-        bundle_transfer.answer_chunk(
-            Query(KEYS.asset("a"), parameters, b""), bytes(bundle_transfer.CHUNK_SIZE + 1), "a"
-        )
-
-
-def test_another_scene_is_refused() -> None:
-    with pytest.raises(Refused, match="no such scene"):
-        bundle_transfer.answer_chunk(Query(KEYS.asset("b"), "i=0", b""), b"scene", "a")
+@pytest.mark.parametrize(
+    ("asset", "parameters", "words"),
+    [
+        *(("a", asked, "is not one of 2") for asked in ("", "i=", "i=2", "i=-1", "i=x", "j=0", "i=²")),
+        ("b", "i=0", "no such scene"),
+    ],
+)
+def test_a_chunk_or_scene_that_there_is_not_is_refused(asset: str, parameters: str, words: str) -> None:
+    with pytest.raises(Refused, match=words):
+        bundle_transfer.answer_chunk(Query(KEYS.asset(asset), parameters, b""), bytes(CHUNK_SIZE + 1), "a")
 
 
 def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:

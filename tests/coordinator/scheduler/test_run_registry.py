@@ -15,7 +15,6 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     LoaderEvent,
     NoRunLeft,
     RunLoader,
-    RunOpened,
     RunRegistry,
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
@@ -78,10 +77,9 @@ class Coming:
 
     def open(self) -> ActiveRun:
         """Open the next run."""
-        news = self.ask()
-        assert isinstance(news, RunOpened)
-        self.runs.add(news.run)
-        return news.run
+        run = self.ask().run
+        self.runs.add(run)
+        return run
 
 
 @pytest.mark.parametrize("others", [(), ("other",)])

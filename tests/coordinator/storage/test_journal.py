@@ -64,9 +64,7 @@ def test_what_is_recorded_is_read_again_byte_for_byte(tmp_path: Path) -> None:
 
 
 @given(first=st.integers(0, 130), limit=st.integers(0, 130))
-def test_any_page_of_rows_is_that_slice_of_the_journal(
-    tmp_path_factory: pytest.TempPathFactory, first: int, limit: int
-) -> None:
+def test_any_page_of_rows_is_that_slice_of_the_journal(tmp_path_factory, first, limit) -> None:
     folder = tmp_path_factory.getbasetemp() / "pages"
     rows = make_rows(120)
     if not folder.exists():

@@ -222,7 +222,6 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, str(folder.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
-        assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
         with pytest.raises(FolderError, match=f"in use by process {holder.pid}"):
             folder.job.check_not_in_use()
@@ -235,9 +234,7 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
         folder.job.check_not_in_use()
 
 
-def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(
-    tmp_path: Path,
-) -> None:
+def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(tmp_path) -> None:
     left, held = (tmp_path / f".run.{number}.part" for number in (1, 2))
     for part in (left, held):
         part.mkdir()
