@@ -52,23 +52,15 @@ def test_rows_of_several_runs_become_durable_each_in_its_own_journal(network, co
         opened = anonymous(coordinator.open_runs("a", "b", "c"))
         assert opened == Opened(epoch=1, durable=[0, 0, 0], platform={})
         send_in_turns(coordinator, "abc", 1000)
-        coordinator.send(ROWS, 1000, 3000, run="b")
+        coordinator.send(ROWS, 1000, 3000, run="b", cpu_seconds=5.0)
         for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
             coordinator.hears_durable(stop, run)
             page = coordinator.page(500, 4096, run)
             assert page.rows.tobytes() == ROWS[500:stop].tobytes()
+            assert len(coordinator.page(stop, 10, run)) == 0
     assert recorded(path, "b") == ROWS.tobytes()
-
-
-def test_runs_are_opened_as_a_coordinator_gets_to_them(network, coordinator, path) -> None:
-    with recording(network, path):
-        coordinator.open_runs("a")
-        coordinator.send(ROWS, 0, 100, run="a")
-        opened = anonymous(coordinator.open_runs("b", "c", epoch=1))
-        assert opened == Opened(epoch=1, durable=[0, 0], platform={})
-        send_in_turns(coordinator, "bc", 100)
-        for run in "abc":
-            coordinator.hears_durable(100, run)
+    with RunFolder.open(path / "runs" / "b").journal() as journal:
+        assert journal.cpu_seconds == pytest.approx(5.0)
 
 
 def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(network, coordinator, path) -> None:

@@ -1,7 +1,6 @@
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.common import PATIENCE
 from tests.coordinator.recorder.fakes import (
@@ -11,7 +10,6 @@ from tests.coordinator.recorder.fakes import (
     SHAPE,
     SPEC,
     FakeCoordinator,
-    anonymous,
     make_rows,
     recording,
 )
@@ -25,7 +23,7 @@ from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Failure, Opened, Platform, Recordable
+from qdgrasp_protocol.messages import Failure, Platform, Recordable
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -41,14 +39,6 @@ def show_scene(bus: Bus) -> None:
 
 
 class TestOpening:
-    def test_each_opening_has_the_next_epoch_and_it_is_on_the_disk(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        for epoch in (1, 2, 3):
-            with recording(network, folder.path):
-                assert anonymous(coordinator.open()) == Opened(epoch=epoch, durable=[0], platform={})
-                assert RunFolder.open(folder.path).job.epoch == epoch
-
     def test_a_larger_budget_is_taken_over_into_spec_and_journal(self, network, coordinator, folder) -> None:
         longer = RunSpec(gripper="panda", object="mug", evaluations=2000)
         with recording(network, folder.path):
@@ -132,19 +122,6 @@ class TestOpening:
 
 
 class TestRecording:
-    def test_rows_become_durable_and_come_back_in_pages(self, network, coordinator, folder) -> None:
-        rows = make_rows(5000)
-        with recording(network, folder.path):
-            coordinator.open()
-            for first in range(0, 5000, 1000):
-                coordinator.send(rows, first, first + 1000, cpu_seconds=1.0)
-            coordinator.hears_durable(5000)
-            pages = [coordinator.page(first, 4096).rows for first in (0, 4096)]
-            assert np.concatenate(pages).tobytes() == rows.tobytes()
-            assert len(coordinator.page(5000, 10)) == 0
-        with folder.journal() as journal:
-            assert journal.cpu_seconds == pytest.approx(5.0)
-
     def test_lost_repeated_and_overlapping_messages_leave_each_row_once(
         self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
     ) -> None:

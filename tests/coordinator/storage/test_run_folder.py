@@ -67,14 +67,6 @@ def test_no_run_is_begun_in_the_folder_of_another(folder: RunFolder) -> None:
     RunFolder.check_free(folder.path / ".." / "new")
 
 
-def test_other_files_are_never_mixed_with_a_run(tmp_path: Path) -> None:
-    for name in "dcba":
-        (tmp_path / name).touch()
-    with pytest.raises(FolderError, match=r"holds other files \(a, b, c and 1 more\)"):
-        RunFolder.create(tmp_path, SPEC, BUNDLE)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "b", "c", "d"]
-
-
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "run").touch()
     with pytest.raises(FolderError, match="is a file"):
@@ -108,12 +100,6 @@ def test_a_creation_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(FolderError, match="no room to write"):
         RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_epoch_survives(folder: RunFolder) -> None:
-    folder.job.set_epoch(41)
-    again = RunFolder.open(folder.path)
-    assert (again.job.epoch, again.job.name) == (41, "my-run-1")
 
 
 def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, tmp_path: Path) -> None:
