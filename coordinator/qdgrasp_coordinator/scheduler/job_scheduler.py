@@ -39,18 +39,7 @@ from qdgrasp_protocol.errors import (
     TookOver,
 )
 from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
-from qdgrasp_protocol.messages import (
-    Control,
-    Heartbeat,
-    Join,
-    Joined,
-    Message,
-    Opened,
-    Order,
-    Recorded,
-    Result,
-    decode_sample,
-)
+from qdgrasp_protocol.messages import Control, Heartbeat, Join, Message, Opened, Order, Recorded, Result
 from qdgrasp_protocol.text import counted, first_few
 
 LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
@@ -161,9 +150,9 @@ class JobScheduler:
         """Process a message; its kind follows from its key, as in access lists."""
         try:
             if sample.key == self._keys.recorded:
-                self._on_recorded(decode_sample(sample, Recorded), now)
+                self._on_recorded(messages.decode_sample(sample, Recorded), now)
             elif sample.key.startswith(self._results):
-                self._on_result(decode_sample(sample, Result), last_chunk(sample.key), now)
+                self._on_result(messages.decode_sample(sample, Result), last_chunk(sample.key), now)
             else:
                 heartbeat = from_json(sample.payload, Heartbeat)
                 self.workers.on_heartbeat(last_chunk(sample.key), heartbeat, now)
@@ -276,7 +265,7 @@ class JobScheduler:
         if worker and worker.is_drained:
             self._send_away(join.wid)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
-        answer.set_result(messages.encode(Joined(epoch=self.epoch, drop=drop)))
+        answer.set_result(messages.encode(messages.Joined(epoch=self.epoch, drop=drop)))
         for run in self.runs if self.workers.platform != platform else ():
             run.sink.set_platform(self.workers.platform)
 

@@ -9,13 +9,7 @@ from tests.coordinator.recorder.fakes import JOB
 from tests.coordinator.scheduler.fakes import FakeRunQueue
 from tests.coordinator.scheduler.leases import ANN, BOB, join_message
 
-from qdgrasp_coordinator.metrics.job_status import (
-    WORKERS_PER_PAGE,
-    EventLog,
-    JobEvent,
-    WorkersPage,
-    WorkerStatus,
-)
+from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, EventLog, JobEvent, WorkerStatus
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
 from qdgrasp_coordinator.scheduler.job_scheduler import (
     LEAST_STOP_SECONDS,
@@ -143,7 +137,7 @@ def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWit
 def test_each_worker_stands_on_one_page(job: SchedulerWithoutRuns, workers: int) -> None:
     for number in range(workers):
         job.joins(join_message(f"{number:032x}"), 0.0)
-    pages: list[WorkersPage] = job.scheduler.workers.pages(1.0)
+    pages = job.scheduler.workers.pages(1.0)
     assert [page.page for page in pages] == list(range(max(1, -(-workers // WORKERS_PER_PAGE))))
     assert {page.pages for page in pages} == {len(pages)}
     assert [int(worker.wid, 16) for page in pages for worker in page.workers] == list(range(workers))

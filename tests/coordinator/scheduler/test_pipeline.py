@@ -7,16 +7,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.search_plans import (
-    SHAPE,
-    Chain,
-    Plan,
-    Spy,
-    asked,
-    evaluate,
-    reference,
-    rows_of,
-)
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Spy, asked, evaluate, reference, rows_of
 
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
@@ -149,7 +140,7 @@ def test_the_generation_that_spends_the_budget_is_not_told() -> None:
     assert spy.calls == ["ask 0", "tell 0", "ask 1"]
 
 
-class Barren(Chain):
+class Barren(Spy):
     """Asks genomes that overlap, except for those of one generation."""
 
     def __init__(self, fertile: int) -> None:
