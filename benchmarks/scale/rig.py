@@ -33,7 +33,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, pack
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -321,7 +321,7 @@ SCENE = Bundle(b"", "0" * 64)
 def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int = 1) -> RunPlan:
     """A run that goes on for ever."""
     pipeline = Pipeline(search, SHAPE, spec.evaluations, "count", in_flight)
-    return RunPlan(run, to_toml(spec).encode(), SCENE, "contact", SHAPE, pipeline, spec.evaluations)
+    return RunPlan(run, spec, SCENE, "contact", SHAPE, pipeline)
 
 
 class Several:

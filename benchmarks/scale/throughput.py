@@ -31,7 +31,7 @@ from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD
 from qdgrasp_coordinator.local.node_benchmark import PlatformSink, SceneBenchmark
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, full_spec, make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, full_spec, prepare_scene
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import method
@@ -267,9 +267,8 @@ def measure_pairs(seconds: float) -> Iterator[ScaleFigure]:
 def _pair(seconds: float) -> dict[str, float]:
     """One worker, then two: how many times as fast they are, by regime."""
     spec = full_spec({"gripper": "panda", "object": "mug", "method": BENCH_METHOD}, "scale")
-    scene, bundle = make_bundle(spec)
     course = SceneBenchmark(
-        spec, scene, bundle, workers=PAIR_WORKERS, seconds=seconds, display=LineProgress("scale")
+        spec, prepare_scene(spec), workers=PAIR_WORKERS, seconds=seconds, display=LineProgress("scale")
     )
     with ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))

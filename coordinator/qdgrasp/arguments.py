@@ -110,12 +110,7 @@ POSE_COLUMNS = PoseNames(
 def layout_of(scene: Scene, prior: str) -> Layout:
     """Return the genes of a prior with a scene.
 
-    Raises
-    ------
-    UnknownName
-        There is no such prior.
-    JawNeeded
-        It is for two-finger hands, and this is another one.
+    Raises UnknownName if there is no such prior, JawNeeded if it is for two-finger hands, and this is none.
     """
     if prior not in PRIOR_GENES:
         raise UnknownName("prior", prior, PRIOR_GENES)
@@ -125,10 +120,8 @@ def layout_of(scene: Scene, prior: str) -> Layout:
 def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
     """Return genomes (n, d) as float32.
 
-    Raises
-    ------
-    ImpossibleValue
-        Another shape, or a number that is not finite or, but for the prior `given`, outside [-1, 1].
+    Raises ImpossibleValue for another shape, or a number that is not finite or, but for the prior `given`,
+    outside [-1, 1].
     """
     expected = f"numbers of shape (n, {len(layout)}): {', '.join(layout.names)}"
     try:
@@ -148,10 +141,8 @@ def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
 def check_fixed_poses(genomes: Genomes, hand: SceneGripper) -> None:
     """Check that genomes (n, d) of the prior `given` are poses, and synergies that a hand has.
 
-    Raises
-    ------
-    InputError
-        A quaternion is of length zero, a position is beyond all measure, or there is no such synergy.
+    Raises InputError if a quaternion is of length zero, a position is beyond all measure, or there is no
+    such synergy.
     """
     labels = genomes[:, 7] if hand.synergies else None
     HandPoses.of(POSE_COLUMNS, genomes[:, :3], genomes[:, 3:7], labels).check(hand)

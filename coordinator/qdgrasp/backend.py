@@ -25,8 +25,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
 ROUTER_SECONDS = 10.0  # seconds to wait for a router, and for workers before a warning
-Meeting: TypeAlias = tuple[ZenohBus, str]
-"""A session on the bus, and the endpoint where that is."""
+Meeting: TypeAlias = tuple[ZenohBus, str]  # A session on the bus, and the endpoint where that is
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,7 @@ class Place:
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.
 
-        Raises
-        ------
-        EndpointError
-            No router answers, or no port is free.
+        Raises EndpointError if no router answers, or no port is free.
         """
         if self.connect is None:
             return ZenohBus.embedded(None)
@@ -114,21 +110,10 @@ def check_place(place: object) -> None:
 def open_place(
     place: Place, logs: Path, shown: ProgressDisplay, job: str | None = None, meeting: Meeting | None = None
 ) -> Iterator[LocalSession]:
-    """Open a place; leaving it ends the processes that were started.
+    """Open a place; leaving it ends the processes that were started, each with a log in `logs`.
 
-    Parameters
-    ----------
-    logs
-        The folder in which each process has a log.
-    job
-        The job's name unless the place has one; None: a unique one.
-    meeting
-        Result of the place's `meet`; None: it is called.
-
-    Raises
-    ------
-    EndpointError
-        No router answers, or no port is free.
+    `job` is the job's name unless the place has one; None: a unique one. `meeting` is the result of the
+    place's `meet`; None: it is called, and raises as it does.
     """
     if not structlog.is_configured():
         configure_logging("qdgrasp", level=logging.WARNING)

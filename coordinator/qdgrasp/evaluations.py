@@ -15,18 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
-from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.local.session import LocalSession
 from qdgrasp_coordinator.metrics.scores import trial_sums
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, row_shape
-from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, HandPoses, PoseNames, scores
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_genomes, prepare_scene, row_shape
+from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import GIVEN, Genomes, Rows, trial_count
-from qdgrasp_protocol.spec import to_toml
+from qdgrasp_protocol.rows import GIVEN, Rows, trial_count
 from qdgrasp_protocol.text import counted
 
 
@@ -73,9 +69,6 @@ class GenomeRequests:
         """Do nothing: rows in memory are not lost."""
 
 
-GENERATION = 4096  # genomes handed out before the first result is awaited
-
-
 class Evaluations:
     """Evaluates genomes whenever a program wants that: a context manager.
 
@@ -112,13 +105,12 @@ class Evaluations:
     ) -> None:
         check_place(place)
         self.spec = spec_from_arguments(scenery)
-        self.scene = build_scene(self.spec)
+        self._prepared = prepare_scene(self.spec)
+        self.scene = self._prepared.scene
         """The gripper and the object as they are simulated."""
         self.prior = prior
         self.layout = layout_of(self.scene, prior)
         """The genes: names, and what -1 and 1 stand for."""
-        self._bundle = pack_scene(self.scene)
-        self._shape = row_shape(self.scene, prior)
         self.endpoint = ""
         """Endpoint of its bus within the with-block; other workers and `qdgrasp jobs` may connect."""
         self._place = place
@@ -184,10 +176,12 @@ class Evaluations:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
         asked = check_genomes(genomes, self.layout)
         if not len(asked):
-            return self._shape.empty(0)
+            return row_shape(self.scene, self.prior).empty(0)
         if self.prior == GIVEN:
             check_fixed_poses(asked, self.scene.gripper)
-        request = GenomeRequest(self._plan(asked))
+        request = GenomeRequest(
+            plan_genomes(self.spec, self._prepared, self.prior, asked, f"lot-{next(self._count)}")
+        )
         self._pending.append(request)
         self._queue.put(request.plan)
         if self._end is not None:
@@ -197,20 +191,6 @@ class Evaluations:
         except TimeoutError:
             genomes = counted(len(asked), "genome")
             raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
-
-    def _plan(self, genomes: Genomes) -> RunPlan:
-        pipeline = Pipeline(
-            FixedPoseSearch(genomes, GENERATION),
-            self._shape,
-            evaluations=len(genomes),
-            overlaps="count",
-            generations_in_flight=2,
-            trials=trial_count(self.spec.protocol),
-        )
-        spec = to_toml(self.spec).encode()
-        return RunPlan(
-            f"lot-{next(self._count)}", spec, self._bundle, self.prior, self._shape, pipeline, len(genomes)
-        )
 
     # The thread of the coordinator.
 
@@ -232,7 +212,6 @@ class Evaluations:
                 self._pending.remove(request)
 
     def _record(self, plan: RunPlan) -> MemorySink:
-        """Return the sink for the rows of a request."""
         return next(request.memory for request in self._pending if request.plan is plan)
 
     def _leave(self) -> None:

@@ -83,10 +83,7 @@ def serve(
 def evaluator_name(evaluator: EvaluatorFactory) -> str:
     """Return FILE.py:NAME of an evaluator, or MODULE:NAME in a package, for other processes.
 
-    Raises
-    ------
-    InputError
-        It does not stand at the top of a module that lies in a file.
+    Raises InputError if it does not stand at the top of a module that lies in a file.
     """
     name = getattr(evaluator, "__qualname__", "")
     module = sys.modules.get(getattr(evaluator, "__module__", None) or "")

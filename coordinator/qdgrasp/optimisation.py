@@ -18,11 +18,9 @@ from qdgrasp.arguments import (
 )
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp.runs import Run
-from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import Scene, pack_scene
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_with_search
+from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import CUSTOM
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
@@ -154,15 +152,18 @@ def optimise(
         generations_in_flight=generations_in_flight,
     )
     is_there = _is_there(path, spec, resume=resume)
-    scene = RunFolder(path).scene() if is_there else build_scene(spec)
-    searches = SearchFactory(make, layout_of(scene, prior))
+    prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
+    searches = SearchFactory(make, layout_of(prepared.scene, prior))
     shows: AbstractContextManager[ProgressDisplay] = (
         progress_display(path.name, evaluations) if progress else nullcontext(SilentProgress())
     )
     meeting = place.meet()  # before there is a folder
     with meeting[0]:
-        folder = _run_folder_of(path, spec, scene, place.job, is_there=is_there)
-        bundle = folder.bundle()
+        if is_there:
+            folder = RunFolder(path)
+            folder.rewrite_spec(spec)  # the budget may be a greater one
+        else:
+            folder = RunFolder.create(path, spec, prepared.bundle, job=place.job)
         with (
             shows as shown,
             folder.job.supervise(),
@@ -171,7 +172,7 @@ def optimise(
             session.start_recorder(folder.path)
             session.start_workers(place.hands)
             session.coordinate(
-                SingleRunQueue(lambda: plan_with_search(searches.next(), spec, scene, bundle), evaluations),
+                SingleRunQueue(lambda: plan_run(spec, prepared, search=searches.next()), evaluations),
                 lambda run: RecorderClient(session.bus, session.job, run.shape),
                 Stop(),
                 place.batch_size,
@@ -203,12 +204,3 @@ def _is_there(path: Path, spec: RunSpec, *, resume: bool) -> bool:
         raise FolderError(f"{path} holds a run with another {', '.join(other)}; name another folder.")
     RunFolder(path).job.check_not_in_use()
     return True
-
-
-def _run_folder_of(path: Path, spec: RunSpec, scene: Scene, job: str | None, *, is_there: bool) -> RunFolder:
-    """The run's folder: begun, or the one that is there."""
-    if not is_there:
-        return RunFolder.create(path, spec, pack_scene(scene), job=job)
-    folder = RunFolder(path)
-    folder.rewrite_spec(spec)  # the budget may be a greater one
-    return folder

@@ -20,17 +20,8 @@ from qdgrasp_protocol.spec import RunSpec
 class Run:
     """A run's folder, for reading; each call returns what is recorded by then.
 
-    Parameters
-    ----------
-    path
-        The folder; of a campaign, that of one of its runs.
-
-    Raises
-    ------
-    ImpossibleValue
-        It is no path.
-    FolderError
-        There is no run in it.
+    `path` is the folder; of a campaign, that of one of its runs. Raises ImpossibleValue if it is no path,
+    FolderError if there is no run in it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -105,14 +96,7 @@ class Run:
 
 
 def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.open
-    """Open the folder of a run, to read.
-
-    Raises
-    ------
-    ImpossibleValue
-        It is no path.
-    FolderError
-        There is no run in it.
+    """Open the folder of a run, to read; raises as `Run`.
 
     Examples
     --------

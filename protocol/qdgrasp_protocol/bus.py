@@ -57,8 +57,7 @@ answer; any other exception is an internal error: it is logged, and the asker ge
 """
 ValuesHandler = Callable[[Query], Mapping[str, bytes]]
 """Answers a query, possibly a pattern, with values by key; raises as a `QueryHandler`."""
-TokenHandler = Callable[[str, bool], None]
-"""Takes a key, and True if its token is alive, False if it is gone."""
+TokenHandler = Callable[[str, bool], None]  # Takes a key, and True if its token is alive, False if it is gone
 
 
 class Declaration(AbstractContextManager[Any]):
@@ -69,8 +68,7 @@ class Declaration(AbstractContextManager[Any]):
 
     def __init__(self, undo: Callable[[], object] = lambda: None) -> None:
         self.undo = undo
-        self.holds = True
-        """False once the context has ended: what arrives later is not delivered."""
+        self.holds = True  # False once the context has ended: what arrives later is not delivered
 
     def __exit__(self, *_: object) -> None:
         if self.holds:

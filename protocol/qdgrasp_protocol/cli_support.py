@@ -41,7 +41,6 @@ InsecureOption = Annotated[
 
 
 def _print_version(context: typer.Context, wanted: bool) -> None:
-    """Print the version, and end."""
     if wanted:
         typer.echo(f"{context.info_name} {version('qdgrasp')}")
         raise typer.Exit

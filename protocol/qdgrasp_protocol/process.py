@@ -44,8 +44,7 @@ class Stop:
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self.latest: int | None = None
-        """Last signal of several; the first decides the exit code."""
+        self.latest: int | None = None  # Last signal of several; the first decides the exit code
         self._told: list[Callable[[], None]] = []
 
     @property

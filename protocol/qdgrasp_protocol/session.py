@@ -203,10 +203,8 @@ def _forbidden_permissions(key: Path) -> int:
     return OTHERS_PERMISSIONS & ~stat.S_IRGRP if is_handed_over else OTHERS_PERMISSIONS
 
 
-Mode = Literal["client", "router"]
-"""Routers relay; all others are clients of them."""
-ZenohSettings = dict[str, object]
-"""Values by their path in a zenoh configuration."""
+Mode = Literal["client", "router"]  # Routers relay; all others are clients of them
+ZenohSettings = dict[str, object]  # Values by their path in a zenoh configuration
 
 BASE_SETTINGS: ZenohSettings = {
     "scouting/multicast/enabled": False,

@@ -40,7 +40,6 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def _dots_in_key(line: str) -> int:
-    """Return the largest number of dots in a possible key."""
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 

@@ -299,7 +299,6 @@ def _sample(sample: zenoh.Sample) -> Sample:
 
 
 def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
-    """Apply settings to a configuration."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
     return config

@@ -17,7 +17,7 @@ from tests.chaos.simulator import PACE
 from tests.common import PATIENCE, own_endpoint
 from tests.system.commands import rows_recorded
 
-from qdgrasp_coordinator.scheduler.run_plan import make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec
 
@@ -150,8 +150,7 @@ class JobProcesses:
         self.run = home / "run"
         self.endpoint = own_endpoint()
         self._environment = {PACE: str(pace), "QDGRASP_CACHE": str(home / "cache"), **environment}
-        _, bundle = make_bundle(spec)
-        RunFolder.create(self.run, spec, bundle, job=JOB)
+        RunFolder.create(self.run, spec, prepare_scene(spec).bundle, job=JOB)
         there = ["--connect", self.endpoint]
         self._members: dict[str, Process] = {}
         self.add("router", "qdgrasp_coordinator.cli.router_process", "--listen", self.endpoint)

@@ -15,6 +15,7 @@ from qdgrasp_protocol.process import BACK_OFF_LAST, SUPERVISED, ProcessExit, Pro
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 
 OPEN = Path("/proc/self/fd")
+SLEEP = "import time; time.sleep(600)"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -79,17 +80,22 @@ def processes(tmp_path):
         yield processes
 
 
+def start(processes: ProcessGroup, code: str, name: str = "started") -> subprocess.Popen[bytes]:
+    """Start a process that executes some code."""
+    processes.start(name, "timeit", ["-n1", "-r1", code])
+    return processes.process(name)
+
+
 def test_a_death_is_told_once_with_its_exit_code(processes):
-    processes.start("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
-    processes.process("sleeper").wait(PATIENCE)
+    start(processes, "import os; os._exit(3)", "sleeper").wait(PATIENCE)
     assert processes.exits() == [ProcessExit("sleeper", 3)]
     assert processes.exits() == []
 
 
 def test_a_killed_member_is_started_again_when_its_back_off_is_over(processes):
-    processes.start("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
-    processes.process("sleeper").kill()
-    processes.process("sleeper").wait(PATIENCE)
+    sleeper = start(processes, SLEEP, "sleeper")
+    sleeper.kill()
+    sleeper.wait(PATIENCE)
     (death,) = processes.exits()
     assert death.description == "was killed by SIGKILL"
     pause = processes.restart_later("sleeper", now=100.0)
@@ -101,12 +107,8 @@ def test_a_killed_member_is_started_again_when_its_back_off_is_over(processes):
 
 def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(processes, monkeypatch):
     monkeypatch.setenv(SECURITY_VARIABLE, "security")
-    processes.start(
-        "asked",
-        "timeit",
-        ["-n1", "-r1", f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)"],
-    )
-    assert processes.process("asked").wait(PATIENCE) == 4
+    asked = start(processes, f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)")
+    assert asked.wait(PATIENCE) == 4
 
 
 def test_back_off_grows_to_a_limit():
@@ -118,22 +120,13 @@ def test_back_off_grows_to_a_limit():
 def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); time.sleep(600)"
     with ProcessGroup(tmp_path) as processes:
-        processes.start("stubborn", "timeit", ["-n1", "-r1", stubborn])
-        process = processes.process("stubborn")
+        process = start(processes, stubborn)
     assert process.poll() is not None
 
 
 def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(processes):
-    processes.start(
-        "talker",
-        "timeit",
-        [
-            "-n1",
-            "-r1",
-            r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)",
-        ],
-    )
-    processes.process("talker").wait(PATIENCE)
+    talk = r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)"
+    start(processes, talk, "talker").wait(PATIENCE)
     assert processes.last_error("talker") == "at: last"
 
 
@@ -164,7 +157,7 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
 
 def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
     with ProcessGroup(tmp_path, grace=600) as processes:
-        processes.start("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+        polite = start(processes, SLEEP)
         processes.request_stop()
-        processes.process("polite").wait(PATIENCE)
-    assert processes.process("polite").returncode == -signal.SIGTERM
+        polite.wait(PATIENCE)
+    assert polite.returncode == -signal.SIGTERM

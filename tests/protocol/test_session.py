@@ -137,14 +137,16 @@ def test_both_sides_show_certificates_and_names_are_verified() -> None:
         assert ("listen_certificate" in tls) == (mode == "router")
 
 
-def test_an_encrypted_endpoint_needs_certificates() -> None:
-    with pytest.raises(EndpointError, match="needs certificates: name their folder with --security"):
-        session_settings("client", connect=parse_endpoints("tls/head:7447"))
-
-
-def test_certificates_are_not_left_unused() -> None:
-    with pytest.raises(EndpointError, match="is not encrypted"):
-        session_settings("client", connect=parse_endpoints("tls/a:1,tcp/b:1"), credentials=WORKER)
+@pytest.mark.parametrize(
+    ("connect", "credentials", "words"),
+    [
+        ("tls/head:7447", None, "needs certificates: name their folder with --security"),
+        ("tls/a:1,tcp/b:1", WORKER, "is not encrypted"),
+    ],
+)
+def test_encrypted_endpoints_need_certificates_which_are_not_left_unused(connect, credentials, words) -> None:
+    with pytest.raises(EndpointError, match=words):
+        session_settings("client", connect=parse_endpoints(connect), credentials=credentials)
 
 
 def filled(folder: Path, role: Role = Role.WORKER) -> Path:
@@ -157,18 +159,13 @@ def test_without_a_folder_there_are_no_credentials() -> None:
     assert Credentials.find(None, Role.WORKER) is None
 
 
-@pytest.mark.parametrize("name", ["ca.pem", "worker.pem", "worker.key"])
+@pytest.mark.parametrize("name", ["ca.pem", "worker.pem", "worker.key", "router.json5"])
 def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
-    (filled(tmp_path) / name).unlink()
-    with pytest.raises(SecurityError, match=f"lacks {name}, which the worker needs") as caught:
-        Credentials.find(tmp_path, Role.WORKER)
+    role = Role.ROUTER if name == "router.json5" else Role.WORKER  # which needs no access list
+    (filled(tmp_path, role) / name).unlink()
+    with pytest.raises(SecurityError, match=f"lacks {name}, which the {role} needs") as caught:
+        Credentials.find(tmp_path, role)
     assert caught.value.exit_code == 2
-
-
-def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
-    (filled(tmp_path, Role.ROUTER) / "router.json5").unlink()
-    with pytest.raises(SecurityError, match=r"lacks router\.json5"):
-        Credentials.find(tmp_path, Role.ROUTER)
 
 
 @pytest.fixture
@@ -201,9 +198,7 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> Non
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can hand its files over")
 @pytest.mark.parametrize(("mode", "is_taken"), [(0o440, True), (0o460, False), (0o444, False)])
-def test_a_group_may_read_what_root_hands_to_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_taken: bool
-) -> None:
+def test_a_group_may_read_what_root_hands_to_it(tmp_path, monkeypatch, mode, is_taken) -> None:
     (filled(tmp_path) / "worker.key").chmod(mode)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     with nullcontext() if is_taken else pytest.raises(SecurityError):

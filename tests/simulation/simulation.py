@@ -28,7 +28,7 @@ from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.runtime.job_registry import JobSession
 
 LOOK = 1.0
@@ -172,7 +172,7 @@ class Simulation:
     def _plan(self, run: str) -> RunPlan:
         """A run, with a new search."""
         plan, digest = self.plans[run], hashlib.sha256(run.encode()).hexdigest()
-        spec = to_toml(RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations))
+        spec = RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations)
         search, shape = (
             CheckedSearch(plan.task.search(plan.population, plan.seed), plan.in_flight),
             self.task.shape,
@@ -180,7 +180,7 @@ class Simulation:
         goals = StopCriteria(plan.successes, plan.no_new_cell)
         budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trials)
         pipeline = Pipeline(search, shape, *budget, goals)
-        return RunPlan(run, spec.encode(), Bundle(b"", digest), "none", shape, pipeline, plan.evaluations)
+        return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 
     # What has ended is started again.
 

@@ -13,17 +13,15 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
-from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, OutFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
 from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, run_spec, to_values
 from qdgrasp_protocol.text import counted
@@ -136,7 +134,7 @@ class CampaignRunQueue:
             finished
         )
         self._left = deque(self.extent.budgets)
-        self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
+        self._scene: tuple[RunSpec, PreparedScene] | None = None
 
     def next(self) -> RunPlan | None:
         """Return the next unfinished run, with a folder of its own.
@@ -162,18 +160,17 @@ class CampaignRunQueue:
     def _prepare(self, name: str, spec: RunSpec) -> RunPlan:
         path = self._folder.run_path(name) if self._folder else None
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
-            folder = RunFolder(path)
-            return run_plan.plan_run(spec, folder.scene(), folder.bundle(), name)
-        scene, bundle = self._scene_of(spec)
+            return plan_run(spec, RunFolder(path).prepared_scene(), name)
+        prepared = self._scene_of(spec)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
-            RunFolder.add(self._folder, name, spec, bundle)
-        return run_plan.plan_run(spec, scene, bundle, name)
+            RunFolder.add(self._folder, name, spec, prepared.bundle)
+        return plan_run(spec, prepared, name)
 
-    def _scene_of(self, spec: RunSpec) -> tuple[Scene, Bundle]:
+    def _scene_of(self, spec: RunSpec) -> PreparedScene:
         """Build the scene of a spec, unless it is that of the run before."""
         known = self._scene
         if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
-            self._scene = known = spec, run_plan.make_bundle(spec)
+            self._scene = known = spec, prepare_scene(spec)
         return known[1]
 
 

@@ -97,11 +97,11 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
         return CampaignRunQueue(folder, read_campaign(source).runs)
     if folder is None:
         spec = run_plan.full_spec(read_run_spec(what), str(what))
-        scene, bundle = run_plan.make_bundle(spec)
+        prepared = run_plan.prepare_scene(spec)
     else:
         run = RunFolder.open(what)
-        spec, scene, bundle = run.spec, run.scene(), run.bundle()
-    return SingleRunQueue(lambda: run_plan.plan_run(spec, scene, bundle), spec.evaluations)
+        spec, prepared = run.spec, run.prepared_scene()
+    return SingleRunQueue(lambda: run_plan.plan_run(spec, prepared), spec.evaluations)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import progress_display, progress_messages
 from qdgrasp_coordinator.local.session import score_poses
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
-from qdgrasp_coordinator.scheduler.run_plan import make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -189,9 +189,9 @@ def evaluate(
     config = LocalJobConfig(options.worker_count(workers), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
-        scene, bundle = make_bundle(spec)
+        prepared = prepare_scene(spec)
         with lifetime("qdgrasp evaluate") as stop:
-            rows = score_poses(spec, scene, bundle, hand_poses, config, shown, stop)
+            rows = score_poses(spec, prepared, hand_poses, config, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:

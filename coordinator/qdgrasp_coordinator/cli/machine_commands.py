@@ -28,7 +28,7 @@ from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD, NodeFigure
 from qdgrasp_coordinator.local.node_benchmark import SceneBenchmark, SceneMeasurement
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.local.restart_policy import GRACE
-from qdgrasp_coordinator.scheduler.run_plan import full_spec, make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
 from qdgrasp_protocol.process import ProcessGroup, lifetime
@@ -173,8 +173,7 @@ def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurem
     """Measure one scene with workers of its own; a signal ends the command."""
     lines = LineProgress("bench")
     lines.say(f"building the scene of {spec.gripper} and {spec.object}")
-    scene, bundle = make_bundle(spec)
-    benchmark = SceneBenchmark(spec, scene, bundle, workers=workers, seconds=seconds, display=lines)
+    benchmark = SceneBenchmark(spec, prepare_scene(spec), workers=workers, seconds=seconds, display=lines)
     with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)

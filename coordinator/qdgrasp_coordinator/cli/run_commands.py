@@ -139,7 +139,7 @@ def start_run(
     RunFolder.check_free(out)
     with progress_display(out.name, spec.evaluations) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
-        _, bundle = run_plan.make_bundle(spec)
+        bundle = run_plan.prepare_scene(spec).bundle
         with lifetime("qdgrasp run") as stop:
             folder = RunFolder.create(out, spec, bundle, job=job)
             begun(folder)
@@ -262,7 +262,7 @@ def rerank(
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
-        scene, bundle = run_plan.make_bundle(spec)
+        scene, bundle = run_plan.prepare_scene(spec)
         _check_same(source.scene(), scene)
         with lifetime("qdgrasp rerank") as stop:
             begun = RunFolder.create(folder, spec, bundle, job=job)

@@ -52,10 +52,8 @@ class RegimeSearch:
 
     def __init__(self, layout: Layout) -> None:
         self.regime = PoseRegime.FACING
-        self.population = FIRST_POPULATION
-        """Genomes in a generation."""
-        self.since = 0
-        """The first generation of the current regime."""
+        self.population = FIRST_POPULATION  # Genomes in a generation
+        self.since = 0  # The first generation of the current regime
         self._layout = layout
         self._parents: list[Genomes] = []
         self._asked = 0

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.local.benchmark_figures import (
     BENCH_PRIOR,
     PoseRegime,
@@ -23,13 +22,13 @@ from qdgrasp_coordinator.local.restart_policy import RestartPolicy, start_worker
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, SingleRunQueue, row_shape
-from qdgrasp_coordinator.storage.job_folder import RUN
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, SingleRunQueue
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 BENCH_JOB = "bench"
 ENDLESS = 10**9
@@ -60,8 +59,7 @@ class SceneBenchmark:
     def __init__(
         self,
         spec: RunSpec,
-        scene: Scene,
-        bundle: Bundle,
+        prepared: PreparedScene,
         *,
         workers: int,
         seconds: float,
@@ -71,16 +69,16 @@ class SceneBenchmark:
         self._most = workers
         self._seconds = seconds
         self._display = display
-        self._search = RegimeSearch(layout(scene, BENCH_PRIOR))
+        self._search = RegimeSearch(layout(prepared.scene, BENCH_PRIOR))
         self._meter = ThroughputMeter()
         self._rates: list[RegimeRate] = []
         self._start_seconds = 0.0
         self._memory = 0
         self._started = 0
-        shape = row_shape(scene, BENCH_PRIOR)
-        self._sink = PlatformSink(shape)
-        pipeline = Pipeline(self._search, shape, ENDLESS, "count", IN_FLIGHT)
-        self._plan = RunPlan(RUN, to_toml(spec).encode(), bundle, BENCH_PRIOR, shape, pipeline, ENDLESS)
+        self._plan = RunPlan.of(
+            spec, prepared, lambda shape: Pipeline(self._search, shape, ENDLESS, "count", IN_FLIGHT)
+        )
+        self._sink = PlatformSink(self._plan.shape)
 
     def run(self, bus: Bus, endpoint: str, processes: ProcessGroup, stop: Stop) -> SceneMeasurement | None:
         """Measure on a bus whose router listens on `endpoint`; None where it was asked to stop.
@@ -130,7 +128,6 @@ class SceneBenchmark:
         self._memory = max(map(peak_memory, processes.pids().values()), default=0)
 
     def _start_workers(self, processes: ProcessGroup, endpoint: str, workers: int) -> None:
-        """Start workers until there are so many."""
         for number in range(self._started, workers):
             start_worker(processes, number, ["--connect", endpoint, "--job", BENCH_JOB])
         self._started = workers

@@ -9,20 +9,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.restart_policy import GRACE, RestartPolicy, start_worker
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, row_shape
-from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, HandPoses
-from qdgrasp_coordinator.storage.job_folder import RUN
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
+from qdgrasp_coordinator.search.fixed_poses import HandPoses
+from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.process import ProcessGroup, Stop
-from qdgrasp_protocol.rows import GIVEN, Rows, trial_count
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.rows import GIVEN, Rows
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -123,26 +121,19 @@ def run_temporary_job(
 
 
 SCORING_JOB = "evaluate"
-SCORING_GENERATION = 4096  # Poses handed out before the first result is awaited
 
 
 def score_poses(
     spec: RunSpec,
-    scene: Scene,
-    bundle: Bundle,
+    prepared: PreparedScene,
     poses: HandPoses,
     config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> Rows:
     """Evaluate poses with a scene's gripper and object; returns rows in journal order."""
-    shape = row_shape(scene, GIVEN)
-    search = FixedPoseSearch(poses.genomes(scene), SCORING_GENERATION)
-    pipeline = Pipeline(
-        search, shape, evaluations=len(poses), overlaps="count", trials=trial_count(spec.protocol)
-    )
-    plan = RunPlan(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
-    memory = MemorySink(shape)
+    plan = plan_genomes(spec, prepared, GIVEN, poses.genomes(prepared.scene))
+    memory = MemorySink(plan.shape)
     run_temporary_job(
         SCORING_JOB, SingleRunQueue(lambda: plan, len(poses)), lambda _: memory, config, display, stop
     )

@@ -119,7 +119,6 @@ class Supervisor:
     def _subscribe(
         self, endpoint: str, stack: ExitStack, restarts: RestartPolicy
     ) -> AbstractContextManager[None]:
-        """Subscribe to the coordinator's figures."""
         try:
             credentials = Credentials.find(self._config.listen.security, Role.MONITOR)
             bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop, credentials))

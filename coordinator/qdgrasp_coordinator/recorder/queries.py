@@ -238,13 +238,11 @@ class QueryServer(ExitStack):
 
 
 def _parameters(query: Query) -> dict[str, str]:
-    """Return the parameters behind the `?`, by name."""
     pairs = (part.partition("=") for part in re.split("[&;]", query.parameters))
     return {name: value for name, _, value in pairs}
 
 
 def _number(query: Query, name: str) -> int:
-    """Return a numeric parameter; 0 if it is missing."""
     text = _parameters(query).get(name, "0")
     found = parse_number(text)
     if found is None:

@@ -27,8 +27,7 @@ class LockedJobFolder(ExitStack):
         super().__init__()
         self.job = job
         self.folder = JobFolder(path)
-        self.epoch = 0
-        """Epoch of the coordinator whose rows are taken; `store_epoch` writes it."""
+        self.epoch = 0  # Epoch of the coordinator whose rows are taken; `store_epoch` writes it
         self.is_begun = False
         self._lock_existing()
 
@@ -71,7 +70,6 @@ class LockedJobFolder(ExitStack):
         return self.folder.run_paths if self.is_begun else []
 
     def _lock_existing(self) -> None:
-        """Lock the job that is in the folder, if there is one."""
         folder = self.folder
         if not JobFolder.is_job(folder.path):
             OutFolder(folder.path).check()

@@ -44,10 +44,8 @@ class DiskSpaceRetry:
         self._path = path
         self._limit = limit
         self._since: float | None = None
-        self.trouble = ""
-        """Reason why nothing can be written; empty when it can."""
-        self.try_at = -inf
-        """When to try to write again."""
+        self.trouble = ""  # Reason why nothing can be written; empty when it can
+        self.try_at = -inf  # When to try to write again
 
     def on_full(self, reason: str, now: float, command: str) -> None:
         """Note that a write did not fit; raise `DiskFull` when nothing has fitted for too long.
@@ -252,7 +250,6 @@ class Recorder:
             OutFolder(path).check()
 
     def _common_platform(self, platform: dict[str, str], runs: list[RunIdentity]) -> dict[str, str]:
-        """Return the platform of the job with these runs."""
         for run in runs:
             writer = self._find(run.run)
             recorded = writer.platform if writer else {}
@@ -282,7 +279,6 @@ class Recorder:
         self._folder.epoch = epoch
 
     def _open(self, run: RunIdentity) -> RunWriter:
-        """Open a checked run in the present epoch."""
         job = self._folder.folder
         path = job.run_path(run.run)
         if not RunFolder.is_run(path):

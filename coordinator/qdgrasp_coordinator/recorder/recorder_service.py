@@ -93,7 +93,6 @@ class RecorderService:
             self._report(recorder.close(time.monotonic()))
 
     def _step(self, recorder: Recorder) -> None:
-        """Process what came, then do what is due."""
         now = time.monotonic()
         due = min(recorder.deadline, self._next_fetch(recorder), now + LONGEST_WAIT)
         self._process(recorder, max(0.0, due - now))
@@ -146,7 +145,6 @@ class RecorderService:
             self._fetch_at = 0.0
 
     def _report(self, reports: list[Recorded]) -> None:
-        """Report to the coordinator what is durable."""
         encoding = messages.encoding(Recorded)
         for report in reports:
             self._bus.put(
@@ -154,7 +152,6 @@ class RecorderService:
             )
 
     def _begin_fetching(self, digests: list[str]) -> None:
-        """Fetch scene bundles in a thread, unless some are being fetched."""
         if self._fetcher is None or not self._fetcher.is_alive():
             self._fetcher = threading.Thread(target=self._fetch, args=[digests], name="fetcher", daemon=True)
             self._fetcher.start()

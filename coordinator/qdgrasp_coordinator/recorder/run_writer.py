@@ -45,10 +45,8 @@ class RunWriter:
         self._journals = journals
         journal = self.journal
         self.identity = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
-        self.platform = journal.platform
-        """Platform of the recorded rows; empty while there are no rows."""
-        self.durable = journal.count
-        """Number of rows on disk."""
+        self.platform = journal.platform  # Platform of the recorded rows; empty while there are no rows
+        self.durable = journal.count  # Number of rows on disk
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []
         self._since = 0.0

@@ -106,7 +106,6 @@ class CoordinatorService:
         return self.scheduler.status(now)
 
     def _step(self) -> None:
-        """Process what came, then do everything that is possible now."""
         now = time.monotonic()
         deadline = min(self.scheduler.next_deadline(), self._publisher.due)
         for event in self._inbox.take(min(MOST_WAIT, max(0.0, deadline - now))):
@@ -119,7 +118,6 @@ class CoordinatorService:
         self._publisher.publish_due(now)
 
     def _obey(self, order: Order, answer: "Future[str]", now: float) -> None:
-        """Carry a command out, and answer it."""
         try:
             words = self.scheduler.obey(order, now)
         except Refused as refusal:
@@ -131,7 +129,6 @@ class CoordinatorService:
         answer.set_result(words)
 
     def _open_to_workers(self, epoch: int, identity: str) -> None:
-        """Invite workers when an epoch begins."""
         self._subscriptions.open_to_workers(epoch)
         self._publisher.publish_meta(identity)
 

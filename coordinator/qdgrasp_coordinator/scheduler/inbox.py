@@ -148,7 +148,6 @@ class BusSubscriptions(ExitStack):
         return messages.encode(OrderReply(words=shorten(_await(request.answer))))
 
     def _answer_scene(self, query: Query) -> bytes:
-        """Return one chunk of a scene."""
         digest = last_chunk(query.key)
         scene = self._scene(digest)
         if scene is None:

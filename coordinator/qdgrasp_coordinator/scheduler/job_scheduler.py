@@ -39,18 +39,7 @@ from qdgrasp_protocol.errors import (
     TookOver,
 )
 from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
-from qdgrasp_protocol.messages import (
-    Control,
-    Heartbeat,
-    Join,
-    Joined,
-    Message,
-    Opened,
-    Order,
-    Recorded,
-    Result,
-    decode_sample,
-)
+from qdgrasp_protocol.messages import Control, Heartbeat, Join, Message, Opened, Order, Recorded, Result
 from qdgrasp_protocol.text import counted, first_few
 
 LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
@@ -121,8 +110,7 @@ class JobScheduler:
         self.events = events or EventLog()
         self.stopping = stopping or EarlyStop(None, 0.0)
         self.drops = DropCounter()
-        self.is_paused = False
-        """True: nothing is leased; leased batches still count."""
+        self.is_paused = False  # True: nothing is leased; leased batches still count
         self.is_cancelled = False
         """True if the job ends before it is done: it was cancelled, or its time is over."""
         self._keys = Keys(job)
@@ -162,9 +150,9 @@ class JobScheduler:
         """Process a message; its kind follows from its key, as in access lists."""
         try:
             if sample.key == self._keys.recorded:
-                self._on_recorded(decode_sample(sample, Recorded), now)
+                self._on_recorded(messages.decode_sample(sample, Recorded), now)
             elif sample.key.startswith(self._results):
-                self._on_result(decode_sample(sample, Result), last_chunk(sample.key), now)
+                self._on_result(messages.decode_sample(sample, Result), last_chunk(sample.key), now)
             else:
                 heartbeat = from_json(sample.payload, Heartbeat)
                 self.workers.on_heartbeat(last_chunk(sample.key), heartbeat, now)
@@ -223,7 +211,6 @@ class JobScheduler:
             run.sink.on_recorder_up(now)
 
     def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
-        """Add a run that is open, unless its rows were made on another platform."""
         if not self.epoch:
             self.start_epoch(opened.epoch)
             self._on_epoch(opened.epoch, opened.identity)
@@ -253,14 +240,12 @@ class JobScheduler:
         self.events.note("error", f"Run '{reason.run}' cannot be carried out: {reason}", run=reason.run)
 
     def _remove(self, run: ActiveRun, now: float) -> None:
-        """Remove a run that is finished and recorded."""
         self._on_finished(run, now)
         self.runs.remove(run)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
         self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
 
     def _withdraw(self, run: str) -> None:
-        """Withdraw a run's queued and leased rows."""
         for wid, batches in self.dispatcher.withdraw(run).items():
             self._drop(wid, batches)
 
@@ -280,7 +265,7 @@ class JobScheduler:
         if worker and worker.is_drained:
             self._send_away(join.wid)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
-        answer.set_result(messages.encode(Joined(epoch=self.epoch, drop=drop)))
+        answer.set_result(messages.encode(messages.Joined(epoch=self.epoch, drop=drop)))
         for run in self.runs if self.workers.platform != platform else ():
             run.sink.set_platform(self.workers.platform)
 
@@ -294,7 +279,6 @@ class JobScheduler:
         self.events.note("worker", f"{worker.description} {how}{again}.", worker=worker.wid)
 
     def _drop(self, wid: str, batches: list[bytes]) -> None:
-        """Take batches back from a worker."""
         self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drop=batches), Channel.CONTROL)
 
     def _send_away(self, wid: str) -> None:
@@ -370,7 +354,6 @@ class JobScheduler:
         return f"Job '{self.job}' is paused: nothing is handed out; {out}."
 
     def _drain(self, order: Order) -> str:
-        """Have workers finish what they hold, and leave."""
         chosen = _choose_workers(list(self.workers), order, self.job)
         for worker in chosen:
             self.workers.drain(worker.wid)
@@ -416,6 +399,5 @@ def _choose_workers(workers: list[Worker], order: Order, job: str) -> list[Worke
 
 
 def _list_workers(workers: list[Worker]) -> str:
-    """Return the known workers in words."""
     names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
     return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"

@@ -24,8 +24,7 @@ from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import Overlaps
 
 MOST_FINAL = 4096  # The most rows that become final at once
-Places = NDArray[np.int64]
-"""(n,): indices, or trials, of rows."""
+Places = NDArray[np.int64]  # (n,): indices, or trials, of rows
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ class GenerationBuffer:
     def __init__(self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: int = 0) -> None:
         self.number = number
         self._trials = trials
-        self._nominal = min(limit, len(genomes))
-        """Nominal rows that the journal is to hold."""
+        self._nominal = min(limit, len(genomes))  # Nominal rows that the journal is to hold
         self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
         """By index and trial; what is never written costs no memory."""
         self._bytes = row_bytes(self._rows)
@@ -201,7 +199,6 @@ class GenerationBuffer:
 
 
 def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
-    """Return the number of rows before the first missing."""
     return len(is_present) if is_present.all() else int(is_present.argmin())
 
 
@@ -279,7 +276,6 @@ class Pipeline:
             rows = rows[self.tally.rows - before :]
 
     def _put(self, rows: Rows) -> None:
-        """Put each row into its open generation."""
         generations = rows["generation"]
         for buffer in self._open:
             is_its = generations == buffer.number
@@ -335,7 +331,6 @@ class Pipeline:
             self._asked += 1
 
     def _failures(self, rows: Rows) -> tuple[Failure, ...]:
-        """The reasons of the error rows among final ones."""
         return tuple(
             Failure(row=int(place), reason=self._reasons.pop(_key(rows[place]), ""))
             for place in np.flatnonzero(rows["outcome"] == Outcome.ERROR)

@@ -34,8 +34,7 @@ class RowSink(ABC):
 
     def __init__(self, shape: RowShape) -> None:
         self._shape = shape
-        self.platform: dict[str, str] = {}
-        """Platform of the rows; empty before a worker came."""
+        self.platform: dict[str, str] = {}  # Platform of the rows; empty before a worker came
 
     @abstractmethod
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
@@ -124,8 +123,7 @@ class Outbox:
     """Unconfirmed rows of one run, of which `durable` rows were durable when it was opened."""
 
     def __init__(self, durable: int = 0) -> None:
-        self.confirmed = durable
-        """Rows that the recorder reported durable."""
+        self.confirmed = durable  # Rows that the recorder reported durable
         self._kept: deque[JournalSlice] = deque()
         self._end = durable
         self._sent = durable
@@ -195,7 +193,6 @@ class Outbox:
 
     @property
     def _is_waiting(self) -> bool:
-        """True if rows were sent that are not confirmed."""
         return self._sent > self.confirmed
 
     def _forget(self, number: int) -> None:

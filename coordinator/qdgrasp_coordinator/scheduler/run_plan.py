@@ -18,11 +18,13 @@ from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTota
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
+from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.registry import check_spec, method
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.messages import Failure, OpenRun
-from qdgrasp_protocol.rows import Rows, RowShape, trial_count
+from qdgrasp_protocol.rows import Genomes, Rows, RowShape, trial_count
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 
 
@@ -50,19 +52,35 @@ class RunPlan:
     """One run that a coordinator carries out."""
 
     run: str
-    spec: bytes
-    """The full spec as TOML."""
+    spec: RunSpec
+    """The full spec."""
     bundle: Bundle
     prior: str
     shape: RowShape
     pipeline: EvaluationPlan
-    evaluations: int
-    """The budget."""
+
+    @classmethod
+    def of(
+        cls,
+        spec: RunSpec,
+        prepared: PreparedScene,
+        plan: Callable[[RowShape], EvaluationPlan],
+        prior: str = "",
+        run: str = RUN,
+    ) -> "RunPlan":
+        """Return a run of a spec; `plan` makes what it evaluates, for rows of a shape.
+
+        The rows are of `prior`; empty: of the method's.
+        """
+        prior = prior or method(spec.method).prior
+        shape = row_shape(prepared.scene, prior)
+        return cls(run, spec, prepared.bundle, prior, shape, plan(shape))
 
     @property
     def open_request(self) -> OpenRun:
         """Message that opens the run at a recorder."""
-        return OpenRun(run=self.run, spec=self.spec, scene=self.bundle.digest, **asdict(self.shape))
+        spec = to_toml(self.spec).encode()
+        return OpenRun(run=self.run, spec=spec, scene=self.bundle.digest, **asdict(self.shape))
 
 
 @dataclass(frozen=True)
@@ -158,38 +176,41 @@ def default_run_name(spec: RunSpec) -> str:
     return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
 
 
-def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
-    """Return the scene of a spec, and its bytes.
+def prepare_scene(spec: RunSpec) -> PreparedScene:
+    """Build the scene of a spec.
 
     Raises InputError if it cannot be built, or the method's prior is not for such a hand.
     """
     scene = build_scene(spec)
     row_shape(scene, method(spec.method).prior)
-    return scene, pack_scene(scene)
+    return PreparedScene(scene, pack_scene(scene))
 
 
-def plan_run(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> RunPlan:
-    """Return a run, ready for the coordinator."""
-    chosen = method(spec.method)
-    return plan_with_search(chosen.build(spec, search_space(scene, chosen.prior)), spec, scene, bundle, run)
-
-
-def plan_with_search(
-    search: SearchAlgorithm, spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN
+def plan_run(
+    spec: RunSpec, prepared: PreparedScene, run: str = RUN, search: SearchAlgorithm | None = None
 ) -> RunPlan:
-    """Make a run with a given search, which asks genomes of the method's prior."""
+    """Return a run as its spec asks; a `search` of one's own asks genomes of the method's prior."""
     chosen = method(spec.method)
-    shape = row_shape(scene, chosen.prior)
-    pipeline = Pipeline(
-        search,
-        shape,
-        evaluations=spec.evaluations,
-        overlaps=spec.overlaps,
-        generations_in_flight=spec.generations_in_flight,
-        trials=trial_count(spec.protocol),
-        goals=StopCriteria.of(spec),
+    if search is None:
+        search = chosen.build(spec, search_space(prepared.scene, chosen.prior))
+    budget = (spec.evaluations, spec.overlaps, spec.generations_in_flight, trial_count(spec.protocol))
+    return RunPlan.of(
+        spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run
     )
-    return RunPlan(run, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
+
+
+GENOMES_AT_ONCE = 4096  # Given genomes that are handed out before the first result is awaited
+
+
+def plan_genomes(
+    spec: RunSpec, prepared: PreparedScene, prior: str, genomes: Genomes, run: str = RUN
+) -> RunPlan:
+    """Return a run that evaluates given genomes (n, d) of a prior, each once, in their order."""
+    search, budget = FixedPoseSearch(genomes, GENOMES_AT_ONCE), len(genomes)
+    trials = trial_count(spec.protocol)
+    return RunPlan.of(
+        spec, prepared, lambda shape: Pipeline(search, shape, budget, "count", 2, trials), prior, run
+    )
 
 
 def row_shape(scene: Scene, prior: str) -> RowShape:
@@ -209,8 +230,7 @@ class ReevaluationPlan:
     """
 
     def __init__(self, recorded: Rows, compare: CompareRow) -> None:
-        self.tally = RunCounter(len(recorded), "count")
-        """Rows evaluated so far; trials count as evaluations."""
+        self.tally = RunCounter(len(recorded), "count")  # Rows evaluated so far; trials count as evaluations
         self._recorded = recorded
         self._compare = compare
         self._is_due = True

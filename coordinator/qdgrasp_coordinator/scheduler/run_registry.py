@@ -21,7 +21,6 @@ from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue
 from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
 from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.spec import from_toml
 
 
 class ActiveRun:
@@ -33,9 +32,7 @@ class ActiveRun:
         self.pipeline = plan.pipeline
         self.sink = sink
         self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior)
-        self.replayed = 0
-        """Counted evaluations that were in the journal when the run was opened."""
-        self._spec = from_toml(plan.spec.decode(), f"the spec of run '{plan.run}'")
+        self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
         self._began = time.monotonic()
 
     def open(self, epoch: int, wait: Callable[[], None]) -> Opened:
@@ -83,7 +80,7 @@ class ActiveRun:
     def status(self, workers: int, now: float) -> RunStatus:
         """Return the run's figures; `workers` are those of the job."""
         seconds = now - self._began
-        listing = RunListing.of(self.name, self._spec, self.plan.bundle.digest, self.tally)
+        listing = RunListing.of(self.name, self.plan.spec, self.plan.bundle.digest, self.tally)
         counts = structs.asdict(listing) | {"finished": self.pipeline.finished or ""}
         return RunStatus(
             **counts,
@@ -140,8 +137,7 @@ class RunLoader:
         self._is_closed = False
         self.run: ActiveRun | None = None
         """The run that is being opened, or was opened last; None before it is made."""
-        self.trouble = ""
-        """Reason why no run can be opened now; empty when one can."""
+        self.trouble = ""  # Reason why no run can be opened now; empty when one can
 
     def begin(self, epoch: int) -> None:
         """Start to open the next run; `epoch` is the coordinator's, 0 before it has one."""
@@ -204,8 +200,7 @@ class RunRegistry:
     """The active runs of a job."""
 
     def __init__(self, queue: RunQueue, loader: RunLoader) -> None:
-        self.extent = queue.extent
-        """Amount of work when the job began."""
+        self.extent = queue.extent  # Amount of work when the job began
         self._queue = queue
         self._loader = loader
         self._is_opening = False

@@ -25,8 +25,7 @@ from qdgrasp_protocol.keys import Keys, last_chunk, matches
 CURVE_SECONDS = 0.5  # Seconds for which curves are cached, however many queries come
 STALE_SECONDS = 5.0  # Seconds without an update after which queries go unanswered
 
-CurveSource = Callable[[], Mapping[str, Struct]]
-"""Returns the curves by key; called in any thread."""
+CurveSource = Callable[[], Mapping[str, Struct]]  # Returns the curves by key; called in any thread
 
 
 class StatusCache:
@@ -81,10 +80,8 @@ class StatusPublisher:
     def __init__(
         self, bus: Bus, scheduler: JobScheduler, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.cache = StatusCache(self._curves, clock)
-        """Latest values, for late queries."""
-        self.due = 0.0
-        """When figures are to be published again."""
+        self.cache = StatusCache(self._curves, clock)  # Latest values, for late queries
+        self.due = 0.0  # When figures are to be published again
         self._bus = bus
         self._scheduler = scheduler
         self._keys = Keys(scheduler.job)

@@ -211,8 +211,7 @@ class WorkerRegistry:
     def __init__(self) -> None:
         self.platform: dict[str, str] = {}
         """Platform of the job's rows; empty until a worker joins or a recorded run opens."""
-        self.alive: set[str] = set()
-        """Those whose tokens are present."""
+        self.alive: set[str] = set()  # Those whose tokens are present
         self.lease_timeout = LeaseTimeout()
         self._workers: dict[str, Worker] = {}
         self._gone: dict[str, tuple[Worker, float]] = {}  # and when it was given up
@@ -378,7 +377,6 @@ class WorkerRegistry:
         self._earliest = min(self._earliest, worker.deadline(self._limit))
 
     def _update_deadline(self) -> None:
-        """Recompute the next deadline with the present lease timeout."""
         self._limit = self.lease_timeout.limit
         self._earliest = min((worker.deadline(self._limit) for worker in self), default=inf)
 

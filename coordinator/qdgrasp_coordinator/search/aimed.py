@@ -235,8 +235,7 @@ class AimedSearch:
         self._ranker = CandidateRanker()
         self._threshold = SuccessThreshold()
         self._retries = RetryBudget(self._frontier, self._elites)
-        self._open: dict[int, Floats] = {}
-        """Features of the empty cells that generations not told yet aim at."""
+        self._open: dict[int, Floats] = {}  # Features of the empty cells that generations not told yet aim at
         self._candidates = 1 if self._counts_all else MOST_CANDIDATES
         self._asked = 0
 

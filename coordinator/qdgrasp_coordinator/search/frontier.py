@@ -22,8 +22,7 @@ from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.success_model import LogisticRegression
 from qdgrasp_protocol.rows import Outcome, Rows
 
-Places = NDArray[np.intp]
-"""(n,): cells of a frontier, as places in its grid."""
+Places = NDArray[np.intp]  # (n,): cells of a frontier, as places in its grid
 DEAD_END = 0.5  # Weight of a dead end against a try: it costs no simulation, and the next may do better
 FIRST_WEIGHTS = (1.0, -5.0, 3.0, 2.0)
 """Weights of `features` before the first fit, about those of finished runs of all hands."""
@@ -48,8 +47,7 @@ class Frontier:
         self._around = NEIGHBOURS @ np.array([self._shape[1] * self._shape[2], self._shape[2], 1])
         self._tries = np.zeros(size, np.int32)
         self._dead_ends = np.zeros(size, np.int32)
-        self.successful = np.zeros(size, np.bool_)
-        """Flags, by place, of the cells that hold a success."""
+        self.successful = np.zeros(size, np.bool_)  # Flags, by place, of the cells that hold a success
         self._neighbours = np.zeros(size, np.uint8)
         self._distances = np.full(size, np.inf, np.float32)
         self._farthest = np.zeros(size, np.float32)

@@ -20,8 +20,7 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
 """Makes a search from a spec and the space of its genomes."""
-CheckSpec = Callable[[RunSpec], None]
-"""Raises an `InputError` where a spec asks what the search cannot do."""
+CheckSpec = Callable[[RunSpec], None]  # Raises an `InputError` where a spec asks what the search cannot do
 
 
 @dataclass(frozen=True)

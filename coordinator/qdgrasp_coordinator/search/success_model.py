@@ -39,8 +39,7 @@ class LogisticRegression:
 
     def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:
         self._start = _quantised(np.asarray(start, np.float64))
-        self.weights: Floats = self._start
-        """One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`."""
+        self.weights: Floats = self._start  # One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`
         self._own_units = own_units
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
         self._successes = np.zeros(EXAMPLES_KEPT, np.bool_)

@@ -73,7 +73,6 @@ def _lock_file(folder: Path, name: str) -> Iterator[IO[str]]:
 
 
 def _try_lock(file: IO[str]) -> bool:
-    """Take the lock if it is free."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -63,7 +63,6 @@ class Output(ABC):
 
     @property
     def _home(self) -> Path:
-        """The folder that it is written in."""
         return self.path.absolute().parent
 
     @abstractmethod
@@ -196,7 +195,6 @@ class SharedFolder(Output):
 
 
 def _names(folder: Path) -> list[str]:
-    """Return the names in a folder, sorted; empty where there is no folder."""
     return sorted(each.name for each in folder.iterdir()) if folder.is_dir() else []
 
 

@@ -15,6 +15,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
 from qdgrasp_coordinator.storage import atomic_files
@@ -27,6 +28,14 @@ from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
+
+
+class PreparedScene(NamedTuple):
+    """The scene of a run, with its bytes."""
+
+    scene: Scene
+    bundle: Bundle
+
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
 
@@ -191,6 +200,10 @@ class RunFolder:
                 "use the version of qdgrasp that wrote it, or restore the file from a copy."
             ) from None
 
+    def prepared_scene(self) -> PreparedScene:
+        """Return the scene with its bytes; raise `FolderError` if it is missing or damaged."""
+        return PreparedScene(self.scene(), self.bundle())
+
     def journal(self) -> Journal:
         """Return the journal as it is now, for a with-block; empty before a recorder opened the run.
 
@@ -234,7 +247,6 @@ def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
 
 
 def _job_path(path: Path) -> Path:
-    """The folder of the job of a run's folder."""
     is_part = not JobFolder.is_job(path) and path.absolute().parent.name == RUNS
     return path.absolute().parent.parent if is_part else path
 
@@ -246,7 +258,6 @@ def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
 
 
 def _no_run_reason(path: Path) -> str:
-    """Return the error text for a folder that holds no run."""
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
     there = [name for name in (SPEC, JOB) if atomic_files.is_file(path / name)]

@@ -17,8 +17,7 @@ from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import run_temporary_job
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, ReevaluationPlan, RunPlan, row_shape
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, ReevaluationPlan, RunPlan
 from qdgrasp_coordinator.storage import run_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
@@ -32,7 +31,6 @@ from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import to_toml
 
 RowKinds = NDArray[np.unsignedinteger]
 
@@ -102,16 +100,8 @@ class ReevaluationQueue:
         name = self._left.popleft()
         selection = self._selections[name]
         spec, recorded = selection.found_by.spec, selection.rows()
-        prior = method(spec.method).prior
-        return RunPlan(
-            name,
-            to_toml(spec).encode(),
-            selection.folder.bundle(),
-            prior,
-            row_shape(selection.folder.scene(), prior),
-            ReevaluationPlan(recorded, partial(self.add_row, selection, recorded)),
-            len(recorded),
-        )
+        plan = ReevaluationPlan(recorded, partial(self.add_row, selection, recorded))
+        return RunPlan.of(spec, selection.folder.prepared_scene(), lambda _shape: plan, run=name)
 
     def put_back(self, run: str) -> None:
         """Have a selection evaluated from its beginning, before any other."""

@@ -58,9 +58,13 @@ class Staff:
         self.said.append(sentence)
 
 
+@pytest.fixture
+def staff() -> Staff:
+    return Staff()
+
+
 @pytest.mark.parametrize("code", [-9, 1, 143])
-def test_a_coordinator_that_ended_without_a_word_is_started_again_after_a_while(code: int) -> None:
-    staff = Staff()
+def test_a_coordinator_that_ended_without_a_word_is_started_again_after_a_while(staff, code) -> None:
     staff.dies("coordinator", code)
     assert (staff.hired, staff.watch.is_done) == ([], False)
     staff.waits(0.6)
@@ -69,8 +73,7 @@ def test_a_coordinator_that_ended_without_a_word_is_started_again_after_a_while(
     assert "it is started again in 0.5 s" in staff.said[0]
 
 
-def test_a_coordinator_that_is_done_ends_the_watch() -> None:
-    staff = Staff()
+def test_a_coordinator_that_is_done_ends_the_watch(staff: Staff) -> None:
     staff.dies("coordinator", 0)
     assert staff.watch.is_done
     staff.dies("worker-0", -9)
@@ -87,8 +90,7 @@ def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int
 
 
 @pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
-def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(name: str) -> None:
-    staff = Staff()
+def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(staff, name) -> None:
     for _ in range(MOST_TRIES):
         staff.dies(name, -11)
         staff.waits(20)
@@ -96,8 +98,7 @@ def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(name: str) 
         staff.dies(name, -11)
 
 
-def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
-    staff = Staff()
+def test_who_is_killed_from_outside_is_started_again_more_often(staff: Staff) -> None:
     for _ in range(MOST_KILLS):
         staff.dies("coordinator", -9)
         staff.waits(20)
@@ -105,8 +106,7 @@ def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
         staff.dies("coordinator", -9)
 
 
-def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
-    staff = Staff()
+def test_who_dies_while_the_job_goes_on_is_always_started_again(staff: Staff) -> None:
     for n in range(10 * MOST_TRIES):
         staff.watch.note_progress(figures(evaluations=n, rate=1.0))
         staff.dies("coordinator", -9)
@@ -114,8 +114,7 @@ def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
     assert len(staff.hired) == 10 * MOST_TRIES
 
 
-def test_replaying_what_was_found_before_is_no_progress() -> None:
-    staff = Staff()
+def test_replaying_what_was_found_before_is_no_progress(staff: Staff) -> None:
     staff.watch.note_progress(figures(evaluations=100))
     for n in range(MOST_TRIES):
         staff.watch.note_progress(figures(evaluations=n))
@@ -125,14 +124,12 @@ def test_replaying_what_was_found_before_is_no_progress() -> None:
         staff.dies("coordinator", -11)
 
 
-def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away() -> None:
-    staff = Staff()
+def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away(staff: Staff) -> None:
     staff.dies("worker-0", 0)
     assert (staff.restarted, staff.said) == ([], ["worker-0 has left"])
 
 
-def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_away() -> None:
-    staff = Staff()
+def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_away(staff: Staff) -> None:
     with pytest.raises(InputError, match="Another platform"):
         staff.dies("worker-0", 2, "Another platform.")
     staff.dies("coordinator", -9)

@@ -48,9 +48,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changed", "why"), BAD.values(), ids=BAD)
-def test_what_cannot_be_searched_with_is_refused_and_leaves_no_folder(
-    changed: dict[str, Any], why: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_searched_with_is_refused_and_leaves_no_folder(changed, why, tmp_path) -> None:
     given = {"make": Uniform, "out": tmp_path / "run", "evaluations": 10} | SCENE | changed
     with pytest.raises(qdgrasp.InputError, match=why):
         qdgrasp.optimise(given.pop("make"), given.pop("out"), **given)
@@ -63,9 +61,7 @@ def test_what_a_program_raises_itself_goes_through_and_leaves_no_folder(tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_router_that_does_not_answer_leaves_no_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_router_that_does_not_answer_leaves_no_folder(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(backend, "ROUTER_SECONDS", 0.0)
     place = qdgrasp.Place(connect=own_endpoint())
     with pytest.raises(qdgrasp.InputError, match="Nothing answers at"):

@@ -2,6 +2,7 @@
 
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -89,9 +90,7 @@ def test_a_journal_that_changed_a_moment_ago_may_change_unseen(folder: RunFolder
     assert not has_rested(((1, 1, 10**9),), 2.9)
 
 
-def test_what_is_counted_in_part_is_counted_on(
-    folder: RunFolder, opened: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_counted_in_part_is_counted_on(folder, opened, monkeypatch) -> None:
     monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
     counted = RunIndex(folder.path)
     assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
@@ -118,7 +117,6 @@ def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(
     ends = []
     for _ in range(4):
         curve = counted.one(run).curve
-        assert curve is not None
         ends.append([point.evaluations for point in curve.points])
     assert ends == [list(range(10, stop + 1, 10)) for stop in (120, 240, 300, 300)]
 
@@ -153,9 +151,7 @@ def all_finds(network: MemoryNetwork, run: str = "run") -> tuple[list[int], int]
             first = answer.next
 
 
-def test_every_success_is_shown_once_and_by_its_number(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_success_is_shown_once_and_by_its_number(network, coordinator, path, monkeypatch) -> None:
     monkeypatch.setattr(success_pages, "ROWS_SCANNED", 70)
     with recording(network, path):
         coordinator.open()
@@ -165,36 +161,30 @@ def test_every_success_is_shown_once_and_by_its_number(
         assert all_finds(network) == (FOUND.tolist(), 6)
 
 
-def test_a_page_has_no_more_finds_than_an_answer_may_have(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def recorded(network: MemoryNetwork, coordinator: FakeCoordinator, path: Path) -> Iterator[MemoryNetwork]:
+    """The network of a recorder that has all rows."""
+    with recording(network, path):
+        coordinator.open()
+        coordinator.send(ROWS, 0, 400)
+        coordinator.hears_durable(400)
+        yield network
+
+
+def test_a_page_has_no_more_finds_than_an_answer_may_have(recorded, monkeypatch) -> None:
     monkeypatch.setattr(success_pages, "MOST_SUCCESSES", 7)
-    with recording(network, path):
-        coordinator.open()
-        coordinator.send(ROWS, 0, 400)
-        coordinator.hears_durable(400)
-        numbers, answers = all_finds(network)
-    assert numbers == FOUND.tolist()
-    assert answers == len(FOUND) // 7 + 1
+    assert all_finds(recorded) == (FOUND.tolist(), len(FOUND) // 7 + 1)
 
 
-def test_finds_hold_what_the_journal_holds(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
-    with recording(network, path):
-        coordinator.open()
-        coordinator.send(ROWS, 0, 400)
-        coordinator.hears_durable(400)
-        with network.session() as bus:
-            answer = messages.decode(bus.ask(KEYS.finds, parameters="run=run;from=0"), SuccessPage)
+def test_finds_hold_what_the_journal_holds(recorded: MemoryNetwork) -> None:
+    with recorded.session() as bus:
+        answer = messages.decode(bus.ask(KEYS.finds, parameters="run=run;from=0"), SuccessPage)
     shown = success_pages.page_from_message(answer)
     for column in ("outcome", "fitness", "descriptor", "base_to_object", "joints"):
         assert np.array_equal(shown[column], ROWS[column][FOUND])
 
 
-def test_entries_count_what_is_recorded_of_each_run(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_entries_count_what_is_recorded_of_each_run(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
         coordinator.send(ROWS, 0, 300, run="a")
@@ -246,9 +236,7 @@ def test_many_runs_come_in_pages(path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert [([run.run for run in page.runs], page.next) for page in pages] == [(["a", "b"], 2), (["c"], 0)]
 
 
-def test_a_scene_is_shown_from_the_folder_of_its_run(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_a_scene_is_shown_from_the_folder_of_its_run(network, coordinator, path) -> None:
     RunFolder.create(path, SPEC, BUNDLE, job=JOB)
     with recording(network, path), network.session() as bus:
         coordinator.open()
@@ -278,9 +266,7 @@ def test_what_cannot_be_shown_is_refused_with_the_reason(
             bus.ask(KEYS.finds, parameters=parameters)
 
 
-def test_before_a_run_is_opened_there_is_nothing_to_show(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_before_a_run_is_opened_there_is_nothing_to_show(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.meet()
         assert entries(network).runs == []

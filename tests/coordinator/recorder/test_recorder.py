@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from math import inf
 from pathlib import Path
@@ -70,10 +71,15 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "campaign"
 
 
+@pytest.fixture
+def recorder(path: Path) -> Iterator[Recorder]:
+    with recording(path) as recorder:
+        yield recorder
+
+
 class TestOpening:
-    def test_runs_are_begun_in_folders_of_their_own_below_the_job(self, path: Path) -> None:
-        with recording(path) as recorder:
-            opened = recorder.open(ask("b", "a"))
+    def test_runs_are_begun_in_folders_of_their_own_below_the_job(self, path, recorder) -> None:
+        opened = recorder.open(ask("b", "a"))
         assert anonymous(opened) == Opened(epoch=1, durable=[0, 0], platform={})
         assert opened.identity == JobFolder.open(path).identity != ""
         assert (JobFolder.open(path).name, JobFolder.open(path).epoch) == (JOB, 1)
@@ -81,40 +87,38 @@ class TestOpening:
             folder = RunFolder.open(path / "runs" / run)
             assert (folder.run, folder.spec, folder.job.path) == (run, SPEC, path)
 
-    def test_runs_join_an_epoch_and_another_epoch_ends_it(self, path: Path) -> None:
-        with recording(path) as recorder:
-            assert recorder.open(ask("a")).epoch == 1
-            recorder.add_rows(rows("a", 0, 30), 0.0)
-            recorder.commit("a")
-            opened = anonymous(recorder.open(ask("b", "a", epoch=1)))
-            assert opened == Opened(epoch=1, durable=[0, 30], platform={})
-            assert recorder.open(ask("c")).epoch == 2
-            with pytest.raises(Refused, match="epoch 1 is over: another coordinator took over with 2"):
-                recorder.open(ask("d", epoch=1))
+    def test_runs_join_an_epoch_and_another_epoch_ends_it(self, path, recorder) -> None:
+        assert recorder.open(ask("a")).epoch == 1
+        recorder.add_rows(rows("a", 0, 30), 0.0)
+        recorder.commit("a")
+        opened = anonymous(recorder.open(ask("b", "a", epoch=1)))
+        assert opened == Opened(epoch=1, durable=[0, 30], platform={})
+        assert recorder.open(ask("c")).epoch == 2
+        with pytest.raises(Refused, match="epoch 1 is over: another coordinator took over with 2"):
+            recorder.open(ask("d", epoch=1))
         assert not (path / "runs" / "d").exists()
         assert JobFolder.open(path).epoch == 2
 
     @pytest.mark.parametrize("is_committed", [True, False])
     def test_an_end_before_what_is_recorded_is_refused_and_nothing_is_written(
-        self, path: Path, is_committed: bool
+        self, path, recorder, is_committed
     ) -> None:
         counted = msgspec.structs.replace(SPEC, overlaps="count")
         sooner = msgspec.structs.replace(counted, evaluations=29)
-        with recording(path) as recorder:
-            recorder.open(ask("a", spec=counted))
-            recorder.add_rows(rows("a", 0, 30), 0.0)
-            if is_committed:
-                recorder.commit("a")
-            before = content(path)
-            with pytest.raises(
-                EndsTooSoon, match="runs/a cannot end as is asked: evaluations must be at least 30"
-            ):
-                recorder.open(ask("b", "a", spec=sooner))
-            assert content(path) == before
-            assert recorder.epoch == 1
+        recorder.open(ask("a", spec=counted))
+        recorder.add_rows(rows("a", 0, 30), 0.0)
+        if is_committed:
             recorder.commit("a")
-            exactly = msgspec.structs.replace(counted, evaluations=30)
-            assert recorder.open(ask("a", spec=exactly)).durable == [30]
+        before = content(path)
+        with pytest.raises(
+            EndsTooSoon, match="runs/a cannot end as is asked: evaluations must be at least 30"
+        ):
+            recorder.open(ask("b", "a", spec=sooner))
+        assert content(path) == before
+        assert recorder.epoch == 1
+        recorder.commit("a")
+        exactly = msgspec.structs.replace(counted, evaluations=30)
+        assert recorder.open(ask("a", spec=exactly)).durable == [30]
         assert RunFolder(path / "runs" / "a").spec == exactly
 
     def test_an_epoch_that_is_ahead_of_the_disk_is_adopted(self, path: Path) -> None:
@@ -125,20 +129,18 @@ class TestOpening:
             assert recorder.open(ask("b")).epoch == 10
         assert JobFolder.open(path).epoch == 10
 
-    def test_a_run_that_is_opened_again_in_its_epoch_keeps_what_waits(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a"))
-            recorder.add_rows(rows("a", 0, 10), 0.0)
-            assert recorder.open(ask("a", epoch=1)).durable == [0]
-            recorder.commit("a")
-            assert recorder.writers["a"].durable == 10
+    def test_a_run_that_is_opened_again_in_its_epoch_keeps_what_waits(self, recorder) -> None:
+        recorder.open(ask("a"))
+        recorder.add_rows(rows("a", 0, 10), 0.0)
+        assert recorder.open(ask("a", epoch=1)).durable == [0]
+        recorder.commit("a")
+        assert recorder.writers["a"].durable == 10
 
-    def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a", "b"))
-            recorder.add_rows(rows("a", 0, 10), 0.0)
-            assert recorder.open(ask("b", "a")).durable == [0, 10]
-            assert recorder.due(1e9) == []
+    def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, recorder) -> None:
+        recorder.open(ask("a", "b"))
+        recorder.add_rows(rows("a", 0, 10), 0.0)
+        assert recorder.open(ask("b", "a")).durable == [0, 10]
+        assert recorder.due(1e9) == []
 
     @pytest.mark.parametrize(
         ("asked", "words"),
@@ -150,25 +152,23 @@ class TestOpening:
             (Open(job="cubes", runs=ask("b").runs), "job 'mugs', not of 'cubes'"),
         ],
     )
-    def test_what_cannot_be_opened_together_is_refused(self, path: Path, asked: Open, words: str) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a"))
-            with pytest.raises(Refused, match=words):
-                recorder.open(asked)
-            assert recorder.epoch == 1
+    def test_what_cannot_be_opened_together_is_refused(self, recorder, asked, words) -> None:
+        recorder.open(ask("a"))
+        with pytest.raises(Refused, match=words):
+            recorder.open(asked)
+        assert recorder.epoch == 1
 
-    def test_where_one_run_is_refused_none_is_begun(self, path: Path) -> None:
+    def test_where_one_run_is_refused_none_is_begun(self, path, recorder) -> None:
         other = RunSpec(gripper="panda", object="mug", seed=1)
-        with recording(path) as recorder:
-            recorder.open(ask("a"))
-            wrong = (ask("a", spec=other).runs[0], ask("a", scene="0" * 64).runs[0])
-            for run, words in zip(wrong, ("another spec: seed differ", "run of scene"), strict=True):
-                with pytest.raises(Refused, match=words):
-                    recorder.open(Open(job=JOB, runs=[*ask("b").runs, run], epoch=1))
-            (path / "runs" / "c").mkdir()
-            (path / "runs" / "c" / "file").touch()
-            with pytest.raises(FolderError, match="holds other files"):
-                recorder.open(ask("b", "c"))
+        recorder.open(ask("a"))
+        wrong = (ask("a", spec=other).runs[0], ask("a", scene="0" * 64).runs[0])
+        for run, words in zip(wrong, ("another spec: seed differ", "run of scene"), strict=True):
+            with pytest.raises(Refused, match=words):
+                recorder.open(Open(job=JOB, runs=[*ask("b").runs, run], epoch=1))
+        (path / "runs" / "c").mkdir()
+        (path / "runs" / "c" / "file").touch()
+        with pytest.raises(FolderError, match="holds other files"):
+            recorder.open(ask("b", "c"))
         assert not (path / "runs" / "b").exists()
         assert JobFolder.open(path).epoch == 1
 
@@ -214,32 +214,29 @@ class TestPlatforms:
         with Journal.open(path / "runs" / "a") as journal:
             assert journal.platform == HERE
 
-    def test_a_platform_without_rows_binds_no_run(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a"))
-            recorder.set_platform(Platform(epoch=1, platform=HERE))
-            assert recorder.open(ask("b")).platform == {}
+    def test_a_platform_without_rows_binds_no_run(self, recorder) -> None:
+        recorder.open(ask("a"))
+        recorder.set_platform(Platform(epoch=1, platform=HERE))
+        assert recorder.open(ask("b")).platform == {}
 
 
 class TestRows:
-    def test_rows_of_each_run_wait_for_their_own_commit(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a", "b"))
-            recorder.add_rows(rows("a", 0, 10), 1.0)
-            recorder.add_rows(rows("b", 0, 20), 1.1)
-            recorder.add_rows(rows("a", 10, 30), 1.2)
-            assert recorder.commit_deadline == 1.0 + GROUP_SECONDS
-            assert recorder.due(1.0 + GROUP_SECONDS) == ["a"]
-            recorder.commit("a")
-            assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
-            assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
+    def test_rows_of_each_run_wait_for_their_own_commit(self, recorder) -> None:
+        recorder.open(ask("a", "b"))
+        recorder.add_rows(rows("a", 0, 10), 1.0)
+        recorder.add_rows(rows("b", 0, 20), 1.1)
+        recorder.add_rows(rows("a", 10, 30), 1.2)
+        assert recorder.commit_deadline == 1.0 + GROUP_SECONDS
+        assert recorder.due(1.0 + GROUP_SECONDS) == ["a"]
+        recorder.commit("a")
+        assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
+        assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
 
-    def test_one_epoch_holds_for_all_runs(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a", "b"))
-            assert recorder.add_rows(rows("a", 0, 10, epoch=5), 0.0) is Arrival.TAKEN
-            assert recorder.add_rows(rows("b", 0, 10, epoch=4), 0.0) is Arrival.STALE
-            recorder.commit("a")
+    def test_one_epoch_holds_for_all_runs(self, path, recorder) -> None:
+        recorder.open(ask("a", "b"))
+        assert recorder.add_rows(rows("a", 0, 10, epoch=5), 0.0) is Arrival.TAKEN
+        assert recorder.add_rows(rows("b", 0, 10, epoch=4), 0.0) is Arrival.STALE
+        recorder.commit("a")
         assert JobFolder.open(path).epoch == 5
 
     def test_a_recorder_that_comes_back_finds_a_run_by_its_name(self, path: Path) -> None:

@@ -1,6 +1,5 @@
 """A recorder that keeps several runs of one job."""
 
-import threading
 from pathlib import Path
 
 import pytest
@@ -48,37 +47,23 @@ def send_in_turns(coordinator: FakeCoordinator, runs: str, stop: int, first: int
             coordinator.send(ROWS, begin, begin + 100, run=run)
 
 
-def test_rows_of_several_runs_become_durable_each_in_its_own_journal(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_rows_of_several_runs_become_durable_each_in_its_own_journal(network, coordinator, path) -> None:
     with recording(network, path):
         opened = anonymous(coordinator.open_runs("a", "b", "c"))
         assert opened == Opened(epoch=1, durable=[0, 0, 0], platform={})
         send_in_turns(coordinator, "abc", 1000)
-        coordinator.send(ROWS, 1000, 3000, run="b")
+        coordinator.send(ROWS, 1000, 3000, run="b", cpu_seconds=5.0)
         for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
             coordinator.hears_durable(stop, run)
             page = coordinator.page(500, 4096, run)
             assert page.rows.tobytes() == ROWS[500:stop].tobytes()
+            assert len(coordinator.page(stop, 10, run)) == 0
     assert recorded(path, "b") == ROWS.tobytes()
+    with RunFolder.open(path / "runs" / "b").journal() as journal:
+        assert journal.cpu_seconds == pytest.approx(5.0)
 
 
-def test_runs_are_opened_as_a_coordinator_gets_to_them(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
-    with recording(network, path):
-        coordinator.open_runs("a")
-        coordinator.send(ROWS, 0, 100, run="a")
-        opened = anonymous(coordinator.open_runs("b", "c", epoch=1))
-        assert opened == Opened(epoch=1, durable=[0, 0], platform={})
-        send_in_turns(coordinator, "bc", 100)
-        for run in "abc":
-            coordinator.hears_durable(100, run)
-
-
-def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
         coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
@@ -93,9 +78,7 @@ def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(
     assert recorded(path, "a") == recorded(path, "b") == ROWS[:1000].tobytes()
 
 
-def test_a_replaced_coordinators_rows_are_refused_for_one_run_as_for_all(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_a_replaced_coordinators_rows_are_refused_for_one_run_as_for_all(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
         assert coordinator.open_runs("a").epoch == 2
@@ -121,9 +104,7 @@ def test_a_run_that_nothing_was_heard_of_for_long_is_answered_when_its_rows_come
         coordinator.hears_durable(10, "a")
 
 
-def test_rows_of_a_run_that_was_never_opened_are_dropped(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_rows_of_a_run_that_was_never_opened_are_dropped(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a")
         coordinator.send(ROWS, 0, 10, run="b")
@@ -134,9 +115,7 @@ def test_rows_of_a_run_that_was_never_opened_are_dropped(
     assert not (path / "runs" / "b").exists()
 
 
-def test_scenes_that_are_missing_are_fetched_for_all_runs(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, path) -> None:
     asked: list[str] = []
 
     def answer(query: Query) -> bytes:
@@ -153,9 +132,7 @@ def test_scenes_that_are_missing_are_fetched_for_all_runs(
     assert len(asked) == len(set(asked)), "the scene was fetched more than once"
 
 
-def test_a_link_for_each_run_carries_its_rows_through(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-) -> None:
+def test_a_link_for_each_run_carries_its_rows_through(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.meet()
         links = {run: RecorderClient(network.session(), JOB, SHAPE) for run in "ab"}
@@ -184,9 +161,7 @@ class TestFolders:
                 coordinator.open_runs("a")
             assert coordinator.open().epoch == 1
 
-    def test_one_recorder_at_a_time_writes_in_a_campaigns_folder(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path
-    ) -> None:
+    def test_one_recorder_at_a_time_writes_in_a_campaigns_folder(self, network, coordinator, path) -> None:
         with recording(network, path):
             coordinator.open_runs("a")
             with recording(network, path) as second:
@@ -196,9 +171,7 @@ class TestFolders:
 
 
 class TestFullDisk:
-    def test_all_runs_wait_and_say_so_and_go_on_together(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, room: threading.Event
-    ) -> None:
+    def test_all_runs_wait_and_say_so_and_go_on_together(self, network, coordinator, path, room) -> None:
         room.set()
         with recording(network, path):
             coordinator.open_runs("a", "b")
@@ -210,14 +183,14 @@ class TestFullDisk:
             for run in "ab":
                 report = coordinator.hears(lambda report, run=run: report.run == run and bool(report.trouble))
                 assert report.durable == 1000
+                assert "no room" in report.trouble
+                assert coordinator.page(0, 4096, run).rows.tobytes() == ROWS[:1000].tobytes()
             room.set()
             for run in "ab":
                 assert not coordinator.hears_durable(2000, run).trouble
         assert recorded(path, "a") == recorded(path, "b") == ROWS[:2000].tobytes()
 
-    def test_after_its_patience_the_recorder_ends(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, room: threading.Event
-    ) -> None:
+    def test_after_its_patience_the_recorder_ends(self, network, coordinator, path, room) -> None:
         with recording(network, path, disk_wait=0.2) as running:
             coordinator.open_runs("a", "b")
             send_in_turns(coordinator, "ab", 1000)

@@ -48,9 +48,7 @@ def recorder(
             process.kill()
 
 
-def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(
-    endpoint: str, router: ZenohBus, folder: RunFolder
-) -> None:
+def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(endpoint, router, folder) -> None:
     coordinator, rows = FakeCoordinator(router), make_rows(2000)
     for turn, (number, code) in enumerate(
         [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
@@ -65,9 +63,7 @@ def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(
         assert journal.rows(0, 2000).tobytes() == rows[:1500].tobytes()
 
 
-def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(
-    endpoint: str, router: ZenohBus, folder: RunFolder
-) -> None:
+def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, router, folder) -> None:
     coordinator, rows = FakeCoordinator(router), make_rows(12_000)
     with recorder(endpoint, folder.path, "--disk-wait", str(PATIENCE)) as process:
         coordinator.open()
@@ -118,18 +114,14 @@ def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, f
             assert process.wait(PATIENCE) == 2
 
 
-def test_two_recorders_of_one_folder_are_one_too_many(
-    endpoint: str, router: ZenohBus, folder: RunFolder
-) -> None:
+def test_two_recorders_of_one_folder_are_one_too_many(endpoint, router, folder) -> None:
     with folder.job.lock(), recorder(endpoint, folder.path) as process:
         _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert f"is in use by process {os.getpid()}".encode() in said
 
 
-def test_a_journal_can_be_read_while_it_is_written(
-    endpoint: str, router: ZenohBus, folder: RunFolder
-) -> None:
+def test_a_journal_can_be_read_while_it_is_written(endpoint, router, folder) -> None:
     coordinator, rows = FakeCoordinator(router), make_rows(1000)
     with recorder(endpoint, folder.path):
         coordinator.open()

@@ -1,7 +1,6 @@
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.common import PATIENCE
 from tests.coordinator.recorder.fakes import (
@@ -11,7 +10,6 @@ from tests.coordinator.recorder.fakes import (
     SHAPE,
     SPEC,
     FakeCoordinator,
-    anonymous,
     make_rows,
     recording,
 )
@@ -21,10 +19,11 @@ from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Failure, Opened, Platform, Recordable
+from qdgrasp_protocol.messages import Failure, Platform, Recordable
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -34,30 +33,13 @@ def folder(tmp_path: Path) -> RunFolder:
     return RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB)
 
 
+def show_scene(bus: Bus) -> None:
+    """Answer queries for the scene, as the coordinator does."""
+    bus.answer(Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest))
+
+
 class TestOpening:
-    def test_each_opening_has_the_next_epoch_and_it_is_on_the_disk(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        for epoch in (1, 2, 3):
-            with recording(network, folder.path):
-                assert anonymous(coordinator.open()) == Opened(epoch=epoch, durable=[0], platform={})
-                assert RunFolder.open(folder.path).job.epoch == epoch
-
-    def test_a_run_goes_on_where_its_journal_ends_on_its_platform(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
-            coordinator.send(make_rows(30), 0, 30)
-            coordinator.hears_durable(30)
-        with recording(network, folder.path):
-            opened = anonymous(coordinator.open())
-            assert opened == Opened(epoch=2, durable=[30], platform={"pybullet": "3.2.7"})
-
-    def test_a_larger_budget_is_taken_over_into_spec_and_journal(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_a_larger_budget_is_taken_over_into_spec_and_journal(self, network, coordinator, folder) -> None:
         longer = RunSpec(gripper="panda", object="mug", evaluations=2000)
         with recording(network, folder.path):
             coordinator.open()
@@ -88,9 +70,7 @@ class TestOpening:
         self, network: MemoryNetwork, coordinator: FakeCoordinator, tmp_path: Path
     ) -> None:
         with network.session() as bus, recording(network, tmp_path / "new"):
-            bus.answer(
-                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
-            )
+            show_scene(bus)
             coordinator.open()
             folder = RunFolder.open(tmp_path / "new")
             until(folder.has_bundle)
@@ -108,9 +88,7 @@ class TestOpening:
         with network.session() as bus, recording(network, tmp_path / "new"):
             coordinator.open()
             coordinator.hears_durable(0)  # nobody showed it when it was first asked for
-            bus.answer(
-                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
-            )
+            show_scene(bus)
             coordinator.send(make_rows(30), 0, 30)
             until(RunFolder.open(tmp_path / "new").has_bundle)
 
@@ -130,9 +108,7 @@ class TestOpening:
 
         monkeypatch.setattr(bundle_transfer, "fetch_bundle", slow)
         with network.session() as bus:
-            bus.answer(
-                Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
-            )
+            show_scene(bus)
             with recording(network, tmp_path / "new"):
                 coordinator.open()
                 assert asked.wait(PATIENCE)
@@ -146,21 +122,6 @@ class TestOpening:
 
 
 class TestRecording:
-    def test_rows_become_durable_and_come_back_in_pages(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        rows = make_rows(5000)
-        with recording(network, folder.path):
-            coordinator.open()
-            for first in range(0, 5000, 1000):
-                coordinator.send(rows, first, first + 1000, cpu_seconds=1.0)
-            coordinator.hears_durable(5000)
-            pages = [coordinator.page(first, 4096).rows for first in (0, 4096)]
-            assert np.concatenate(pages).tobytes() == rows.tobytes()
-            assert len(coordinator.page(5000, 10)) == 0
-        with folder.journal() as journal:
-            assert journal.cpu_seconds == pytest.approx(5.0)
-
     def test_lost_repeated_and_overlapping_messages_leave_each_row_once(
         self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
     ) -> None:
@@ -175,32 +136,7 @@ class TestRecording:
         with folder.journal() as journal:
             assert journal.rows(0, 1000).tobytes() == rows.tobytes()
 
-    def test_a_duplicate_is_answered_with_what_is_durable(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        rows = make_rows(10)
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.send(rows, 0, 10)
-            coordinator.hears_durable(10)
-            coordinator.send(rows, 0, 10)
-            coordinator.hears_durable(10)
-
-    def test_a_replaced_coordinators_rows_are_refused(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        rows = make_rows(10)
-        with recording(network, folder.path):
-            coordinator.open()
-            assert coordinator.open().epoch == 2
-            coordinator.send(rows, 0, 10, epoch=1)
-            assert coordinator.hears(lambda report: report.epoch == 2).durable == 0
-            coordinator.send(rows, 0, 5)
-            coordinator.hears_durable(5)
-
-    def test_what_is_not_of_the_protocol_is_dropped(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_what_is_not_of_the_protocol_is_dropped(self, network, coordinator, folder) -> None:
         rows = make_rows(10)
         wide = RowShape(genes=8, joints=2)
         with network.session() as bus, recording(network, folder.path):
@@ -214,9 +150,7 @@ class TestRecording:
             coordinator.send(rows, 0, 10)
             coordinator.hears_durable(10)
 
-    def test_reasons_of_errors_are_recorded_and_replayed(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_reasons_of_errors_are_recorded_and_replayed(self, network, coordinator, folder) -> None:
         rows, failures = make_rows(10), (Failure(row=1, reason="the child aborted"),)
         with recording(network, folder.path):
             coordinator.open()
@@ -224,21 +158,6 @@ class TestRecording:
             coordinator.send(rows, 4, 10, failures=failures)
             coordinator.hears_durable(10)
             assert coordinator.page(5, 3).failures == (Failure(row=0, reason="the child aborted"),)
-
-    def test_a_recorder_that_comes_back_goes_on_with_the_same_coordinator(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        rows = make_rows(20)
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.send(rows, 0, 10)
-            coordinator.hears_durable(10)
-        with recording(network, folder.path):
-            coordinator.meet()
-            coordinator.send(rows, 10, 20)
-            coordinator.hears_durable(20)
-        with folder.journal() as journal:
-            assert journal.rows(0, 100).tobytes() == rows.tobytes()
 
     def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(
         self, network: MemoryNetwork, folder: RunFolder
@@ -271,18 +190,7 @@ class TestRecording:
             coordinator.hears_durable(10)
         assert folder.job.epoch == 7
 
-    def test_what_waits_when_the_recorder_is_asked_to_stop_is_committed(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.send(make_rows(10), 0, 10)
-        with folder.journal() as journal:
-            assert journal.count == 10
-
-    def test_reading_before_the_run_is_opened_is_refused(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_reading_before_the_run_is_opened_is_refused(self, network, coordinator, folder) -> None:
         with recording(network, folder.path), pytest.raises(Refused, match="was not opened"):
             coordinator.page(0, 10)
 
@@ -304,39 +212,3 @@ class TestFolders:
                     running.ends()
                     assert isinstance(running.error, FolderError)
                     assert words in str(running.error)
-
-
-class TestFullDisk:
-    def test_it_is_said_and_waited_for_and_nothing_is_lost(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder, room: threading.Event
-    ) -> None:
-        rows = make_rows(3000)
-        room.set()
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.send(rows, 0, 1000)
-            coordinator.hears_durable(1000)
-            room.clear()
-            coordinator.send(rows, 1000, 2000)
-            report = coordinator.hears(lambda report: bool(report.trouble))
-            assert report.durable == 1000
-            assert "no room" in report.trouble
-            coordinator.send(rows, 1000, 3000)
-            assert coordinator.page(0, 4096).rows.tobytes() == rows[:1000].tobytes()
-            room.set()
-            assert not coordinator.hears_durable(3000).trouble
-        with folder.journal() as journal:
-            assert journal.rows(0, 4096).tobytes() == rows.tobytes()
-
-    def test_after_its_patience_the_recorder_ends_and_names_resume(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder, room: threading.Event
-    ) -> None:
-        with recording(network, folder.path, disk_wait=0.2) as running:
-            coordinator.open()
-            coordinator.send(make_rows(1000), 0, 1000)
-            running.ends()
-            assert isinstance(running.error, DiskFull)
-            assert running.error.exit_code == 2
-            assert f"`qdgrasp resume {folder.path}` goes on" in str(running.error)
-        with folder.journal() as journal:
-            assert journal.count == 0

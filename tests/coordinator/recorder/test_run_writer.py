@@ -106,9 +106,7 @@ def test_no_more_rows_wait_than_there_is_room_for() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.booleans())))
-def test_whatever_arrives_each_row_is_committed_once_and_in_order(
-    offers: list[tuple[int, int, bool]],
-) -> None:
+def test_whatever_arrives_each_row_is_committed_once_and_in_order(offers) -> None:
     writer, committed = make_writer(epoch=1, durable=0), []
     for first, length, is_due in [*offers, (0, 0, True)]:
         writer.add(part(first, first + length), 1, 0.0)

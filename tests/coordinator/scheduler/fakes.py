@@ -29,10 +29,10 @@ from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Order, OrderReply, Result, Work
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 PLATFORM = {"pybullet": "3.2.7"}
-SPEC = to_toml(RunSpec(gripper="hand", object="thing")).encode()
+SPEC = RunSpec(gripper="hand", object="thing")
 WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}
 
@@ -48,7 +48,7 @@ def until(condition: Callable[[], bool]) -> None:
 def assignment(name: str, plan: Plan) -> RunPlan:
     """The run of a plan at its very beginning."""
     bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
-    return RunPlan(name, SPEC, bundle, "none", SHAPE, plan.pipeline(), plan.evaluations)
+    return RunPlan(name, SPEC, bundle, "none", SHAPE, plan.pipeline())
 
 
 class FakeRunQueue:

@@ -80,24 +80,33 @@ def settle(
     failed: tuple[int, ...] = (),
     epoch: int = EPOCH,
 ) -> SettleReply:
-    n = len(lease.batch)
-    rows = SHAPE.empty(n)
+    rows = SHAPE.empty(len(lease.batch))
     rows["outcome"], rows["nu"] = Outcome.HELD, lease.batch.rows.indices
-    result = Result(
-        epoch=epoch,
+    wid = wid or lease.wid
+    found = structs.replace(result(lease), epoch=epoch, wid=wid, failures=failures(failed))
+    return dispatch.settle(wid, found, rows, now)
+
+
+def failures(rows: Sequence[int]) -> list[Failure]:
+    return [Failure(row=row, reason=f"row {row} burst") for row in rows]
+
+
+def result(lease: Lease) -> Result:
+    """What the worker answers with, but for columns."""
+    n = len(lease.batch)
+    return Result(
+        epoch=EPOCH,
         run=lease.batch.run.run,
         generation=lease.batch.rows.number,
         batch=lease.batch.id,
         attempt=lease.attempt,
-        wid=wid or lease.wid,
+        wid=lease.wid,
         n=n,
         joints=1,
         descriptors=3,
         columns={},
         cpu_seconds=0.1 * n,
-        failures=[Failure(row=row, reason=f"row {row} burst") for row in failed],
     )
-    return dispatch.settle(wid or lease.wid, result, rows, now)
 
 
 def indices(leases: list[Lease]) -> list[list[int]]:

@@ -68,13 +68,11 @@ def test_the_first_batches_are_small() -> None:
     assert BatchSizer().next_size(10_000, 2) == FIRST_ROWS
 
 
-def test_a_batch_takes_about_a_quarter_of_a_second() -> None:
-    assert measured(0.001).next_size(10_000, 2) == pytest.approx(BATCH_SECONDS / 0.001, rel=0.02)
-
-
-@pytest.mark.parametrize(("cost", "rows"), [(0.0, MOST_ROWS), (1e-7, MOST_ROWS), (3.0, 1)])
-def test_a_batch_has_at_least_one_row_and_not_too_many(cost: float, rows: int) -> None:
-    assert measured(cost).next_size(1_000_000, 2) == rows
+@pytest.mark.parametrize(
+    ("cost", "rows"), [(0.0, MOST_ROWS), (1e-7, MOST_ROWS), (0.001, BATCH_SECONDS / 0.001), (3.0, 1)]
+)
+def test_a_batch_takes_about_a_quarter_of_a_second_and_has_a_row_and_not_too_many(cost, rows) -> None:
+    assert measured(cost).next_size(1_000_000, 2) == pytest.approx(rows, rel=0.02)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 7])
@@ -103,25 +101,20 @@ def test_the_latest_batches_count_most() -> None:
     assert sizer.seconds_per_row == pytest.approx(0.001, rel=0.01)
 
 
-def test_without_measurement_timeout_is_the_shortest_lease() -> None:
-    assert LeaseTimeout().limit == LEASE_SECONDS
-
-
-def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep() -> None:
+@pytest.mark.parametrize(
+    ("turnarounds", "limit"),
+    [
+        ([], LEASE_SECONDS),
+        ([2.0] * 95 + [60.0] * 5, 20.0),
+        ([2.0] * 95 + [60.0] * 15, 600.0),
+        ([60.0] * 300 + [0.1] * 300, LEASE_SECONDS),  # what was long ago is forgotten
+    ],
+)
+def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep(turnarounds, limit) -> None:
     timeout = LeaseTimeout()
-    for seconds in [2.0] * 95 + [60.0] * 5:
+    for seconds in turnarounds:
         timeout.measure(seconds)
-    assert timeout.limit == 20.0
-    for _ in range(10):
-        timeout.measure(60.0)
-    assert timeout.limit == 600.0
-
-
-def test_timeout_forgets_what_was_long_ago() -> None:
-    timeout = LeaseTimeout()
-    for seconds in [60.0] * 300 + [0.1] * 300:
-        timeout.measure(seconds)
-    assert timeout.limit == LEASE_SECONDS
+    assert timeout.limit == limit
 
 
 def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:

@@ -9,13 +9,7 @@ from tests.coordinator.recorder.fakes import JOB
 from tests.coordinator.scheduler.fakes import FakeRunQueue
 from tests.coordinator.scheduler.leases import ANN, BOB, join_message
 
-from qdgrasp_coordinator.metrics.job_status import (
-    WORKERS_PER_PAGE,
-    EventLog,
-    JobEvent,
-    WorkersPage,
-    WorkerStatus,
-)
+from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, EventLog, JobEvent, WorkerStatus
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
 from qdgrasp_coordinator.scheduler.job_scheduler import (
     LEAST_STOP_SECONDS,
@@ -84,9 +78,7 @@ def test_what_a_worker_says_of_itself_is_shown(job: SchedulerWithoutRuns) -> Non
     assert (ann.seconds, ann.seen) == (5.0, 3.0)
 
 
-def test_a_killed_worker_is_gone_at_once_and_listed_for_a_minute(
-    job: SchedulerWithoutRuns,
-) -> None:
+def test_a_killed_worker_is_gone_at_once_and_listed_for_a_minute(job) -> None:
     job.joins(join_message(ANN), 0.0)
     job.joins(join_message(BOB), 0.0)
     job.dies(ANN, 5.0)
@@ -145,7 +137,7 @@ def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWit
 def test_each_worker_stands_on_one_page(job: SchedulerWithoutRuns, workers: int) -> None:
     for number in range(workers):
         job.joins(join_message(f"{number:032x}"), 0.0)
-    pages: list[WorkersPage] = job.scheduler.workers.pages(1.0)
+    pages = job.scheduler.workers.pages(1.0)
     assert [page.page for page in pages] == list(range(max(1, -(-workers // WORKERS_PER_PAGE))))
     assert {page.pages for page in pages} == {len(pages)}
     assert [int(worker.wid, 16) for page in pages for worker in page.workers] == list(range(workers))
@@ -156,11 +148,8 @@ def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
     assert (ending.is_due(109.9), ending.is_due(110.0)) == (False, True)
     assert ending.deadline == 110.0
     assert not ending.is_over(1e9, is_safe=True)
-
-
-def test_a_job_without_a_limit_never_does() -> None:
-    ending = EarlyStop(None, now=0.0)
-    assert (ending.is_due(1e9), ending.deadline) == (False, inf)
+    endless = EarlyStop(None, now=0.0)
+    assert (endless.is_due(1e9), endless.deadline) == (False, inf)
 
 
 @pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST_STOP_SECONDS), (False, MOST_STOP_SECONDS)])

@@ -7,6 +7,7 @@ from math import inf
 
 import numpy as np
 import pytest
+from msgspec import structs
 from tests.coordinator.scheduler.leases import (
     ANN,
     BOB,
@@ -15,19 +16,35 @@ from tests.coordinator.scheduler.leases import (
     SCENE,
     SHAPE,
     Dispatch,
+    failures,
     genomes,
     indices,
+    result,
     settle,
     submit,
     with_work,
 )
 
-from qdgrasp_coordinator.scheduler.batch_queue import Settlement
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
 from qdgrasp_coordinator.scheduler.lease_dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Result, Work, decode, encode
+from qdgrasp_protocol.messages import Failure, Work, decode, encode
 from qdgrasp_protocol.rows import Outcome
+
+
+def lose(dispatch: Dispatch, now: float) -> None:
+    """Have Ann vanish, and give her up."""
+    dispatch.workers.on_token(ANN, False, now)
+    dispatch.give_up(now + TOKEN_GRACE)
+
+
+def with_one_lease() -> tuple[Dispatch, Lease]:
+    """All the work there is, leased to Ann."""
+    dispatch = with_work(n=2)
+    (lease,) = dispatch.leases(0.0)
+    return dispatch, lease
+
 
 # 1. Credit.
 
@@ -41,11 +58,8 @@ def test_a_worker_is_leased_as_many_batches_as_it_has_credit() -> None:
     assert indices(dispatch.leases(0.2)) == [[4, 5]]
 
 
-def test_without_workers_nothing_is_leased() -> None:
-    assert with_work(workers=()).leases(0.0) == []
-
-
 def test_workers_take_turns() -> None:
+    assert with_work(workers=()).leases(0.0) == []
     dispatch = with_work(workers=(ANN, BOB))
     assert sorted(lease.wid for lease in dispatch.leases(0.0)) == [ANN, ANN, BOB, BOB]
     dispatch = with_work(n=4, workers=(ANN, BOB))
@@ -165,7 +179,6 @@ def test_only_the_scenes_that_a_worker_keeps_open_are_remembered() -> None:
         submit(dispatch, 1, f"run{number}", scene=f"{number}")
         settle(dispatch, dispatch.leases(0.0)[0], 0.0)
     worker = dispatch.workers.get(ANN)
-    assert worker is not None
     assert list(worker.scenes) == [f"{number}" for number in range(3, SCENES_KEPT + 3)]
 
 
@@ -186,8 +199,7 @@ def test_a_withdrawn_run_is_leased_no_more_and_its_batches_may_be_dropped() -> N
 def test_a_withdrawn_run_may_hold_batches_that_wait_to_be_leased_again() -> None:
     dispatch = with_work(n=4)
     dispatch.leases(0.0)
-    dispatch.workers.on_token(ANN, False, 0.0)
-    dispatch.give_up(TOKEN_GRACE)
+    lose(dispatch, 0.0)
     assert dispatch.withdraw("run") == {}
     dispatch.admit(BOB, 1, 2, [], 1.5)
     assert (dispatch.leases(2.0), dispatch.queued_seconds, dispatch.workers.next_deadline()) == ([], 0, inf)
@@ -201,19 +213,10 @@ def test_a_fresh_result_gives_complete_rows() -> None:
     _, lease = dispatch.leases(0.0)
     settled = settle(dispatch, lease, 0.5)
     assert settled.kind is Settlement.FRESH
-    assert settled.rows is not None
     assert settled.rows["index"].tolist() == settled.rows["nu"].tolist() == [5, 6, 7, 8, 9]
     assert settled.rows["genome"].tobytes() == genomes(10)[5:].tobytes()
     assert (settled.rows["outcome"] == Outcome.HELD).all()
     assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), None)
-
-
-def test_a_second_result_of_the_same_worker_is_a_duplicate() -> None:
-    dispatch = with_work()
-    lease, _ = dispatch.leases(0.0)
-    settle(dispatch, lease, 0.1)
-    again = settle(dispatch, lease, 0.2)
-    assert (again.kind, again.rows) == (Settlement.DUPLICATE, None)
 
 
 def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
@@ -244,10 +247,8 @@ def test_a_worker_that_was_overtaken_has_its_credit_back_at_once() -> None:
 
 
 def test_a_result_settles_a_batch_that_waits_to_be_leased_again() -> None:
-    dispatch = with_work(n=2)
-    (lease,) = dispatch.leases(0.0)
-    dispatch.workers.on_token(ANN, False, 0.1)
-    dispatch.give_up(0.1 + TOKEN_GRACE)
+    dispatch, lease = with_one_lease()
+    lose(dispatch, 0.1)
     assert settle(dispatch, lease, 2.0).kind is Settlement.FRESH
     dispatch.admit(BOB, 1, 2, [], 2.0)
     assert dispatch.leases(2.0) == []
@@ -264,8 +265,7 @@ def test_results_of_other_epochs_and_other_workers_are_foreign() -> None:
 
 
 def test_a_foreign_result_is_no_sign_of_progress() -> None:
-    dispatch = with_work(n=2)
-    (lease,) = dispatch.leases(0.0)
+    dispatch, lease = with_one_lease()
     settle(dispatch, lease, 9.0, epoch=EPOCH - 1)
     assert len(dispatch.give_up(LEASE_SECONDS)) == 1
 
@@ -289,8 +289,7 @@ def test_settled_batches_are_forgotten_in_the_end() -> None:
 
 
 def test_each_kind_of_result_is_counted() -> None:
-    dispatch = with_work(n=2)
-    (lease,) = dispatch.leases(0.0)
+    dispatch, lease = with_one_lease()
     settle(dispatch, lease, 0.1, epoch=1)
     for _ in range(3):
         settle(dispatch, lease, 0.1)
@@ -299,27 +298,11 @@ def test_each_kind_of_result_is_counted() -> None:
 
 
 @pytest.mark.parametrize(("n", "failed"), [(1, ()), (3, ()), (2, (2,))])
-def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(
-    n: int, failed: tuple[int, ...]
-) -> None:
-    dispatch = with_work(n=2)
-    (lease,) = dispatch.leases(0.0)
-    result = Result(
-        epoch=EPOCH,
-        run="run",
-        generation=0,
-        batch=lease.batch.id,
-        attempt=1,
-        wid=ANN,
-        n=n,
-        joints=1,
-        descriptors=3,
-        columns={},
-        cpu_seconds=0.0,
-        failures=[Failure(row=row, reason="") for row in failed],
-    )
+def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(n, failed) -> None:
+    dispatch, lease = with_one_lease()
+    fitting = result(lease)
     with pytest.raises(MessageError):
-        dispatch.settle(ANN, result, SHAPE.empty(n), 0.1)
+        dispatch.settle(ANN, structs.replace(fitting, n=n, failures=failures(failed)), SHAPE.empty(n), 0.1)
     assert dispatch.leases(0.1) == []
     assert settle(dispatch, lease, 0.2).kind is Settlement.FRESH
 
@@ -331,7 +314,6 @@ def test_failed_rows_are_leased_again_each_on_its_own() -> None:
     dispatch = with_work(n=6, batch_size=6)
     (lease,) = dispatch.leases(0.0)
     settled = settle(dispatch, lease, 0.1, failed=(4, 1))
-    assert settled.rows is not None
     assert settled.rows["index"].tolist() == [0, 2, 3, 5]
     assert settled.failures == ()
     assert indices(dispatch.leases(0.2)) == [[1], [4]]
@@ -344,12 +326,10 @@ def test_a_row_that_failed_three_times_is_an_error_with_its_reason() -> None:
     for _ in range(STRIKES - 2):
         (lease,) = dispatch.leases(0.2)
         settled = settle(dispatch, lease, 0.3, failed=(0,))
-        assert settled.rows is not None
         assert len(settled.rows) == 0
     (lease,) = dispatch.leases(0.4)
     settled = settle(dispatch, lease, 0.5, failed=(0,))
     assert settled.failures == (Failure(row=0, reason="row 0 burst"),)
-    assert settled.rows is not None
     (row,) = settled.rows
     assert (row["outcome"], row["index"], row["nu"]) == (Outcome.ERROR, 1, 0)
     assert row["genome"].tobytes() == genomes(3)[1].tobytes()
@@ -361,7 +341,6 @@ def test_a_row_that_succeeds_in_the_end_is_no_error() -> None:
     for now in range(STRIKES - 1):
         settle(dispatch, dispatch.leases(now)[0], now, failed=(0,))
     settled = settle(dispatch, dispatch.leases(9.0)[0], 9.0)
-    assert settled.rows is not None
     assert (settled.rows["outcome"].tolist(), settled.failures) == ([Outcome.HELD], ())
 
 
@@ -370,8 +349,7 @@ def test_lost_workers_are_no_evidence_against_a_row() -> None:
     for turn in range(3 * STRIKES):
         now = 10.0 * turn
         dispatch.leases(now)
-        dispatch.workers.on_token(ANN, False, now)
-        dispatch.give_up(now + TOKEN_GRACE)
+        lose(dispatch, now)
         dispatch.admit(ANN, turn + 2, 2, [], now + 2)
     (lease,) = dispatch.leases(1000.0)
     assert (lease.attempt, lease.batch.failed) == (3 * STRIKES + 1, 0)
@@ -409,8 +387,7 @@ def test_a_worker_is_told_to_drop_what_others_have_or_nobody_wants() -> None:
     dispatch = with_work(n=8)
     settled, moved, open_ = *dispatch.leases(0.0), b"\0" * 16
     settle(dispatch, settled, 0.1)
-    dispatch.workers.on_token(ANN, False, 0.1)
-    dispatch.give_up(0.1 + TOKEN_GRACE)
+    lose(dispatch, 0.1)
     dispatch.admit(BOB, 1, 1, [], 1.2)
     (lease,) = dispatch.leases(1.2)
     assert lease.batch.id == moved.batch.id
@@ -421,19 +398,16 @@ def test_a_worker_is_told_to_drop_what_others_have_or_nobody_wants() -> None:
 def test_a_worker_may_go_on_with_what_was_queued_again_meanwhile() -> None:
     dispatch = with_work(n=4)
     leases = dispatch.leases(0.0)
-    dispatch.workers.on_token(ANN, False, 0.1)
-    dispatch.give_up(0.1 + TOKEN_GRACE)
+    lose(dispatch, 0.1)
     assert dispatch.queued_seconds > 0
     assert dispatch.admit(ANN, 2, 2, [lease.batch.id for lease in leases], 1.5) == []
     assert (dispatch.queued_seconds, dispatch.leases(1.6)) == (0, [])
 
 
 def test_nobody_may_go_on_with_what_it_was_never_leased() -> None:
-    dispatch = with_work(n=2)
-    (lease,) = dispatch.leases(0.0)
+    dispatch, lease = with_one_lease()
     assert dispatch.admit(EVE, 1, 2, [lease.batch.id], 0.1) == [lease.batch.id]
-    dispatch.workers.on_token(ANN, False, 0.1)
-    dispatch.give_up(0.1 + TOKEN_GRACE)
+    lose(dispatch, 0.1)
     assert dispatch.admit(EVE, 2, 2, [lease.batch.id], 1.2) == [lease.batch.id]
 
 
@@ -458,6 +432,7 @@ def test_a_vanished_worker_is_given_up_after_a_second() -> None:
     assert dispatch.give_up(3.0 + TOKEN_GRACE - 0.01) == []
     (lost,) = dispatch.give_up(3.0 + TOKEN_GRACE)
     assert (lost.worker.wid, len(lost.batches), lost.reason) == (ANN, 1, "its token vanished")
+    assert dispatch.workers.get(ANN) is None
     (again,) = dispatch.leases(4.0)
     assert (again.wid, again.attempt) == (BOB, 2)
 

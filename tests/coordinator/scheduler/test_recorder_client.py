@@ -29,10 +29,12 @@ def stretch(first: int, n: int) -> JournalSlice:
     return JournalSlice(first, rows, 0.1 * n)
 
 
-def filled(*sizes: int, durable: int = 0) -> Outbox:
+def filled(*sizes: int, durable: int = 0, sent: float | None = None) -> Outbox:
     outbox = Outbox(durable)
     for first, n in zip(itertools.accumulate(sizes, initial=durable), sizes, strict=False):
         outbox.push(stretch(first, n))
+    if sent is not None:
+        outbox.take_due(sent)
     return outbox
 
 
@@ -63,8 +65,7 @@ def test_many_rows_go_in_slices_and_small_stretches_together() -> None:
 
 
 def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
-    outbox = filled(10)
-    outbox.take_due(5.0)
+    outbox = filled(10, sent=5.0)
     outbox.confirm(4, 6.0)
     assert outbox.take_due(6.0 + RESEND_AFTER - 0.01) == []
     assert numbers(outbox.take_due(6.0 + RESEND_AFTER)) == [4, 5, 6, 7, 8, 9]
@@ -72,42 +73,31 @@ def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
 
 
 def test_a_report_without_progress_puts_nothing_off() -> None:
-    outbox = filled(10)
-    outbox.take_due(0.0)
+    outbox = filled(10, sent=0.0)
     for tenth in range(20):
         outbox.confirm(0, tenth / 10)
     assert numbers(outbox.take_due(RESEND_AFTER)) == list(range(10))
 
 
 def test_time_without_anything_to_confirm_does_not_count() -> None:
-    outbox = filled(2)
-    outbox.take_due(0.0)
+    outbox = filled(2, sent=0.0)
     outbox.confirm(2, 0.1)
     outbox.push(stretch(2, 2))
     assert numbers(outbox.take_due(1000.0)) == [2, 3]
     assert outbox.take_due(1000.0 + RESEND_AFTER / 2) == []
 
 
-def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once() -> None:
-    outbox = filled(10)
-    outbox.take_due(0.0)
-    outbox.confirm(3, 0.1)
+@pytest.mark.parametrize(("sizes", "durable"), [([10], 3), ([5, 5, 5], 7)])
+def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once(sizes, durable) -> None:
+    outbox = filled(*sizes, sent=0.0)
+    outbox.confirm(durable, 0.1)
     outbox.resend(0.2)
-    assert numbers(outbox.take_due(0.2)) == list(range(3, 10))
+    assert numbers(outbox.take_due(0.2)) == list(range(durable, sum(sizes)))
     assert outbox.take_due(0.2 + RESEND_AFTER / 2) == []
 
 
-def test_durable_rows_may_end_within_a_stretch() -> None:
-    outbox = filled(5, 5, 5)
-    outbox.take_due(0.0)
-    outbox.confirm(7, 0.1)
-    outbox.resend(0.2)
-    assert numbers(outbox.take_due(0.2)) == list(range(7, 15))
-
-
 def test_rows_may_be_durable_before_they_are_known_to_be_sent() -> None:
-    outbox = filled(5)
-    outbox.take_due(0.0)
+    outbox = filled(5, sent=0.0)
     outbox.resend(0.1)
     outbox.confirm(5, 0.2)
     assert outbox.take_due(0.3) == []
@@ -149,8 +139,7 @@ def test_reasons_of_errors_are_sent_with_their_rows() -> None:
 
 
 def test_an_overtaken_report_is_ignored() -> None:
-    outbox = filled(10)
-    outbox.take_due(0.0)
+    outbox = filled(10, sent=0.0)
     outbox.confirm(8, 0.1)
     outbox.confirm(3, 0.2)
     assert outbox.confirmed == 8
@@ -161,8 +150,7 @@ def test_an_overtaken_report_is_ignored() -> None:
 
 @pytest.mark.parametrize("number", [3, 11])
 def test_a_recorder_that_stays_at_another_number_is_believed(number: int) -> None:
-    outbox = filled(10)
-    outbox.take_due(0.0)
+    outbox = filled(10, sent=0.0)
     outbox.confirm(8, 0.1)
     outbox.confirm(number, 1.0)
     outbox.confirm(number, 0.9 + DOUBT_SECONDS)

@@ -10,7 +10,7 @@ from types import FrameType
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, SingleRunQueue, full_spec, make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, SingleRunQueue, full_spec, prepare_scene
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.errors import ImpossibleValue, JawNeeded
 from qdgrasp_protocol.messages import Failure
@@ -53,27 +53,13 @@ def jawless(folder: Path) -> Path:
 
 def test_a_hand_without_a_jaw_is_refused_by_antipodal_methods_alone(tmp_path) -> None:
     asked = {**ASKED, "gripper": str(jawless(tmp_path))}
-    make_bundle(full_spec({**asked, "method": "approach_rand"}))
+    prepare_scene(full_spec({**asked, "method": "approach_rand"}))
     with pytest.raises(JawNeeded, match=r"'antipodal' is for two-finger hands, and the gripper 'hand'"):
-        make_bundle(full_spec({**asked, "method": "antipodal_me_scs"}))
+        prepare_scene(full_spec({**asked, "method": "antipodal_me_scs"}))
 
 
 SHAPE = RowShape(genes=2, joints=1)
 N = 9
-
-
-class Heard:
-    """The compared rows."""
-
-    def __init__(self) -> None:
-        self.places: list[int] = []
-        self.rows: list[np.void] = []
-        self.reasons: list[str] = []
-
-    def __call__(self, place: int, row: np.void, reason: str) -> None:
-        self.places.append(place)
-        self.rows.append(row)
-        self.reasons.append(reason)
 
 
 @pytest.fixture
@@ -87,14 +73,19 @@ def recorded() -> Rows:
 
 
 @pytest.fixture
-def heard() -> Heard:
-    return Heard()
+def heard() -> list[tuple[int, np.void, str]]:
+    """Places, rows and reasons that were compared."""
+    return []
+
+
+@pytest.fixture
+def repetition(recorded: Rows, heard: list[tuple[int, np.void, str]]) -> ReevaluationPlan:
+    return ReevaluationPlan(recorded, lambda *compared: heard.append(compared))
 
 
 def evaluated(repetition: ReevaluationPlan) -> Rows:
     """Return the asked rows as a worker evaluates them."""
     asked = repetition.ask()
-    assert asked is not None
     rows = SHAPE.empty(len(asked.indices))
     rows["generation"], rows["index"] = asked.number, asked.indices
     rows["trial"], rows["genome"] = asked.trials, asked.genomes
@@ -102,37 +93,32 @@ def evaluated(repetition: ReevaluationPlan) -> Rows:
     return rows
 
 
-def test_each_row_is_asked_in_its_trial_once(recorded: Rows, heard: Heard) -> None:
-    repetition = ReevaluationPlan(recorded, heard)
+def test_each_row_is_asked_in_its_trial_once(recorded, repetition) -> None:
     asked = repetition.ask()
-    assert asked is not None
     assert asked.trials.tolist() == recorded["trial"].tolist()
     assert asked.genomes.tobytes() == recorded["genome"].tobytes()
     assert len(set(asked.indices.tolist())) == N
     assert repetition.ask() is None
 
 
-def test_rows_are_compared_with_those_of_their_places_in_any_order(recorded: Rows, heard: Heard) -> None:
-    repetition = ReevaluationPlan(recorded, heard)
+def test_rows_are_compared_with_those_of_their_places_in_any_order(recorded, repetition, heard) -> None:
     shuffled = evaluated(repetition)[np.random.default_rng(0).permutation(N)]
     for part in (shuffled[:4], shuffled[4:]):
         assert len(repetition.settle(part)) == 0
-    assert sorted(heard.places) == list(range(N))
-    for place, row in zip(heard.places, heard.rows, strict=True):
+    assert sorted(place for place, *_ in heard) == list(range(N))
+    for place, row, _ in heard:
         assert row["genome"].tobytes() == recorded["genome"][place].tobytes()
 
 
-def test_a_row_that_comes_twice_is_compared_once(recorded: Rows, heard: Heard) -> None:
-    repetition = ReevaluationPlan(recorded, heard)
+def test_a_row_that_comes_twice_is_compared_once(repetition, heard) -> None:
     rows = evaluated(repetition)
     for part in (rows[:5], rows[:5], rows[3:]):
         repetition.settle(part)
-    assert heard.places == list(range(N))
+    assert [place for place, *_ in heard] == list(range(N))
     assert repetition.tally.evaluations == N
 
 
-def test_it_is_over_with_the_last_row(recorded: Rows, heard: Heard) -> None:
-    repetition = ReevaluationPlan(recorded, heard)
+def test_it_is_over_with_the_last_row(repetition: ReevaluationPlan) -> None:
     rows = evaluated(repetition)
     repetition.settle(rows[:-1])
     assert repetition.finished is None
@@ -141,12 +127,10 @@ def test_it_is_over_with_the_last_row(recorded: Rows, heard: Heard) -> None:
     assert repetition.tally.left == 0
 
 
-def test_why_a_row_failed_is_told_with_it(recorded: Rows, heard: Heard) -> None:
-    repetition = ReevaluationPlan(recorded, heard)
+def test_why_a_row_failed_is_told_with_it(repetition, heard) -> None:
     rows = evaluated(repetition)[::-1]
     repetition.settle(rows, failures=[Failure(row=1, reason="it burst")])
-    assert heard.reasons[heard.places.index(N - 2)] == "it burst"
-    assert [reason for reason in heard.reasons if reason] == ["it burst"]
+    assert [(place, reason) for place, _, reason in heard if reason] == [(N - 2, "it burst")]
 
 
 # The queue of a job with one run.

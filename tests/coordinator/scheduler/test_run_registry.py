@@ -10,14 +10,7 @@ from tests.coordinator.scheduler.fakes import FakeRunQueue, assignment
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
 
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import (
-    ActiveRun,
-    LoaderEvent,
-    NoRunLeft,
-    RunLoader,
-    RunOpened,
-    RunRegistry,
-)
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, NoRunLeft, RunLoader, RunRegistry
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError, RunFailed
 from qdgrasp_protocol.messages import Opened, OpenRun
@@ -66,22 +59,21 @@ class Coming:
     """Lanes whose news is heard when a test wants to."""
 
     def __init__(self, *runs: str) -> None:
-        self._news: SimpleQueue[LoaderEvent] = SimpleQueue()
+        self._news = SimpleQueue()
         programme = FakeRunQueue({name: Plan(evaluations=40) for name in runs})
         loader = RunLoader(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
         self.runs = RunRegistry(programme, loader)
 
-    def ask(self) -> LoaderEvent:
+    def ask(self):
         """Have another run opened; gives what comes of it, which the runs have not heard."""
         self.runs.open_another(1, is_wanted=True)
         return self._news.get(timeout=PATIENCE)
 
     def open(self) -> ActiveRun:
         """Open the next run."""
-        news = self.ask()
-        assert isinstance(news, RunOpened)
-        self.runs.add(news.run)
-        return news.run
+        run = self.ask().run
+        self.runs.add(run)
+        return run
 
 
 @pytest.mark.parametrize("others", [(), ("other",)])

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
@@ -135,18 +136,10 @@ def test_the_last_figures_of_a_run_are_those_of_its_journal_and_say_why_it_is_ov
     last = from_json(heard.of(KEYS.stat("run/run-3"))[-1], RunStatus)
     tally = RunCounter(plan.evaluations, "count")
     tally.count(job.records["run-3"].rows)
-    names = [
-        "evaluations",
-        "rows",
-        "simulated",
-        "successes",
-        "grasps",
-        "robust",
-        "errors",
-        "cells",
-        "outcomes",
-    ]
-    assert {name: getattr(last, name) for name in names} == {name: getattr(tally, name) for name in names}
+    counts = attrgetter(
+        "evaluations", "rows", "simulated", "successes", "grasps", "robust", "errors", "cells", "outcomes"
+    )
+    assert counts(last) == counts(tally)
     assert set(last.outcomes) == {outcome.name.lower() for outcome in Outcome}
     assert sum(last.outcomes.values()) == last.rows - last.trials
     assert last.finished == "the budget of 40 evaluations is spent"
@@ -328,9 +321,7 @@ class Clock(Inbox):
 
 
 @pytest.mark.parametrize("tenth", range(10))
-def test_a_worker_whose_token_vanishes_is_shown_as_gone_within_half_a_second(
-    tenth: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_whose_token_vanishes_is_shown_as_gone_within_half_a_second(tenth, monkeypatch) -> None:
     """Whenever that is in the second between two publications of the workers."""
     clock, lost_after = Clock(now=1000.0), 5.0 + tenth / 10
     monkeypatch.setattr(coordinator_service, "Inbox", lambda: clock)

@@ -110,20 +110,6 @@ def test_the_indexes_agree_with_a_pass_over_all_workers(seed: int) -> None:
         assert {lost.worker.wid for lost in workers.overdue(turmoil.now)} == late
 
 
-def test_an_overdue_worker_names_what_it_held_and_holds_it_no_more() -> None:
-    workers = WorkerRegistry()
-    workers.on_token(WORKERS[0], True, 0.0)
-    workers.join(join_message(WORKERS[0]), 0.0)
-    worker = workers.get(WORKERS[0])
-    assert worker is not None
-    workers.hold(worker, b"a" * 16, SCENE, 0.0)
-    workers.on_token(WORKERS[0], False, 1.0)
-    (lost,) = workers.overdue(100.0)
-    assert (lost.worker.wid, lost.batches) == (WORKERS[0], [b"a" * 16])
-    assert workers.get(WORKERS[0]) is None
-    assert workers.next_deadline() == float("inf")
-
-
 def test_no_more_workers_that_are_gone_are_kept_than_can_be_shown() -> None:
     workers = WorkerRegistry()
     for number in range(2 * MOST_GONE):

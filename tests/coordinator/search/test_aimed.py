@@ -1,9 +1,6 @@
 """The search that aims, on a make-believe object."""
 
 import hashlib
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,7 +41,6 @@ from qdgrasp_protocol.spec import RunSpec
 
 SPACE = space("aimed")
 HAND = space("aimed", ("synergy", "spread"))
-ELSEWHERE = "from tests.coordinator.search.test_aimed import digest; print(digest())"
 
 
 def spec(**values) -> RunSpec:
@@ -63,13 +59,6 @@ def digest() -> str:
 
 def targets(rows: Rows) -> np.ndarray:
     return SPACE.layout.values(rows["genome"])[:, TARGET]
-
-
-def test_a_fresh_process_asks_the_same_bits() -> None:
-    command = [sys.executable, "-c", ELSEWHERE]
-    home = Path(__file__).parents[3]
-    there = subprocess.run(command, check=True, capture_output=True, text=True, timeout=200, cwd=home)
-    assert there.stdout.strip() == digest()
 
 
 @pytest.mark.parametrize("in_flight", [1, 2])
@@ -306,6 +295,13 @@ def around(n: int) -> np.ndarray:
     return BLOCK[(BLOCK != 0).any(axis=1)][:n]
 
 
+@pytest.fixture
+def weak(found: Found) -> Places:
+    """A weak cell whose neighbours all are robust."""
+    found.succeed(around(26), Outcome.HELD)
+    return found.succeed(MIDDLE, Outcome.SHAKEN)
+
+
 @pytest.mark.parametrize("n", [0, 1, 13, 26])
 def test_a_weak_cell_is_worth_the_share_of_its_neighbours_that_are_robust(found: Found, n: int) -> None:
     found.succeed(around(n), Outcome.HELD)
@@ -320,26 +316,18 @@ def test_a_cell_that_is_robust_again_counts_once(found: Found) -> None:
     assert found.retries.worth(weak).tolist() == [1 / 26]
 
 
-def test_every_try_makes_the_next_one_less_worth(found: Found) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_every_try_makes_the_next_one_less_worth(found, weak) -> None:
     found.frontier.count_tries(weak)
     assert found.retries.worth(weak).tolist() == [1 / 2]
 
 
 @pytest.mark.parametrize(("share", "tries"), [(1.0, 0), (0.4, 0), (0.3, 1), (0.0, 1)])
-def test_weak_cells_are_tried_where_that_is_more_than_the_frontier_gives(
-    found: Found, share: float, tries: int
-) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_weak_cells_are_tried_where_that_is_more_than_the_frontier_gives(found, weak, share, tries) -> None:
     found.frontier_gives(share)
     assert found.ask().tolist() == weak.tolist() * tries
 
 
-def test_before_anything_was_tried_the_frontier_is_taken_to_be_rich(found: Found) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_before_anything_was_tried_the_frontier_is_taken_to_be_rich(found, weak) -> None:
     assert len(found.ask()) == 0
 
 
@@ -362,9 +350,7 @@ def test_the_most_promising_go_first_and_no_more_than_half_of_what_the_frontier_
 
 
 @pytest.mark.parametrize("gave", [0.0, 0.5, 1.0])
-def test_what_tries_gave_corrects_what_they_promise(found: Found, gave: float) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_what_tries_gave_corrects_what_they_promise(found, weak, gave) -> None:
     found.frontier_gives(0.0)
     for generation in range(200):
         assert len(found.ask(generation)) == 1
@@ -374,25 +360,19 @@ def test_what_tries_gave_corrects_what_they_promise(found: Found, gave: float) -
     )
 
 
-def test_rows_that_no_retry_asked_for_correct_nothing(found: Found) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_rows_that_no_retry_asked_for_correct_nothing(found, weak) -> None:
     found.tell(0, robust=False)
     assert found.retries.worth(weak).tolist() == [1.0]
 
 
-def test_tries_that_do_not_count_correct_nothing(found: Found) -> None:
-    found.succeed(around(26), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
+def test_tries_that_do_not_count_correct_nothing(found, weak) -> None:
     found.frontier_gives(0.0)
     assert len(found.ask()) == 1
     found.tell(0, robust=False, counts=False)
     assert found.retries.worth(weak).tolist() == [1.0]
 
 
-def test_without_a_value_nothing_is_tried_again(found: Found, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_value_nothing_is_tried_again(found, weak, monkeypatch) -> None:
     monkeypatch.setattr(aimed, "RETRY_VALUE", 0.0)
-    found.succeed(around(26), Outcome.HELD)
-    found.succeed(MIDDLE, Outcome.SHAKEN)
     found.frontier_gives(0.0)
     assert len(found.ask()) == 0

@@ -67,24 +67,21 @@ def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
     assert (len(archive), archive.elites.successful.sum()) == (len(expected), sum(successful))
 
 
-def test_of_equals_in_one_batch_the_first_stays() -> None:
+@pytest.mark.parametrize("is_split", [False, True])
+@pytest.mark.parametrize(
+    ("outcomes", "stays"),
+    [
+        ([Outcome.MISSED] * 3 + [Outcome.HELD] * 3, 3),
+        ([Outcome.SHAKEN] * 2, 0),
+        ([Outcome.BRUSHED, Outcome.DROPPED], 1),  # it survives no shake, and is a success
+    ],
+)
+def test_the_better_stays_and_of_equals_the_elder_in_one_batch_or_several(outcomes, stays, is_split) -> None:
     archive = EliteArchive(3, BOX)
-    archive.insert(rows([Outcome.MISSED] * 3 + [Outcome.HELD] * 3, [[0.0, 0.0, 0.0]] * 6))
-    assert firsts(archive) == [3]
-
-
-def test_of_equals_in_different_batches_the_elder_stays() -> None:
-    archive = EliteArchive(3, BOX)
-    batch = rows([Outcome.SHAKEN] * 2, [[0.0, 0.0, 0.0]] * 2)
-    archive.insert(batch[:1])
-    archive.insert(batch[1:])
-    assert firsts(archive) == [0]
-
-
-def test_a_success_that_survives_no_shake_replaces_a_failure() -> None:
-    archive = EliteArchive(3, BOX)
-    archive.insert(rows([Outcome.BRUSHED, Outcome.DROPPED], [[0.0, 0.0, 0.0]] * 2))
-    assert firsts(archive) == [1]
+    batch = rows(outcomes, [[0.0, 0.0, 0.0]] * len(outcomes))
+    for part in np.split(batch, len(batch)) if is_split else [batch]:
+        archive.insert(part)
+    assert firsts(archive) == [stays]
     assert archive.elites.successful.tolist() == [True]
 
 

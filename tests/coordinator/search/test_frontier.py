@@ -79,11 +79,6 @@ def test_the_edge_is_what_one_finds_cell_by_cell(frontier: Frontier) -> None:
         assert (frontier.features(frontier.edge)[:, 2] * 26).tolist() == pytest.approx(beside.tolist())
 
 
-def test_the_edge_ends_at_the_box(frontier: Frontier) -> None:
-    succeed(frontier, [[0.05, 0.05, 0.05]])
-    assert len(frontier.edge) == 7
-
-
 def test_a_try_costs_more_than_a_dead_end(frontier: Frontier) -> None:
     places = equals(frontier)[:3]
     tried = frontier.worth(places)[0] / 2
@@ -95,10 +90,8 @@ def test_a_try_costs_more_than_a_dead_end(frontier: Frontier) -> None:
 
 def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Frontier) -> None:
     succeed(frontier, [[-0.01, 0, 0], [0.01, 0, 0]])
-    between, level = (
-        frontier.places(MIDDLE),
-        frontier.places([[0.02, 0, 0], [0.01, 0.01, 0], [0.01, -0.01, 0]]),
-    )
+    between = frontier.places(MIDDLE)
+    level = frontier.places([[0.02, 0, 0], [0.01, 0.01, 0], [0.01, -0.01, 0]])
     compared = np.concatenate([between, level])
     assert frontier.best(1, generator(), compared).tolist() == between.tolist()
     frontier.count_tries(np.repeat(between, 2))

@@ -1,11 +1,14 @@
 """Rules that every search keeps to."""
 
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.coordinator.search import synthetic_scene
+from tests.coordinator.search import synthetic_scene, test_aimed, test_cma_mae
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
@@ -104,9 +107,7 @@ class TestEverySearch:
         assert journals[0] == journals[1] == journals[2]
 
     @pytest.mark.parametrize("recorded", [1, POPULATION, 3 * POPULATION + 7])
-    def test_a_recorded_beginning_goes_on_to_the_same_journal(
-        self, build, shape, entry: Method, recorded: int
-    ) -> None:
+    def test_a_recorded_beginning_goes_on_to_the_same_journal(self, build, shape, entry, recorded) -> None:
         budget = 5 * POPULATION + 13
         whole = b"".join(_journal(Pipeline(build(), shape, budget, entry.overlaps), shape, np.sort))
         rows = np.frombuffer(whole, dtype=shape.dtype)
@@ -189,9 +190,16 @@ def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
 def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
     pipeline = Pipeline(FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
     generation = pipeline.ask()
-    assert generation is not None
     assert len(pipeline.settle(_rows(SHAPE, generation))) == 5
     assert pipeline.finished == "the search has nothing left to ask"
+
+
+@pytest.mark.parametrize("tested", [test_aimed, test_cma_mae])
+def test_a_fresh_process_asks_the_same_bits(tested) -> None:
+    command = [sys.executable, "-c", f"import {tested.__name__} as tested; print(tested.digest())"]
+    home = Path(__file__).parents[3]
+    there = subprocess.run(command, check=True, capture_output=True, text=True, timeout=200, cwd=home)
+    assert there.stdout.strip() == tested.digest()
 
 
 def test_a_key_always_gives_the_same_numbers() -> None:

@@ -16,6 +16,7 @@ from qdgrasp_protocol.spec import run_spec
 KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder, SharedFolder]
 FULL = OSError(28, "No space left on device")
 ADVICE = "name another path with --out"
+NEITHER = {"pipe": "a device or pipe", "link": "a link"}
 each_kind = pytest.mark.parametrize("kind", KINDS)
 each_whole = pytest.mark.parametrize("kind", [OutFile, OutFolder])
 
@@ -62,9 +63,7 @@ def test_nothing_is_made_by_looking(kind: Callable[[Path], Output], tmp_path: Pa
 
 
 @each_whole
-def test_folders_on_the_way_are_made_for_what_is_written(
-    kind: Callable[[Path], WholeOutput], tmp_path: Path
-) -> None:
+def test_folders_on_the_way_are_made_for_what_is_written(kind, tmp_path) -> None:
     with kind(tmp_path / "a" / "b" / "out").writing() as made:
         assert made.name == "out"
         fill(made, kind)
@@ -72,9 +71,7 @@ def test_folders_on_the_way_are_made_for_what_is_written(
 
 
 @each_whole
-def test_what_fails_leaves_nothing_not_even_the_folders_on_the_way(
-    kind: Callable[[Path], WholeOutput], tmp_path: Path
-) -> None:
+def test_what_fails_leaves_nothing_not_even_the_folders_on_the_way(kind, tmp_path) -> None:
     (tmp_path / "a").mkdir()
     with pytest.raises(KeyboardInterrupt):
         fail(kind(tmp_path / "a" / "b" / "c" / "out"), KeyboardInterrupt())
@@ -102,9 +99,7 @@ def test_what_lies_below_a_link_to_nothing_is_refused(kind: Callable[[Path], Out
 
 
 @each_kind
-def test_a_folder_that_may_not_be_written_in_is_named(
-    kind: Callable[[Path], Output], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_may_not_be_written_in_is_named(kind, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != tmp_path)
     out = tmp_path / "a" / "out"
     assert refused(kind(out)) == f"{out} cannot be written: {tmp_path} is not to be written in; {ADVICE}."
@@ -125,31 +120,29 @@ def test_a_name_may_be_as_long_as_names_can_be(kind: Callable[[Path], WholeOutpu
 
 @pytest.mark.skipif(os.getuid() == 0, reason="root may look everywhere")
 @each_kind
-def test_a_folder_that_nobody_may_look_into_is_refused(
-    kind: Callable[[Path], Output], tmp_path: Path
-) -> None:
+def test_a_folder_that_nobody_may_look_into_is_refused(kind, tmp_path) -> None:
     (tmp_path / "closed").mkdir(0)
     assert "cannot be written" in refused(kind(tmp_path / "closed" / "out"))
 
 
 @pytest.mark.parametrize("force", [False, True, None])
-def test_a_file_takes_the_place_of_an_ordinary_file_alone(tmp_path: Path, force: bool | None) -> None:
+@pytest.mark.parametrize(
+    ("kind", "wanted", "name", "what"),
+    [
+        (OutFile, "a file", "", "a folder"),
+        (OutFolder, "a folder", "file", "a file"),
+        *((OutFile, "a file", name, what) for name, what in NEITHER.items()),
+        *((OutFolder, "a folder", name, what) for name, what in NEITHER.items()),
+    ],
+)
+def test_a_file_takes_the_place_of_a_file_alone_and_a_folder_of_none(
+    tmp_path, force, kind, wanted, name, what
+) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "file").touch()
-    (tmp_path / "link").symlink_to(tmp_path / "file")
-    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), ("", "a folder")):
-        said = refused(OutFile(tmp_path / name, force=force))
-        assert said == f"{tmp_path / name} is {what}, where a file is to be written; {ADVICE}."
-
-
-@pytest.mark.parametrize("force", [False, True, None])
-def test_a_folder_takes_the_place_of_no_file(tmp_path: Path, force: bool | None) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "file").touch()
-    (tmp_path / "link").symlink_to(tmp_path)
-    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), ("file", "a file")):
-        said = refused(OutFolder(tmp_path / name, force=force, is_kind=lambda _: True))
-        assert said == f"{tmp_path / name} is {what}, where a folder is to be written; {ADVICE}."
+    (tmp_path / "link").symlink_to(tmp_path if kind is OutFolder else tmp_path / "file")
+    said = refused(kind(tmp_path / name, force=force, is_kind=lambda _: True))
+    assert said == f"{tmp_path / name} is {what}, where {wanted} is to be written; {ADVICE}."
 
 
 @pytest.mark.parametrize(
@@ -159,9 +152,7 @@ def test_a_folder_takes_the_place_of_no_file(tmp_path: Path, force: bool | None)
         (None, f"is there already; {ADVICE}."),
     ],
 )
-def test_a_file_that_is_there_stays_unless_it_is_forced(
-    tmp_path: Path, force: bool | None, words: str
-) -> None:
+def test_a_file_that_is_there_stays_unless_it_is_forced(tmp_path, force, words) -> None:
     out = tmp_path / "out"
     out.write_text("old")
     with pytest.raises(OutputError) as error:
@@ -174,9 +165,7 @@ def test_a_file_that_is_there_stays_unless_it_is_forced(
 
 @pytest.mark.parametrize("force", [False, True, None])
 @each_whole
-def test_nothing_takes_the_place_of_a_part_of_a_run(
-    kind: Callable[..., Output], tmp_path: Path, force: bool | None
-) -> None:
+def test_nothing_takes_the_place_of_a_part_of_a_run(kind, tmp_path, force) -> None:
     run = RunFolder.create(tmp_path / "run", run_spec({"gripper": "panda", "object": "mug"}), None).path
     for name in (*there(run), "scene.bundle", "run.sqlite", "run.sqlite-wal", "lock", "ranking.csv"):
         said = refused(kind(run / name, force=force))

@@ -61,9 +61,7 @@ def told(folder: RunFolder, first: int = 0) -> tuple[dict[int, float], int]:
 
 
 @pytest.mark.parametrize("scanned", [1, 7, 40, 1000])
-def test_every_success_comes_with_its_eta_however_short_pages_are(
-    folder: RunFolder, rows: Rows, monkeypatch: pytest.MonkeyPatch, scanned: int
-) -> None:
+def test_every_success_comes_with_its_eta_however_short_pages_are(folder, rows, monkeypatch, scanned) -> None:
     monkeypatch.setattr(success_pages, "ROWS_SCANNED", scanned)
     found, upto = told(folder)
     assert found == pytest.approx(etas(rows))
@@ -72,9 +70,7 @@ def test_every_success_comes_with_its_eta_however_short_pages_are(
 
 
 @pytest.mark.parametrize("most", [1, 5])
-def test_no_page_has_more_than_an_answer_may_have(
-    folder: RunFolder, rows: Rows, monkeypatch: pytest.MonkeyPatch, most: int
-) -> None:
+def test_no_page_has_more_than_an_answer_may_have(folder, rows, monkeypatch, most) -> None:
     monkeypatch.setattr(success_pages, "page_limit", lambda joints: most)
     assert told(folder)[0] == pytest.approx(etas(rows))
 
@@ -96,9 +92,7 @@ def test_successes_that_lack_trials_are_told_without_eta_and_are_to_be_read_agai
     assert upto == min(number for number, eta in expected.items() if eta == NO_ETA)
 
 
-def test_genomes_of_several_sources_that_have_the_same_place_are_told_apart(
-    tmp_path: Path, make_scene
-) -> None:
+def test_genomes_of_several_sources_that_have_the_same_place_are_told_apart(tmp_path, make_scene) -> None:
     parts = [with_trials(random_rows(20, seed), seed) for seed in (3, 4)]
     found, _ = told(record(tmp_path / "joined", make_scene(), np.concatenate(parts)))
     first, second = (etas(part) for part in parts)
