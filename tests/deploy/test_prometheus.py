@@ -15,7 +15,7 @@ from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from tests.coordinator.monitor.sample_jobs import run, values, views
 from tests.deploy.commands import DEPLOY
-from tests.deploy.promql import TEMPLATE, Alert, Data, data, firing, read, seconds, vector
+from tests.deploy.promql import TEMPLATE, Alert, data, firing, read, seconds
 
 from qdgrasp_coordinator.monitor.prometheus import STATES, exposition
 from qdgrasp_protocol.rows import Outcome
@@ -216,7 +216,7 @@ def test_alerts_come_when_they_should(test: dict[str, Any]) -> None:
             for rule in RULES
             for one in firing(rule, series, until, step)
         }
-        found = vector(read(check["expr"]).at(Data(fired), until))
+        found = read(check["expr"])(fired, until)
         assert found == {
             frozenset((name, text) for name, _, text in LABEL.findall(one["labels"])): one["value"]
             for one in check["exp_samples"]
