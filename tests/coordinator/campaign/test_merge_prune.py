@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.coordinator import recorded_runs
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign import merge_prune
@@ -33,8 +33,8 @@ N = 300
 
 
 @pytest.fixture
-def scene(make_scene: SceneMaker) -> Scene:
-    return make_scene()
+def scene() -> Scene:
+    return made_scene()
 
 
 @pytest.fixture
@@ -250,11 +250,11 @@ def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, 
     assert np.array_equal(rows["base_to_object"][-len(narrow) :], narrow["base_to_object"])
 
 
-def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, make_scene, runs) -> None:
-    heavy = record(tmp_path / "heavy", make_scene("other"), random_rows(N), evaluations=N, mass=2.5)
+def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, runs) -> None:
+    heavy = record(tmp_path / "heavy", made_scene("other"), random_rows(N), evaluations=N, mass=2.5)
     with pytest.raises(InputError, match=r"different scenes.*differ in mass \(0\.1 and 2\.5\)"):
         merge_runs([runs[0], heavy], tmp_path / "all")
-    same = record(tmp_path / "same", make_scene("other"), random_rows(N), evaluations=N)
+    same = record(tmp_path / "same", made_scene("other"), random_rows(N), evaluations=N)
     with pytest.raises(InputError, match="the scene's files or the version of qdgrasp"):
         merge_runs([runs[0], same], tmp_path / "all")
     assert not (tmp_path / "all").exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from tests.coordinator.recorded_runs import record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
@@ -21,8 +21,8 @@ from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
 
 
-def closing(make_scene) -> Scene:
-    scene = make_scene()
+def closing() -> Scene:
+    scene = made_scene()
     hand = replace(
         scene.gripper, synergies=tuple(Synergy(name=name, joints=("left",)) for name in ("a", "b", "c"))
     )
@@ -46,15 +46,15 @@ def labels(folder: RunFolder) -> list[int]:
         return row_context(folder, journal).synergies(rows, np.arange(len(rows))).tolist()
 
 
-def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path, make_scene) -> None:
-    scene = closing(make_scene)
+def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
+    scene = closing()
     folder, rows = run_of_synergies(tmp_path / "mug", scene, "me_scs", 1)
     assert labels(folder) == synergies(scene, "spherical").labels(rows["genome"]).tolist()
     assert len(set(labels(folder))) == 3
 
 
-def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: Path, make_scene) -> None:
-    scene = closing(make_scene)
+def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: Path) -> None:
+    scene = closing()
     runs = [run_of_synergies(tmp_path / name, scene, name, seed) for seed, name in enumerate(PRIORS)]
     merge_runs([folder for folder, _ in runs], tmp_path / "both")
     merged = RunFolder.open(tmp_path / "both")
@@ -65,15 +65,15 @@ def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: P
     assert labels(merged) == own[order[0]] + own[order[1]]
 
 
-def test_a_legend_is_read_once(tmp_path: Path, make_scene) -> None:
-    folder, _ = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+def test_a_legend_is_read_once(tmp_path: Path) -> None:
+    folder, _ = run_of_synergies(tmp_path / "mug", closing(), "me_scs", 1)
     known = RowContextCache()
     with folder.journal() as journal:
         assert known.get(folder, journal) is known.get(folder, journal)
 
 
-def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path, make_scene) -> None:
-    folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
+    folder, rows = run_of_synergies(tmp_path / "mug", closing(), "me_scs", 1)
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
         found = RowContextCache().get(folder, journal).synergies(rows, np.arange(len(rows)))
@@ -92,8 +92,8 @@ class Made:
 
 
 @pytest.fixture
-def made(tmp_path: Path, make_scene: SceneMaker) -> Made:
-    return run_of(tmp_path / "mug", make_scene(), OUTCOMES)
+def made(tmp_path: Path) -> Made:
+    return run_of(tmp_path / "mug", made_scene(), OUTCOMES)
 
 
 def run_of(path: Path, scene: Scene, outcomes: list[Outcome], **settings: str) -> Made:
@@ -133,8 +133,8 @@ def test_joints_have_names_and_units(made: Made) -> None:
     ]
 
 
-def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene()
+def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
+    scene = made_scene()
     urdf = scene.gripper.urdf.replace("prismatic", "revolute")
     hand = msgspec.structs.replace(scene.gripper, urdf=urdf)
     turning = run_of(tmp_path / "mug", msgspec.structs.replace(scene, gripper=hand), OUTCOMES)
@@ -154,8 +154,8 @@ def test_what_there_is_not_is_left_out(made: Made) -> None:
     assert (missed.surface_point, missed.nu, missed.eta, missed.synergy) == (None, None, None, "")
 
 
-def test_the_synergy_is_told_by_its_name(tmp_path: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene()
+def test_the_synergy_is_told_by_its_name(tmp_path: Path) -> None:
+    scene = made_scene()
     hand = msgspec.structs.replace(
         scene.gripper,
         synergies=(Synergy(name="one", joints=("left",)), Synergy(name="both", joints=("left", "right"))),
@@ -166,8 +166,8 @@ def test_the_synergy_is_told_by_its_name(tmp_path: Path, make_scene: SceneMaker)
 
 
 @pytest.mark.parametrize("missing", [0, 1])
-def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, make_scene: SceneMaker, missing: int) -> None:
-    made = run_of(tmp_path / "plain", make_scene(), OUTCOMES)
+def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, missing: int) -> None:
+    made = run_of(tmp_path / "plain", made_scene(), OUTCOMES)
     trials = np.repeat(made.rows[[1, 3]], 100)
     trials["trial"] = np.tile(np.arange(1, 101), 2)
     trials["fitness"] = np.repeat([1, 0], 100)
@@ -188,10 +188,10 @@ def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, make_scene: Scene
     ],
 )
 def test_a_number_that_no_row_has_is_refused_with_the_nearest(
-    tmp_path: Path, make_scene: SceneMaker, outcomes: list[Outcome], words: str
+    tmp_path: Path, outcomes: list[Outcome], words: str
 ) -> None:
     with pytest.raises(NoSuchRow, match=words):
-        row_report(run_of(tmp_path / "mug", make_scene(), outcomes).folder, 7)
+        row_report(run_of(tmp_path / "mug", made_scene(), outcomes).folder, 7)
 
 
 def test_a_person_reads_every_field(made: Made) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.report.made_runs import climb, made
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup, ReferenceSet
 from qdgrasp_coordinator.report.run_groups import (
@@ -98,32 +98,28 @@ def test_an_unfinished_run_settles_nothing_beside_finished_ones() -> None:
 
 
 @pytest.mark.parametrize("home", ["runs", "."])
-def test_runs_are_found_in_a_campaign_and_side_by_side(
-    tmp_path: Path, make_scene: SceneMaker, home: str
-) -> None:
+def test_runs_are_found_in_a_campaign_and_side_by_side(tmp_path: Path, home: str) -> None:
     (tmp_path / home).mkdir(exist_ok=True)
     (tmp_path / home / "analysis").mkdir()
     for name in ("b", "a"):
-        record(tmp_path / home / name, make_scene(), random_rows(20))
+        record(tmp_path / home / name, made_scene(), random_rows(20))
     assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["a", "b"]
     assert [folder.path.name for folder in search_run_folders(tmp_path / home / "a")] == ["a"]
 
 
-def test_a_run_without_the_files_of_its_job_is_one_all_the_same(
-    tmp_path: Path, make_scene: SceneMaker
-) -> None:
-    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+def test_a_run_without_the_files_of_its_job_is_one_all_the_same(tmp_path: Path) -> None:
+    folder = record(tmp_path / "a", made_scene(), random_rows(20))
     (folder.path / "job.json").unlink()
     (found,) = read_histories(search_run_folders(tmp_path), ReferenceLookup())
     assert found.evaluations == 20
 
 
-def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path) -> None:
     pose = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
-    scored = record(tmp_path / "scored", make_scene(), random_rows(1), method="given", poses=(pose,))
+    scored = record(tmp_path / "scored", made_scene(), random_rows(1), method="given", poses=(pose,))
     with pytest.raises(FolderError, match="score given poses"):
         search_run_folders(scored.path)
-    record(tmp_path / "searched", make_scene(), random_rows(20))
+    record(tmp_path / "searched", made_scene(), random_rows(20))
     assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["searched"]
 
 
@@ -134,8 +130,8 @@ def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
         search_run_folders(tmp_path / "nowhere")
 
 
-def test_a_run_whose_scene_is_elsewhere_has_no_target(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+def test_a_run_whose_scene_is_elsewhere_has_no_target(tmp_path: Path) -> None:
+    folder = record(tmp_path / "a", made_scene(), random_rows(20))
     (folder.path / "scene.bundle").unlink()
     (found,) = read_histories([folder], ReferenceLookup())
     assert (found.target.size, found.target.why) == (0, "the run's scene is not here")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 from tests.coordinator.report.test_row_report import run_of
-from tests.coordinator.scenes import SceneMaker, jaw
+from tests.coordinator.scenes import jaw, made_scene
 
 from qdgrasp_coordinator.rendering.annotations import (
     APPROACH_COLOUR,
@@ -68,12 +68,12 @@ def shot(phase: Phase = "closing", *touches: ContactPoint, step: int = 100) -> R
 
 
 @pytest.fixture
-def held(tmp_path: Path, make_scene: SceneMaker) -> ReplayTarget:
-    return replay_target(grasped(tmp_path, make_scene, Outcome.HELD), 0)
+def held(tmp_path: Path) -> ReplayTarget:
+    return replay_target(grasped(tmp_path, Outcome.HELD), 0)
 
 
-def grasped(tmp_path: Path, make_scene: SceneMaker, outcome: Outcome) -> RunFolder:
-    return run_of(tmp_path / outcome.name, make_scene(), [outcome]).folder
+def grasped(tmp_path: Path, outcome: Outcome) -> RunFolder:
+    return run_of(tmp_path / outcome.name, made_scene(), [outcome]).folder
 
 
 def drawn(shown: ReplayTarget, *shots: ReplayFrame) -> list[np.ndarray]:
@@ -159,8 +159,8 @@ def test_a_caption_says_where_the_replay_differs(held: ReplayTarget) -> None:
     )
 
 
-def test_a_caption_calls_a_failure_a_row(tmp_path: Path, make_scene: SceneMaker) -> None:
-    missed = replay_target(grasped(tmp_path, make_scene, Outcome.MISSED), 0)
+def test_a_caption_calls_a_failure_a_row(tmp_path: Path) -> None:
+    missed = replay_target(grasped(tmp_path, Outcome.MISSED), 0)
     caption = ReplayCaption.of(missed, [shot()], [])
     assert caption.title == "jaw on block, row 0: missed, fitness 0"
     assert caption.lines[0] == "no finger touched the object"

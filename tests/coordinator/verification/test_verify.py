@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
 from qdgrasp_coordinator.campaign.reduced_journal import pad_rows
@@ -64,13 +64,13 @@ N = 200
 
 
 @pytest.fixture
-def folders(tmp_path: Path, make_scene: SceneMaker) -> list[RunFolder]:
+def folders(tmp_path: Path) -> list[RunFolder]:
     """Two runs of one scene; some rows of each are errors."""
     made = []
     for seed in (0, 1):
         rows = own(random_rows(N, seed=seed))
         rows["outcome"][:5] = Outcome.ERROR
-        made.append(record(tmp_path / f"s{seed}", make_scene(), rows, seed=seed, evaluations=N))
+        made.append(record(tmp_path / f"s{seed}", made_scene(), rows, seed=seed, evaluations=N))
     return made
 
 
@@ -102,8 +102,8 @@ def test_a_lot_has_its_rows_as_they_are_recorded(folders: list[RunFolder]) -> No
         assert lot.rows().tobytes() == expected.tobytes()
 
 
-def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
-    (lot,) = choose_rows([record(tmp_path / "old", make_scene(), random_rows(N))], 10, 0)
+def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path) -> None:
+    (lot,) = choose_rows([record(tmp_path / "old", made_scene(), random_rows(N))], 10, 0)
     with pytest.raises(FolderError) as refused:
         lot.rows()
     assert str(refused.value) == (
@@ -112,8 +112,8 @@ def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path, make_sce
     )
 
 
-def test_nothing_to_choose_from_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
-    empty = record(tmp_path / "empty", make_scene(), random_rows(0))
+def test_nothing_to_choose_from_is_refused(tmp_path: Path) -> None:
+    empty = record(tmp_path / "empty", made_scene(), random_rows(0))
     with pytest.raises(InputError, match="Nothing is recorded there"):
         choose_rows([empty], None, 0)
 
@@ -127,8 +127,8 @@ def test_rows_of_a_merged_folder_belong_to_the_runs_that_found_them(
     assert [lot.found_by.spec.seed for lot in lots] == [0, 1]
 
 
-def test_many_rows_are_several_lots(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folder = record(tmp_path / "many", make_scene(), random_rows(MOST_ROWS + 10))
+def test_many_rows_are_several_lots(tmp_path: Path) -> None:
+    folder = record(tmp_path / "many", made_scene(), random_rows(MOST_ROWS + 10))
     assert [len(lot.numbers) for lot in choose_rows([folder], None, 0)] == [MOST_ROWS, 10]
 
 
