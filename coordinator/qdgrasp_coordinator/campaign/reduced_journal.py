@@ -120,7 +120,6 @@ def write_reduced_journal(
 
 
 def _check_same(run: str, expected: int, rows: int) -> None:
-    """Check that a run has as many rows as it had at first."""
     if rows != expected:
         raise FolderError(f"'{run}' grew while it was read; wait until it is done, or stop it.")
 

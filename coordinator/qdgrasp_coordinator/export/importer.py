@@ -227,7 +227,6 @@ def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) ->
 
 
 def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
-    """Yield a sentence for each difference from what the file says."""
     is_built_in = imported.metadata is not None and not imported.metadata.object_file
     scale = imported.scale
     if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:

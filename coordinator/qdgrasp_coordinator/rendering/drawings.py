@@ -65,7 +65,6 @@ def figure_text(words: str) -> str:
 
 @cache
 def _has_letter(letter: str) -> bool:
-    """Return whether the font has a letter, plain and bold."""
     files = {findfont(FontProperties(weight=weight)) for weight in ("normal", "bold")}
     return all(get_font(file).get_char_index(ord(letter)) for file in files)
 

@@ -127,7 +127,6 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
 def _trial_of(
     journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
 ) -> tuple[int, np.void]:
-    """Return number and row of one trial of a row's genome."""
     first, recorded = found_by.rows.start, 0
     for rows in journal.kept(first, found_by.rows.stop):
         is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
@@ -223,7 +222,6 @@ def local_platform() -> dict[str, str]:
 
 
 def _run_process(folder: Path, stop: Stop) -> None:
-    """Start the process that replays, and wait for it."""
     with ProcessGroup(folder, GRACE) as processes:
         processes.start("replay", REPLAY_MODULE, [str(folder)])
         while not (stop.is_set or (ended := processes.exits())):
