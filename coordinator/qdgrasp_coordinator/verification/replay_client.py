@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene
-from qdgrasp_coordinator.campaign.reduced_journal import trim_rows
+from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
 from qdgrasp_coordinator.local.restart_policy import GRACE
 from qdgrasp_coordinator.report.row_report import row_at
 from qdgrasp_coordinator.scheduler.run_plan import row_shape
@@ -52,7 +52,7 @@ def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Sce
             f"{folder.path} has rows of {genes} genes where this version of qdgrasp has {shape.genes} for "
             f"the prior '{prior}': use the version that recorded them."
         )
-    return trim_rows(rows, shape)
+    return reshape_rows(rows, shape)
 
 
 @dataclass(frozen=True)
