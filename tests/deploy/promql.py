@@ -15,7 +15,7 @@ Samples = list[tuple[float, float]]
 Data = dict[tuple[str, Labels], Samples]
 """Series by name and labels, as they were up to some time."""
 Question = Callable[[Data, float], Any]
-"""Has an answer at a time: a number, a value for each of some labels or, of a window, the samples of each."""
+"""Answers at a time with a number, a value for each labels or, of a window, samples."""
 
 STALE = 300.0  # seconds after which a series that ended has no value
 COMPARISONS = {"and": lambda *_: True, "==": eq, "!=": ne, ">": gt, "<": lt, ">=": ge, "<=": le}
@@ -47,7 +47,7 @@ class Selector(NamedTuple):
 
 
 def increase(samples: Samples, now: float, window: float) -> float | None:
-    """What a counter grew by, extended to the ends of the window, but not below zero."""
+    """Growth of a counter, extended to the ends of the window, but not below zero."""
     if len(samples) < 2:
         return None
     (first, least), (last, _) = samples[0], samples[-1]
@@ -160,7 +160,7 @@ def only(labels: Labels, names: Sequence[str]) -> Labels:
 
 
 def operation(sign: str, on: Sequence[str] | None, left: Question, right: Question) -> Question:
-    """Two sides and what stands between them; `on`: the labels that are to be the same, None: all."""
+    """Two sides and their operator; the labels `on` are to be the same, None: all."""
 
     def key(labels: Labels) -> Labels:
         return labels if on is None else only(labels, on)
@@ -210,7 +210,7 @@ def instant(inner: Question) -> Question:
 
 
 def read(text: str) -> Question:
-    """A question to Prometheus; raises ValueError if it is none, or more than is understood here."""
+    """Read a question; raises ValueError for one that is not understood here."""
     return instant(Reader(text).whole())
 
 
@@ -253,7 +253,7 @@ def data(series: Sequence[Mapping[str, str]], interval: float) -> Data:
 
 
 def firing(rule: Mapping[str, Any], series: Data, until: float, step: float) -> list[Alert]:
-    """The alerts of a rule that fire at a time, where it is looked at in such steps from the beginning."""
+    """Return the alerts of a rule at a time, looked at in such steps from the beginning."""
     expression, since = read(rule["expr"]), dict[Labels, float]()
     found: dict[Labels, float] = {}
     for number in range(int(until / step) + 1):
@@ -268,7 +268,7 @@ def firing(rule: Mapping[str, Any], series: Data, until: float, step: float) -> 
 
 
 def told(annotations: Mapping[str, str], labels: Labels, value: float) -> tuple[tuple[str, str], ...]:
-    """What an alert says."""
+    """Return the annotations of an alert with their variables filled in."""
     known = dict(labels)
 
     def filled(found: re.Match[str]) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export import foreign_files
 from tests.coordinator.recorded_runs import record
@@ -28,8 +29,6 @@ MakeRun = Callable[..., RunFolder]
 @pytest.fixture
 def scene() -> Scene:
     """A hand with a jaw, and a block whose mesh has its origin elsewhere."""
-    from msgspec.structs import replace
-
     made = made_scene()
     jaw = Jaw(axis=(0.0, 1.0, 0.0), opening=0.08)
     return replace(made, gripper=replace(made.gripper, jaw=jaw), object=replace(made.object, com_in_mesh=COM))

@@ -12,13 +12,9 @@ from qdgrasp_protocol.rows import Rows, RowShape
 AT_HOME = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
 
-def bounds(scene: Scene, pose: np.ndarray, joints: list[float]) -> dict[str, np.ndarray]:
-    posed = hand_geometry(scene.gripper).place_meshes(pose, np.array(joints))
-    return {shape.link: np.stack([points.min(axis=0), points.max(axis=0)]) for shape, points in posed}
-
-
 def test_the_fingers_stand_where_their_joints_put_them() -> None:
-    found = bounds(made_scene(), AT_HOME, [0.03, 0.01])
+    posed = hand_geometry(made_scene().gripper).place_meshes(AT_HOME, np.array([0.03, 0.01]))
+    found = {shape.link: np.stack([points.min(axis=0), points.max(axis=0)]) for shape, points in posed}
     assert np.allclose(found["palm"][:, 2], [0.0, 0.06])
     assert np.allclose(found["left_finger"][:, 1], [0.03, 0.05])
     assert np.allclose(found["right_finger"][:, 1], [-0.03, -0.01])
@@ -27,31 +23,21 @@ def test_the_fingers_stand_where_their_joints_put_them() -> None:
 
 def test_only_finger_links_are_fingers() -> None:
     found = hand_geometry(made_scene().gripper)
-    assert {shape.link: found.is_finger(shape) for shape in found.shapes} == {
-        "palm": False,
-        "left_finger": True,
-        "right_finger": True,
-    }
+    fingers = {shape.link: found.is_finger(shape) for shape in found.shapes}
+    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
 
 
 def test_the_hand_goes_where_its_base_is() -> None:
     turned = Rotation.from_rotvec([0.3, -0.5, 1.1])
     pose = np.concatenate([[0.1, -0.2, 0.3], turned.as_quat()])
-    home = {
-        s.link: p
-        for s, p in hand_geometry(made_scene().gripper).place_meshes(AT_HOME, np.array([0.02, 0.02]))
-    }
-    away = {
-        s.link: p for s, p in hand_geometry(made_scene().gripper).place_meshes(pose, np.array([0.02, 0.02]))
-    }
-    for link, points in home.items():
-        assert np.allclose(turned.apply(points) + pose[:3], away[link])
+    hand = hand_geometry(made_scene().gripper)
+    home, away = (hand.place_meshes(at, np.array([0.02, 0.02])) for at in (AT_HOME, pose))
+    for (_, points), (_, moved) in zip(home, away, strict=True):
+        assert np.allclose(turned.apply(points) + pose[:3], moved)
 
 
 @pytest.mark.parametrize("protocol", ["paper", "released"])
-def test_the_carrier_of_a_reference_hand_is_not_drawn(
-    reference_data, monkeypatch: pytest.MonkeyPatch, protocol: str
-) -> None:
+def test_the_carrier_of_a_reference_hand_is_not_drawn(reference_data, monkeypatch, protocol) -> None:
     from qdgrasp_assets.catalog import find_gripper
 
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
@@ -105,8 +91,8 @@ def test_a_hand_must_be_clear_both_open_and_at_the_grasp() -> None:
 
 
 def test_the_object_pose_says_which_side_is_down() -> None:
-    scene, above = made_scene(), grasps([0, 0, 0.1], DOWN)
-    assert clear(scene, above, orientation("180,0,0")) == [False]
+    scene = made_scene()
+    assert clear(scene, grasps([0, 0, 0.1], DOWN), orientation("180,0,0")) == [False]
     assert clear(scene, grasps([0, 0, -0.1], Rotation.identity()), orientation("1,0,0,0")) == [True]
 
 

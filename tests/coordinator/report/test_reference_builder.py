@@ -131,9 +131,7 @@ def test_runs_that_do_not_belong_together_are_refused_and_the_file_stays(run: Ru
     assert not (tmp_path / "new.npz").exists()
 
 
-def test_protocols_are_mixed_where_that_is_asked_for_and_the_file_remembers(
-    run: Runs, tmp_path: Path
-) -> None:
+def test_protocols_are_mixed_where_that_is_asked_for_and_the_file_remembers(run, tmp_path) -> None:
     out = tmp_path / "set.npz"
     runs = [run({A: Outcome.DROPPED}), run({A: Outcome.SHAKEN}, protocol="released")]
     build_reference_sets(runs, out, mixed=True)

@@ -88,10 +88,8 @@ def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign
     assert "`jaw-block-me_scs-s0` (70 of 100), `jaw-block-me_scs-s1` (0 of 100)" in page
     assert "No coverage: no S_G of jaw and block." in page
     assert "| me_scs | 2, 2 unfinished | every genome |" in page
-    assert (
-        "| b | contact and approach variants of ME_scs end close together | **not in this campaign** |"
-        in page
-    )
+    claim = "contact and approach variants of ME_scs end close together"
+    assert f"| b | {claim} | **not in this campaign** |" in page
     assert "nan" not in page
 
 
@@ -130,9 +128,7 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
 
 
-def test_what_an_analysis_wrote_is_what_the_next_one_replaces(
-    campaign: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_analysis_wrote_is_what_the_next_one_replaces(campaign, monkeypatch) -> None:
     first = analysed(campaign).out
     (first / "notes").write_text("mine")
     monkeypatch.setattr("qdgrasp_coordinator.report.report.run_voxels", lambda *_: [])
@@ -165,9 +161,7 @@ def test_cells_of_robust_runs_have_an_eta(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("methods", [("aimed", "contact_me_scs"), ("me_scs", "contact_me_scs")])
-def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(
-    methods: tuple[str, str], tmp_path: Path
-) -> None:
+def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(methods, tmp_path) -> None:
     sizes = (30, 90) if "aimed" in methods else (90, 30)
     for method, rows in zip(methods, sizes, strict=True):
         record(tmp_path / method, made_scene(), random_rows(rows), method=method, evaluations=100)

@@ -45,12 +45,8 @@ def test_hands_stand_in_the_paper_s_order_and_methods_in_that_of_the_table() -> 
         for method in ("me_scs", "contact_rand")
     ]
     found = group_runs(runs)
-    assert list(dict.fromkeys(group.scene.gripper for group in found)) == [
-        "panda",
-        "ref_bh280",
-        "shadow",
-        "own",
-    ]
+    hands = dict.fromkeys(group.scene.gripper for group in found)
+    assert list(hands) == ["panda", "ref_bh280", "shadow", "own"]
     assert [(group.scene.object, group.method) for group in found[:4]] == [
         ("bowl", "contact_rand"), ("bowl", "me_scs"), ("mug", "contact_rand"), ("mug", "me_scs"),
     ]  # fmt: skip
@@ -210,11 +206,9 @@ def test_a_shorter_run_counts_as_far_as_it_goes() -> None:
 
 
 def test_a_run_that_has_not_begun_does_not_count() -> None:
-    found = quartile_curve(
-        group(made("me_scs", climb(4)), made("me_scs", climb(), seed=1, evaluations=0)), CELLS
-    )
-    assert found.runs[-1] == 1
-    assert found.median[-1] == 4
+    waiting = made("me_scs", climb(), seed=1, evaluations=0)
+    found = quartile_curve(group(made("me_scs", climb(4)), waiting), CELLS)
+    assert (found.runs[-1], found.median[-1]) == (1, 4)
 
 
 @given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=10), min_size=1, max_size=5))
@@ -245,19 +239,21 @@ def test_quartiles_of_nothing_are_not_numbers() -> None:
 RUNS = [
     made(method, climb(3, 5), seed=seed) for method in ("contact_rand", "contact_me_scs") for seed in (0, 1)
 ]
+LONE = made("me_scs", climb(1), evaluations=40)
 
 
-def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves() -> None:
-    assert run_words(group_runs(RUNS), 3) == "2 seeds \u00d7 100 evaluations"
-    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
-    assert (
-        run_words(group_runs(more), 4) == "2 seeds \u00d7 100 evaluations; me_scs: 1 \u00d7 40, 1 unfinished"
-    )
-
-
-def test_a_heading_without_room_says_from_where_to_where() -> None:
-    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
-    assert run_words(group_runs(more), 2) == "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"
+@pytest.mark.parametrize(
+    ("more", "room", "words"),
+    [
+        ([], 3, "2 seeds \u00d7 100 evaluations"),
+        ([LONE], 4, "2 seeds \u00d7 100 evaluations; me_scs: 1 \u00d7 40, 1 unfinished"),
+        ([LONE], 2, "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"),
+    ],
+)
+def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves(
+    more: list[RunHistory], room: float, words: str
+) -> None:
+    assert run_words(group_runs([*RUNS, *more]), room) == words
 
 
 def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:

@@ -97,8 +97,6 @@ def test_trials_give_eta_and_nothing_else(tmp_path: Path) -> None:
     trials = np.repeat(nominal[success], TRIALS)
     trials["trial"] = np.tile(np.arange(1, TRIALS + 1), len(success))
     trials["fitness"], trials["descriptor"], trials["base_to_object"] = 1, 0.5, 0.5
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
     alone = told(tmp_path / "a", nominal)
     robust = told(tmp_path / "b", np.concatenate([nominal, trials]), protocol="robust")
     assert len(success) > 2
@@ -130,9 +128,7 @@ def flat(told: object) -> list[object]:
 
 
 @pytest.mark.parametrize("protocol", ["paper", "robust"])
-def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(
-    tmp_path: Path, protocol: str
-) -> None:
+def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(tmp_path, protocol) -> None:
     nominal = random_rows(100, seed=4)
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
     repeated = np.repeat(successes, TRIALS)
