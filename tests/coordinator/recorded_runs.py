@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from qdgrasp_assets.scene import Scene, pack_scene
+from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
@@ -35,11 +35,19 @@ def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
     """A run's folder with these rows; `settings` are those of its spec."""
     bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
     spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)
+    return record_spec(path, spec, rows, bundle)
+
+
+def record_spec(
+    path: Path, spec: RunSpec, rows: Rows, bundle: Bundle | None = None, block: int = 1 << 20
+) -> RunFolder:
+    """A run's folder with these rows, recorded in blocks of so many; it may have no scene yet."""
     folder = RunFolder.create(path, spec, bundle)
     shape = RowShape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
-    identity = JournalIdentity("run", to_toml(spec), bundle.digest, shape)
+    identity = JournalIdentity("run", to_toml(spec), bundle.digest if bundle else "0" * 64, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_epoch(1, 0.0)
-        if len(rows):
-            journal.append(JournalSlice(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
+        for first in range(0, len(rows), block):
+            part = rows[first : first + block]
+            journal.append(JournalSlice(first, part, cpu_seconds=len(part) / 100), 1, 1.0)
     return folder

@@ -8,33 +8,30 @@ from typing import Any
 
 import typer
 
-import qdgrasp_coordinator.cli.coordinator_process
-import qdgrasp_coordinator.cli.main
-import qdgrasp_coordinator.cli.monitor_process
-import qdgrasp_coordinator.cli.recorder_process
-import qdgrasp_coordinator.cli.router_process
-import qdgrasp_worker.cli
+from qdgrasp_coordinator.cli import (
+    coordinator_process,
+    main,
+    monitor_process,
+    recorder_process,
+    router_process,
+)
+from qdgrasp_worker import cli
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 COMMANDS = {
-    "qdgrasp": qdgrasp_coordinator.cli.main.app,
-    "qdgrasp-coordinator": qdgrasp_coordinator.cli.coordinator_process.app,
-    "qdgrasp-monitor": qdgrasp_coordinator.cli.monitor_process.app,
-    "qdgrasp-recorder": qdgrasp_coordinator.cli.recorder_process.app,
-    "qdgrasp-router": qdgrasp_coordinator.cli.router_process.app,
-    "qdgrasp-worker": qdgrasp_worker.cli.app,
+    "qdgrasp": main.app,
+    "qdgrasp-coordinator": coordinator_process.app,
+    "qdgrasp-monitor": monitor_process.app,
+    "qdgrasp-recorder": recorder_process.app,
+    "qdgrasp-router": router_process.app,
+    "qdgrasp-worker": cli.app,
 }
 
 
 def understood(words: Sequence[str]) -> dict[str, Any]:
-    """What a command makes of its arguments, by their names, without doing anything.
+    """Return the arguments as a command reads them, by name, without doing anything.
 
-    Raises
-    ------
-    KeyError
-        There is no such command.
-    click.UsageError
-        It has no such option or argument, or does not take this value.
+    Raises KeyError if there is no such command, and click.UsageError if it does not take such an argument.
     """
     name, *arguments = words
     command: Any = typer.main.get_command(COMMANDS[Path(name).name])
@@ -45,11 +42,5 @@ def understood(words: Sequence[str]) -> dict[str, Any]:
 
 
 def filled(line: str, values: Mapping[str, str]) -> list[str]:
-    """The words of a command line once its variables have their values.
-
-    Raises
-    ------
-    KeyError
-        A variable has none.
-    """
+    """Return the words of a command line with its variables filled in; raises KeyError."""
     return [Template(word).substitute(values) for word in shlex.split(line)]

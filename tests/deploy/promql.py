@@ -1,20 +1,25 @@
 """Prometheus' query language and alert rules, as far as deploy/ needs them."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from operator import add, eq, ge, gt, le, lt, mul, ne, sub, truediv
-from typing import Any
+from math import nan
+from operator import add, eq, ge, gt, le, lt, mul, ne, sub
+from typing import Any, NamedTuple
 
 Labels = frozenset[tuple[str, str]]
 Vector = dict[Labels, float]
 Samples = list[tuple[float, float]]
 """Times [s] and values, in order."""
+Data = dict[tuple[str, Labels], Samples]
+"""Series by name and labels, as they were up to some time."""
+Question = Callable[[Data, float], Any]
+"""Answers at a time with a number, a value for each labels or, of a window, samples."""
 
 STALE = 300.0  # seconds after which a series that ended has no value
-COMPARISONS = {"==": eq, "!=": ne, ">": gt, "<": lt, ">=": ge, "<=": le}
-ARITHMETIC = {"+": add, "-": sub, "*": mul, "/": truediv}
+COMPARISONS = {"and": lambda *_: True, "==": eq, "!=": ne, ">": gt, "<": lt, ">=": ge, "<=": le}
+ARITHMETIC = {"+": add, "-": sub, "*": mul, "/": lambda one, other: one / other if other else nan}
 MATCHES: dict[str, Callable[[str, str], bool]] = {
     "=": eq,
     "!=": ne,
@@ -23,157 +28,26 @@ MATCHES: dict[str, Callable[[str, str], bool]] = {
 }
 
 
-@dataclass
-class Data:
-    """Series, as they were up to some time."""
+class Selector(NamedTuple):
+    """Series of a name whose labels match; with a window [s] what they were lately."""
 
-    series: dict[tuple[str, Labels], Samples] = field(default_factory=dict)
-
-    def of(self, selector: "Selector") -> Iterable[tuple[Labels, Samples]]:
-        for (name, labels), samples in self.series.items():
-            known = dict(labels)
-            if name == selector.name and all(
-                MATCHES[how](known.get(label, ""), wanted) for label, how, wanted in selector.matchers
-            ):
-                yield labels, samples
-
-
-class Expression:
-    """Something that has a value at a time: a number, or one for each of some labels."""
-
-    def at(self, data: Data, now: float) -> Vector | float:
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class Number(Expression):
-    value: float
-
-    def at(self, data: Data, now: float) -> float:
-        return self.value
-
-
-@dataclass(frozen=True)
-class Selector(Expression):
     name: str
-    matchers: tuple[tuple[str, str, str], ...] = ()
-    window: float | None = None
+    matchers: tuple[tuple[str, str, str], ...]
+    window: float | None
 
-    def at(self, data: Data, now: float) -> Vector:
-        found = {labels: [v for t, v in part if now - STALE < t <= now] for labels, part in data.of(self)}
-        return {labels: values[-1] for labels, values in found.items() if values}
-
-    def lately(self, data: Data, now: float) -> dict[Labels, Samples]:
-        assert self.window is not None
-        begun = now - self.window
-        return {labels: [one for one in part if begun < one[0] <= now] for labels, part in data.of(self)}
-
-
-@dataclass(frozen=True)
-class OverTime(Expression):
-    """A function of what a series was lately."""
-
-    act: Callable[[Samples, float, float], float | None]
-    selector: Selector
-
-    def at(self, data: Data, now: float) -> Vector:
-        assert self.selector.window is not None
-        lately = self.selector.lately(data, now).items()
-        found = {labels: self.act(part, now, self.selector.window) for labels, part in lately if part}
-        return {labels: value for labels, value in found.items() if value is not None}
-
-
-@dataclass(frozen=True)
-class Each(Expression):
-    """A function of each value."""
-
-    act: Callable[..., float]
-    inner: Expression
-    rest: tuple[Expression, ...] = ()
-
-    def at(self, data: Data, now: float) -> Vector:
-        rest = [one.at(data, now) for one in self.rest]
-        return {labels: self.act(value, *rest) for labels, value in vector(self.inner.at(data, now)).items()}
-
-
-@dataclass(frozen=True)
-class Aggregation(Expression):
-    act: Callable[[list[float]], float]
-    by: tuple[str, ...]
-    inner: Expression
-
-    def at(self, data: Data, now: float) -> Vector:
-        groups: dict[Labels, list[float]] = {}
-        for labels, value in vector(self.inner.at(data, now)).items():
-            groups.setdefault(only(labels, self.by), []).append(value)
-        return {labels: self.act(values) for labels, values in groups.items()}
-
-
-@dataclass(frozen=True)
-class Foremost(Expression):
-    """The greatest, or the least, of some."""
-
-    most: int
-    is_least: bool
-    inner: Expression
-
-    def at(self, data: Data, now: float) -> Vector:
-        found = sorted(vector(self.inner.at(data, now)).items(), key=lambda one: one[1])
-        return dict(found[: self.most] if self.is_least else found[-self.most :])
-
-
-@dataclass(frozen=True)
-class Operation(Expression):
-    """Two sides and what stands between them; `on`: the labels that are to be the same, None: all."""
-
-    sign: str
-    on: tuple[str, ...] | None
-    left: Expression
-    right: Expression
-
-    def at(self, data: Data, now: float) -> Vector | float:
-        left, right = self.left.at(data, now), self.right.at(data, now)
-        if self.sign in ("and", "unless"):
-            there = {self._key(labels) for labels in vector(right)}
-            is_kept = self.sign == "and"
-            return {one: v for one, v in vector(left).items() if (self._key(one) in there) is is_kept}
-        if isinstance(left, float) and isinstance(right, float):
-            return float(ARITHMETIC[self.sign](left, right))
-        return self._met(left, right)
-
-    def _met(self, left: Vector | float, right: Vector | float) -> Vector:
-        whole = left if isinstance(left, dict) else vector(right)
-        others = (
-            {self._key(labels): value for labels, value in right.items()} if isinstance(right, dict) else {}
-        )
-        found: Vector = {}
-        for labels in whole:
-            one = left[labels] if isinstance(left, dict) else left
-            other = right if isinstance(right, float) else others.get(self._key(labels))
-            if other is None:
-                continue
-            if self.sign in ARITHMETIC:
-                is_none = (self.sign, other) == ("/", 0)
-                found[labels] = float("nan") if is_none else ARITHMETIC[self.sign](one, other)
-            elif COMPARISONS[self.sign](one, other):
-                found[labels] = one
+    def __call__(self, data: Data, now: float) -> dict[Labels, Any]:
+        found = {}
+        for (name, labels), samples in data.items():
+            known = dict(labels)
+            part = [one for one in samples if now - (self.window or STALE) < one[0] <= now]
+            matches = (MATCHES[how](known.get(label, ""), wanted) for label, how, wanted in self.matchers)
+            if name == self.name and part and all(matches):
+                found[labels] = part if self.window else part[-1][1]
         return found
-
-    def _key(self, labels: Labels) -> Labels:
-        return labels if self.on is None else only(labels, self.on)
-
-
-def vector(value: Vector | float) -> Vector:
-    assert isinstance(value, dict), f"{value} has no labels"
-    return value
-
-
-def only(labels: Labels, names: Iterable[str]) -> Labels:
-    return frozenset((name, value) for name, value in labels if name in names)
 
 
 def increase(samples: Samples, now: float, window: float) -> float | None:
-    """What a counter grew by, extended to the ends of the window, but not below zero."""
+    """Growth of a counter, extended to the ends of the window, but not below zero."""
     if len(samples) < 2:
         return None
     (first, least), (last, _) = samples[0], samples[-1]
@@ -187,173 +61,156 @@ def increase(samples: Samples, now: float, window: float) -> float | None:
     return grown * reach / known
 
 
-def rate(samples: Samples, now: float, window: float) -> float | None:
-    grown = increase(samples, now, window)
-    return None if grown is None else grown / window
-
-
-def changes(samples: Samples, now: float, window: float) -> float:
-    return float(sum(before != after for (_, before), (_, after) in pairwise(samples)))
-
-
-def delta(samples: Samples, now: float, window: float) -> float | None:
-    return samples[-1][1] - samples[0][1] if len(samples) > 1 else None
+def only_read(*_: Any) -> float:
+    raise NotImplementedError("the dashboard asks for this, and no rule")
 
 
 OVER_TIME: dict[str, Callable[[Samples, float, float], float | None]] = {
     "increase": increase,
-    "rate": rate,
-    "changes": changes,
-    "delta": delta,
-    "deriv": lambda part, now, window: None if len(part) < 2 else (delta(part, now, window) or 0.0) / window,
     "max_over_time": lambda part, now, window: max(value for _, value in part),
+    **dict.fromkeys(("rate", "changes", "delta", "deriv"), only_read),
 }
-EACH: dict[str, Callable[..., float]] = {"clamp_min": max}
-AGGREGATIONS: dict[str, Callable[[list[float]], float]] = {
+OF_VALUES: dict[str, Callable[[list[float]], float]] = {
     "sum": sum,
-    "max": max,
-    "count": lambda values: float(len(values)),
+    "count": len,
+    **dict.fromkeys(("max", "clamp_min", "topk", "bottomk"), only_read),
 }
-FOREMOST = {"topk": False, "bottomk": True}
-
-
+"""Functions of the values that have the same labels."""
 UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86_400}
 TOKEN = re.compile(
-    r"\s*(?:(?P<number>\d+(?:\.\d+)?)|(?P<name>[a-zA-Z_:][a-zA-Z0-9_:]*)|(?P<text>\"(?:[^\"\\]|\\.)*\")"
-    r"|(?P<sign>==|!=|>=|<=|=~|!~|[-+*/(){}\[\],<>=]))"
+    r"\d+(?:\.\d+)?|[a-zA-Z_:][a-zA-Z0-9_:]*|\"(?:[^\"\\]|\\.)*\"|\[\d+[smhd]\]"
+    r"|==|!=|>=|<=|=~|!~|[-+*/(){},<>=]"
 )
-DURATION = re.compile(r"\s*(\d+)([smhd])\]")
-LOOSEST_FIRST = ((*("and", "unless"),), tuple(COMPARISONS), ("+", "-"), ("*", "/"))
+LOOSEST_FIRST = (("and", "unless"), ("==", "!=", ">", "<", ">=", "<="), ("+", "-"), ("*", "/"))
 
 
 class Reader:
     """Reads a question, token by token."""
 
     def __init__(self, text: str) -> None:
-        self._text, self._place = text, 0
+        self._text, self._left = text, deque([*TOKEN.findall(text), ""])
+        if re.sub(r"\s", "", "".join(self._left)) != re.sub(r"\s", "", text):
+            raise ValueError(f"{text!r} cannot be read")
 
-    def whole(self) -> Expression:
+    def whole(self) -> Question:
         found = self._binary(0)
-        if self._peek():
-            raise ValueError(f"{self._text!r} goes on with {self._text[self._place :]!r}")
+        if self._left[0]:
+            raise ValueError(f"{self._text!r} goes on with {[*self._left]}")
         return found
 
-    def _peek(self) -> str:
-        found = TOKEN.match(self._text, self._place)
-        if found is None and self._text[self._place :].strip():
-            raise ValueError(f"{self._text[self._place :]!r} cannot be read")
-        return found[found.lastgroup or 0] if found else ""
-
     def _take(self, *expected: str) -> str:
-        token, found = self._peek(), TOKEN.match(self._text, self._place)
-        if not found or (expected and token not in expected):
-            raise ValueError(f"expected one of {expected} at {self._text[self._place :]!r}")
-        self._place = found.end()
-        return token
+        token = self._left[0]
+        if not token or (expected and token not in expected):
+            raise ValueError(f"expected one of {expected} at {[*self._left]} of {self._text!r}")
+        return self._left.popleft()
 
-    def _binary(self, level: int) -> Expression:
+    def _list(self, item: Callable[[], Any], ends: str = "()") -> list[Any]:
+        self._take(ends[0])
+        found = [item()]
+        while self._take(",", ends[1]) == ",":
+            found.append(item())
+        return found
+
+    def _names(self, word: str) -> list[str] | None:
+        """The labels behind `by` or `on`; None where that word is not there."""
+        return self._list(self._take) if self._left[0] == word and self._take() else None
+
+    def _binary(self, level: int) -> Question:
         if level == len(LOOSEST_FIRST):
             return self._primary()
         left = self._binary(level + 1)
-        while (sign := self._peek()) in LOOSEST_FIRST[level]:
-            self._take()
-            on = self._names("on")
-            left = Operation(sign, on, instant(left), instant(self._binary(level + 1)))
+        while self._left[0] in LOOSEST_FIRST[level]:
+            sign, on = self._take(), self._names("on")
+            left = operation(sign, on, instant(left), instant(self._binary(level + 1)))
         return left
 
-    def _names(self, word: str) -> tuple[str, ...] | None:
-        """The labels behind `by` or `on`; None where that word is not there."""
-        if self._peek() != word:
-            return None
-        self._take(word)
-        self._take("(")
-        names = [self._take()]
-        while self._take(",", ")") == ",":
-            names.append(self._take())
-        return tuple(names)
-
-    def _primary(self) -> Expression:
-        first = self._take()
-        if first[:1] == "(":
-            inner = self._binary(0)
-            self._take(")")
+    def _primary(self) -> Question:
+        if self._left[0] == "(":
+            (inner,) = self._list(lambda: self._binary(0))
             return inner
-        if first[:1].isdigit():
-            return Number(float(first))
-        if first in AGGREGATIONS or first in FOREMOST:
-            return self._aggregation(first)
-        return self._call(first) if self._peek() == "(" else self._selector(first)
+        first = self._take()
+        if first[0].isdigit():
+            return lambda data, now: float(first)
+        return self._call(first) if self._left[0] in ("(", "by") else self._selector(first)
 
-    def _aggregation(self, name: str) -> Expression:
-        by = self._names("by")
-        arguments = self._arguments()
-        by = by or self._names("by") or ()
-        if name in FOREMOST:
-            most, inner = arguments
-            assert isinstance(most, Number)
-            return Foremost(int(most.value), FOREMOST[name], instant(inner))
-        (inner,) = arguments
-        return Aggregation(AGGREGATIONS[name], by, instant(inner))
-
-    def _call(self, name: str) -> Expression:
-        arguments = self._arguments()
-        if name in OVER_TIME:
-            (inner,) = arguments
-            if not (isinstance(inner, Selector) and inner.window):
-                raise ValueError(f"{name} wants to know over which time, such as [5m]: {self._text!r}")
-            return OverTime(OVER_TIME[name], inner)
-        if name not in EACH:
-            raise ValueError(f"there is no function {name!r} here")
-        return Each(EACH[name], instant(arguments[0]), tuple(arguments[1:]))
-
-    def _arguments(self) -> list[Expression]:
-        self._take("(")
-        found = [self._binary(0)]
-        while self._take(",", ")") == ",":
-            found.append(self._binary(0))
-        return found
+    def _call(self, name: str) -> Question:
+        by, arguments = self._names("by") or [], self._list(lambda: self._binary(0))
+        if name in OF_VALUES:
+            return grouped(OF_VALUES[name], by, [instant(one) for one in arguments][-1])
+        (selector,) = arguments
+        if name not in OVER_TIME or not (isinstance(selector, Selector) and selector.window):
+            raise ValueError(f"{name} is no function of a time such as [5m]: {self._text!r}")
+        return over_time(OVER_TIME[name], selector, selector.window)
 
     def _selector(self, name: str) -> Selector:
-        if not re.fullmatch(r"[a-zA-Z_:]\w*", name):
+        if not re.fullmatch(r"[a-zA-Z_:][\w:]*", name):
             raise ValueError(f"{name!r} is no metric")
-        matchers = []
-        if self._peek() == "{":
-            self._take()
-            while self._peek() != "}":
-                label, how, value = self._take(), self._take(*MATCHES), self._take()
-                re.compile(value[1:-1])
-                matchers.append((label, how, value[1:-1]))
-                if self._peek() != "}":
-                    self._take(",")
-            self._take("}")
-        return Selector(name, tuple(matchers), self._window())
+        matchers = self._list(self._matcher, "{}") if self._left[0] == "{" else []
+        is_window = self._left[0].startswith("[")
+        return Selector(name, tuple(matchers), seconds(self._take()[1:-1]) if is_window else None)
 
-    def _window(self) -> float | None:
-        if self._peek() != "[":
-            return None
-        self._take("[")
-        found = DURATION.match(self._text, self._place)
-        if found is None:
-            raise ValueError(f"{self._text[self._place :]!r} begins with no time")
-        self._place = found.end()
-        return float(found[1]) * UNITS[found[2]]
+    def _matcher(self) -> tuple[str, str, str]:
+        label, how, value = self._take(), self._take(*MATCHES), self._take()[1:-1]
+        re.compile(value)
+        return label, how, value
 
 
-def instant(inner: Expression) -> Expression:
+def only(labels: Labels, names: Sequence[str]) -> Labels:
+    return frozenset((name, value) for name, value in labels if name in names)
+
+
+def operation(sign: str, on: Sequence[str] | None, left: Question, right: Question) -> Question:
+    """Two sides and their operator; the labels `on` are to be the same, None: all."""
+
+    def key(labels: Labels) -> Labels:
+        return labels if on is None else only(labels, on)
+
+    def answer(data: Data, now: float) -> Vector:
+        ones, others = left(data, now), right(data, now)
+        ones = dict.fromkeys(others, ones) if isinstance(ones, float) else ones
+        others = dict.fromkeys(ones, others) if isinstance(others, float) else others
+        keyed = {key(labels): value for labels, value in others.items()}
+        if sign == "unless":
+            return {labels: value for labels, value in ones.items() if key(labels) not in keyed}
+        met = {labels: (value, keyed[key(labels)]) for labels, value in ones.items() if key(labels) in keyed}
+        if sign in ARITHMETIC:
+            return {labels: ARITHMETIC[sign](*both) for labels, both in met.items()}
+        return {labels: both[0] for labels, both in met.items() if COMPARISONS[sign](*both)}
+
+    return answer
+
+
+def over_time(act: Callable[..., float | None], selector: Selector, window: float) -> Question:
+    """A function of what series were lately."""
+
+    def answer(data: Data, now: float) -> Vector:
+        found = {labels: act(part, now, window) for labels, part in selector(data, now).items()}
+        return {labels: value for labels, value in found.items() if value is not None}
+
+    return answer
+
+
+def grouped(act: Callable[[list[float]], float], by: Sequence[str], inner: Question) -> Question:
+    """A function of the values whose labels `by` are the same."""
+
+    def answer(data: Data, now: float) -> Vector:
+        groups: dict[Labels, list[float]] = {}
+        for labels, value in inner(data, now).items():
+            groups.setdefault(only(labels, by), []).append(value)
+        return {labels: act(values) for labels, values in groups.items()}
+
+    return answer
+
+
+def instant(inner: Question) -> Question:
     """The same, where it has one value at a time."""
     if isinstance(inner, Selector) and inner.window:
         raise ValueError(f"{inner.name} has many values: what of them?")
     return inner
 
 
-def read(text: str) -> Expression:
-    """A question to Prometheus.
-
-    Raises
-    ------
-    ValueError
-        It is none, or more than is understood here.
-    """
+def read(text: str) -> Question:
+    """Read a question; raises ValueError for one that is not understood here."""
     return instant(Reader(text).whole())
 
 
@@ -362,8 +219,7 @@ PIECE = re.compile(r"(\d+)(?:\+(\d+))?(?:x(\d+))?")
 WORDS = {"": lambda value: f"{value:.6g}", "humanizePercentage": lambda value: f"{100 * value:.4g}%"}
 
 
-@dataclass(frozen=True)
-class Alert:
+class Alert(NamedTuple):
     """One that fires."""
 
     labels: Labels
@@ -393,16 +249,16 @@ def data(series: Sequence[Mapping[str, str]], interval: float) -> Data:
         labels = frozenset((label, value) for label, _, value in selector.matchers)
         samples = [(number * interval, value) for number, value in enumerate(values(one["values"]))]
         known[selector.name, labels] = samples
-    return Data(known)
+    return known
 
 
 def firing(rule: Mapping[str, Any], series: Data, until: float, step: float) -> list[Alert]:
-    """The alerts of a rule that fire at a time, where it is looked at in such steps from the beginning."""
+    """Return the alerts of a rule at a time, looked at in such steps from the beginning."""
     expression, since = read(rule["expr"]), dict[Labels, float]()
     found: dict[Labels, float] = {}
     for number in range(int(until / step) + 1):
         now = number * step
-        found = vector(expression.at(series, now))
+        found = expression(series, now)
         since = {labels: since.get(labels, now) for labels in found}
     return [
         Alert(labels | {*rule["labels"].items()}, told(rule["annotations"], labels, value))
@@ -412,7 +268,7 @@ def firing(rule: Mapping[str, Any], series: Data, until: float, step: float) -> 
 
 
 def told(annotations: Mapping[str, str], labels: Labels, value: float) -> tuple[tuple[str, str], ...]:
-    """What an alert says."""
+    """Return the annotations of an alert with their variables filled in."""
     known = dict(labels)
 
     def filled(found: re.Match[str]) -> str:

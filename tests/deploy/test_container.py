@@ -20,7 +20,7 @@ from qdgrasp_protocol.session import parse_endpoints
 ROOT = DEPLOY.parent
 CONTAINER = DEPLOY / "container"
 IMAGES = {"worker": ["qdgrasp-worker"], "head": ["qdgrasp"]}
-"""What each image starts."""
+"""The command that each image starts."""
 SERVICES = ("router", "coordinator", "recorder", "worker")
 SECRETS = "/run/secrets"
 
@@ -30,6 +30,10 @@ def instructions() -> list[tuple[str, str]]:
     text = re.sub(r"^#.*\n", "", (CONTAINER / "Containerfile").read_text(), flags=re.MULTILINE)
     lines = text.replace("\\\n", " ").splitlines()
     return [(verb, rest.strip()) for verb, _, rest in (line.partition(" ") for line in lines if line)]
+
+
+def commands() -> list[str]:
+    return [part.strip() for verb, rest in instructions() if verb == "RUN" for part in rest.split("&&")]
 
 
 def stages() -> dict[str, list[tuple[str, str]]]:
@@ -50,41 +54,26 @@ def lineage(stage: str) -> list[tuple[str, str]]:
 
 
 def is_sent(path: str) -> bool:
-    """Whether an image may be built of a file."""
+    """True if an image may be built of a file."""
     lines = (ROOT / ".containerignore").read_text().splitlines()
     kept = [line[1:] for line in lines if line.startswith("!")]
     return any(path == each or path.startswith(f"{each}/") or fnmatch(path, each) for each in kept)
 
 
-def compose() -> dict[str, Any]:
-    loaded: dict[str, Any] = yaml.safe_load((CONTAINER / "compose.yaml").read_text())
-    return loaded
+def compose() -> Any:
+    return yaml.safe_load((CONTAINER / "compose.yaml").read_text())
 
 
-def test_what_is_copied_is_there_and_is_sent_to_the_builder() -> None:
-    copied = [
-        source
-        for verb, rest in instructions()
-        if verb == "COPY" and "--from" not in rest
-        for source in rest.split()[:-1]
-    ]
+def test_what_is_copied_is_there_and_sent_to_the_builder_and_every_room_of_the_wheel_is() -> None:
+    lines = [rest.split() for verb, rest in instructions() if verb == "COPY" and "--from" not in rest]
+    copied = [source for words in lines for source in words[:-1]]
     assert len(copied) > 8
     assert [source for source in copied if not (ROOT / source).exists() or not is_sent(source)] == []
-
-
-def test_every_room_of_the_wheel_is_copied() -> None:
-    copied = {rest.split()[0] for verb, rest in instructions() if verb == "COPY"}
-    assert {"assets", "coordinator", "protocol", "worker", "pyproject.toml"} <= copied
+    assert {"assets", "coordinator", "protocol", "worker", "pyproject.toml"} <= set(copied)
 
 
 def test_nothing_is_installed_that_is_not_locked() -> None:
-    installs = [
-        part
-        for verb, rest in instructions()
-        if verb == "RUN"
-        for part in rest.split("&&")
-        if "pip" in part and "install" in part
-    ]
+    installs = [part for part in commands() if "pip" in part and "install" in part]
     assert len(installs) == 5
     assert all("--require-hashes" in each or "--no-index" in each for each in installs)
 
@@ -99,8 +88,7 @@ def test_an_image_starts_a_command_as_nobody_in_particular(image: str) -> None:
 
 
 def test_an_image_is_tried_where_it_is_built() -> None:
-    runs = [part.strip() for verb, rest in instructions() if verb == "RUN" for part in rest.split("&&")]
-    tried = [part.split() for part in runs if part.startswith("/opt/qdgrasp/bin/")]
+    tried = [part.split() for part in commands() if part.startswith("/opt/qdgrasp/bin/")]
     assert [Path(words[0]).name for words in tried] == ["qdgrasp-worker", "qdgrasp"]
     assert all(understood(words) is not None for words in tried)
 
@@ -134,14 +122,11 @@ def test_a_service_may_write_only_where_it_is_given_a_place(name: str) -> None:
     assert (CONTAINER / service["build"]["context"]).resolve() == ROOT
 
 
-def test_coordinator_and_recorder_are_of_one_job() -> None:
+def test_coordinator_and_recorder_are_of_one_job_and_an_impossible_one_is_not_started_for_ever() -> None:
     services = compose()["services"]
     jobs = {understood([f"qdgrasp-{name}", *services[name]["command"]])["job"] for name in SERVICES[1:3]}
     assert len(jobs) == 1
-
-
-def test_a_coordinator_of_an_impossible_job_is_not_started_for_ever() -> None:
-    kind, _, most = compose()["services"]["coordinator"]["restart"].partition(":")
+    kind, _, most = services["coordinator"]["restart"].partition(":")
     assert (kind, int(most) > 0) == ("on-failure", True)
 
 
@@ -181,11 +166,6 @@ def asked(name: str) -> list[Requirement]:
     return [Requirement(line) for line in lines]
 
 
-def imports(name: str) -> str:
-    """What a package of a lock file is called where it is imported."""
-    return {"eclipse-zenoh": "zenoh", "pyyaml": "yaml"}.get(name, name.replace("-", "_"))
-
-
 @pytest.mark.parametrize("name", LOCKS)
 def test_every_line_of_a_lock_is_one_version_with_its_hashes(name: str) -> None:
     rest = re.sub(r"^ *#.*\n", "", ENTRY.sub("", read(name)), flags=re.MULTILINE)
@@ -204,16 +184,13 @@ def test_every_line_of_a_lock_is_one_version_with_its_hashes(name: str) -> None:
 )
 def test_a_lock_satisfies_what_is_needed(name: str, needed: list[Requirement]) -> None:
     locked = pins(name)
-    wrong = [
-        str(each) for each in needed if each.name not in locked or locked[each.name] not in each.specifier
-    ]
-    assert wrong == []
+    assert [
+        each for each in needed if each.name not in locked or locked[each.name] not in each.specifier
+    ] == []
 
 
 def test_what_builds_an_image_is_what_builds_the_package() -> None:
-    assert list(map(str, asked("build.in"))) == list(
-        map(str, map(Requirement, PROJECT["build-system"]["requires"]))
-    )
+    assert asked("build.in") == [Requirement(text) for text in PROJECT["build-system"]["requires"]]
 
 
 def test_a_worker_has_the_versions_of_everybody_else() -> None:
@@ -222,7 +199,9 @@ def test_a_worker_has_the_versions_of_everybody_else() -> None:
 
 
 def test_a_worker_does_without_what_its_lock_leaves_out(tmp_path: Path) -> None:
-    missing = {imports(name) for name in pins("requirements.txt").keys() - pins("worker.txt").keys()}
+    called = {"eclipse-zenoh": "zenoh", "pyyaml": "yaml"}  # where it is imported
+    left_out = pins("requirements.txt").keys() - pins("worker.txt").keys()
+    missing = {called.get(name, name.replace("-", "_")) for name in left_out}
     assert {"ribs", "coacd", "matplotlib", "trimesh"} <= missing
     program = f"""
 import sys
@@ -250,9 +229,12 @@ KUBERNETES_SERVICES = {each["metadata"]["name"]: each for each in OBJECTS if eac
 UNITS = {"Mi": 1, "Gi": 1024}
 
 
-def pod(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = DEPLOYMENTS[name]["spec"]["template"]["spec"]
-    return found
+def pod(name: str) -> Any:
+    return DEPLOYMENTS[name]["spec"]["template"]["spec"]
+
+
+def labels(name: str) -> dict[str, str]:
+    return DEPLOYMENTS[name]["spec"]["template"]["metadata"]["labels"]
 
 
 def container(name: str) -> dict[str, Any]:
@@ -261,7 +243,7 @@ def container(name: str) -> dict[str, Any]:
 
 
 def options(name: str) -> dict[str, Any]:
-    """What the command of a deployment makes of its arguments."""
+    """The arguments of a deployment as its command reads them."""
     started = container(name)
     return understood([*started.get("command", ["qdgrasp-worker"]), *started["args"]])
 
@@ -296,16 +278,13 @@ def test_a_pod_has_no_rights_that_it_does_not_need(name: str) -> None:
 
 @pytest.mark.parametrize("name", DEPLOYMENTS)
 def test_labels_lead_to_the_pods(name: str) -> None:
-    spec = DEPLOYMENTS[name]["spec"]
-    assert spec["selector"]["matchLabels"].items() <= spec["template"]["metadata"]["labels"].items()
+    assert DEPLOYMENTS[name]["spec"]["selector"]["matchLabels"].items() <= labels(name).items()
 
 
 def test_workers_find_the_router_by_the_name_of_its_service() -> None:
     (endpoint,) = parse_endpoints(options("qdgrasp-worker")["connect"])
     service = KUBERNETES_SERVICES[endpoint.host]["spec"]
-    assert service["selector"].items() <= (
-        DEPLOYMENTS["qdgrasp-router"]["spec"]["template"]["metadata"]["labels"].items()
-    )
+    assert service["selector"].items() <= labels("qdgrasp-router").items()
     (port,) = service["ports"]
     (listens,) = container("qdgrasp-router")["ports"]
     (heard,) = parse_endpoints(options("qdgrasp-router")["listen"])
@@ -324,9 +303,8 @@ def test_a_worker_has_the_memory_that_its_simulator_may_keep() -> None:
 
 
 def test_a_worker_writes_only_where_it_is_given_a_place() -> None:
-    writable = {
-        Path(m["mountPath"]) for m in container("qdgrasp-worker")["volumeMounts"] if not m.get("readOnly")
-    }
+    mounts = container("qdgrasp-worker")["volumeMounts"]
+    writable = {Path(mount["mountPath"]) for mount in mounts if not mount.get("readOnly")}
     assert options("qdgrasp-worker")["cache"] in writable
     assert Path("/tmp") in writable  # noqa: S108 - the pod's own
 

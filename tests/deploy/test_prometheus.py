@@ -1,4 +1,4 @@
-"""Alert rules and dashboard: they ask for what a monitor tells, and Prometheus can read them."""
+"""Alert rules and dashboard ask for what a monitor tells, and Prometheus can read them."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from tests.coordinator.monitor.sample_jobs import run, values, views
 from tests.deploy.commands import DEPLOY
-from tests.deploy.promql import TEMPLATE, Alert, Data, data, firing, read, seconds, vector
+from tests.deploy.promql import TEMPLATE, Alert, data, firing, read, seconds
 
 from qdgrasp_coordinator.monitor.prometheus import STATES, exposition
 from qdgrasp_protocol.rows import Outcome
@@ -113,28 +113,11 @@ def test_panels_lie_beside_one_another() -> None:
     assert max(x for x, _ in squares) < 24
 
 
-def test_every_alert_waits_has_a_severity_and_says_what_is_the_matter() -> None:
-    for rule in RULES:
-        assert rule["alert"].startswith("Qdgrasp")
-        assert re.fullmatch(r"\d+m", rule["for"])
-        assert rule["labels"]["severity"] in ("warning", "critical")
-        assert set(rule["annotations"]) == {"summary", "description"}
-
-
 def test_every_alert_is_tested() -> None:
-    fired = {
-        check["alertname"]
-        for test in ALERT_TESTS
-        for check in test.get("alert_rule_test", [])
-        if check.get("exp_alerts")
-    }
-    counted = {
-        re.findall(r'alertname="(\w+)"', sample["labels"])[0]
-        for test in ALERT_TESTS
-        for check in test.get("promql_expr_test", [])
-        for sample in check["exp_samples"]
-    }
-    assert fired | counted == {rule["alert"] for rule in RULES}
+    checks = [check for test in ALERT_TESTS for check in test["alert_rule_test"]]
+    fired = {check["alertname"] for check in checks if check.get("exp_alerts")}
+    samples = str([test.get("promql_expr_test") for test in ALERT_TESTS])
+    assert fired | set(re.findall(r'alertname="(\w+)"', samples)) == {rule["alert"] for rule in RULES}
 
 
 def test_the_page_about_watching_names_every_alert_and_every_metric(told: dict[str, set[str]]) -> None:
@@ -147,10 +130,17 @@ def test_the_page_about_watching_names_every_alert_and_every_metric(told: dict[s
     assert {name for name in named if not name.endswith("...")} <= set(told)
 
 
-@pytest.mark.parametrize("question", [one for one in questions() if not one.startswith("label_values")])
+def filled() -> Iterator[str]:
+    """All questions to Prometheus itself, with values for their variables."""
+    for question in questions():
+        for name, value in VARIABLES.items():
+            question = question.replace(name, value)
+        if not question.startswith("label_values"):
+            yield question
+
+
+@pytest.mark.parametrize("question", list(filled()))
 def test_prometheus_could_read_what_is_asked_for(question: str) -> None:
-    for name, value in VARIABLES.items():
-        question = question.replace(name, value)
     read(question)
 
 
@@ -180,12 +170,15 @@ def test_the_configuration_scrapes_a_monitor_and_knows_the_rules() -> None:
     )
 
 
-def test_rules_hold_what_rules_may_hold() -> None:
+def test_every_alert_waits_has_a_severity_and_says_what_is_the_matter_and_nothing_else() -> None:
     (group,) = yaml.safe_load((PROMETHEUS / "alerts.yml").read_text())["groups"]
     assert {*group} == {"name", "rules"}
     for rule in RULES:
         assert {*rule} == {"alert", "expr", "for", "labels", "annotations"}
-        assert {*rule["labels"]} == {"severity"}
+        assert rule["alert"].startswith("Qdgrasp")
+        assert re.fullmatch(r"\d+m", rule["for"])
+        assert rule["labels"] in ({"severity": "warning"}, {"severity": "critical"})
+        assert set(rule["annotations"]) == {"summary", "description"}
         for words in rule["annotations"].values():
             assert set(TEMPLATE.sub("", words)).isdisjoint("{}")
 
@@ -216,7 +209,7 @@ def test_alerts_come_when_they_should(test: dict[str, Any]) -> None:
             for rule in RULES
             for one in firing(rule, series, until, step)
         }
-        found = vector(read(check["expr"]).at(Data(fired), until))
+        found = read(check["expr"])(fired, until)
         assert found == {
             frozenset((name, text) for name, _, text in LABEL.findall(one["labels"])): one["value"]
             for one in check["exp_samples"]
@@ -229,23 +222,13 @@ def promtool(*arguments: str, folder: Path = PROMETHEUS) -> None:
 
 
 @needs_promtool
-def test_promtool_takes_the_configuration_and_the_rules() -> None:
+def test_promtool_takes_the_configuration_and_the_rules_and_agrees_on_when_alerts_come() -> None:
     promtool("check", "config", "prometheus.yml")
-
-
-@needs_promtool
-def test_promtool_agrees_on_when_alerts_come() -> None:
     promtool("test", "rules", "alerts_test.yml")
 
 
 @needs_promtool
 def test_promtool_can_read_what_the_dashboard_asks_for(tmp_path: Path) -> None:
-    rules = []
-    for number, question in enumerate(
-        question for question in questions() if not question.startswith("label_values")
-    ):
-        for name, value in VARIABLES.items():
-            question = question.replace(name, value)
-        rules.append({"record": f"panel{number}", "expr": question})
+    rules = [{"record": f"panel{number}", "expr": question} for number, question in enumerate(filled())]
     (tmp_path / "board.yml").write_text(yaml.safe_dump({"groups": [{"name": "board", "rules": rules}]}))
     promtool("check", "rules", "board.yml", folder=tmp_path)

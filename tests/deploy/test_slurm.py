@@ -4,6 +4,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.common import PATIENCE, free_port
@@ -35,12 +36,12 @@ population = 20
 
 
 def options(script: Path) -> dict[str, str]:
-    """What the script asks of Slurm."""
+    """The options of Slurm in a script."""
     return dict(re.findall(r"^#SBATCH --([\w-]+)=?(.*)$", script.read_text(), re.MULTILINE))
 
 
 def command(script: Path) -> list[str]:
-    """What it starts, behind `srun` and its options."""
+    """The command that it starts, behind `srun` and its options."""
     (line,) = re.findall(r"^srun (.*)$", script.read_text().replace("\\\n", " "), re.MULTILINE)
     line = re.sub(r"\$\{USER:-\w+\}|\$\{TMPDIR:-/tmp\}", "x", line)
     words = shlex.split(SHELL.sub(r"\1", line))
@@ -90,10 +91,8 @@ class Desk:
         for name, module in MODULES.items():
             self._tool(name, f'exec {sys.executable} -m {module} "$@"')
         self._tool("srun", 'while [[ $1 == -* ]]; do shift; done; exec "$@"')
-        self._tool(
-            "sbatch",
-            "setsid bash workers.sbatch >workers.log 2>&1 & echo $! >pid; echo '17;cluster'",
-        )
+        submit = "setsid bash workers.sbatch >workers.log 2>&1 & echo $! >pid; echo '17;cluster'"
+        self._tool("sbatch", submit)
         self._tool("scancel", 'echo "$@" >>scancel.log; kill -TERM -- -$(cat pid)')
         self._tool("scontrol", 'echo "$@" >>scontrol.log')
 
@@ -109,19 +108,15 @@ class Desk:
             "SLURM_CPUS_PER_TASK": "1",
             "TMPDIR": str(self._home),
         }
-        for command in (
-            ["qdgrasp", "security", "init", "security", "--host", "127.0.0.1"],
-            ["bash", *words],
-        ):
+        security = ["qdgrasp", "security", "init", "security", "--host", "127.0.0.1"]
+        whole: dict[str, Any] = {"cwd": self._home, "env": environment, "text": True, "timeout": PATIENCE}
+        for command in (security, ["bash", *words]):
             done = subprocess.run(
                 ["/usr/bin/env", *command],
-                cwd=self._home,
-                env=environment,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                text=True,
-                timeout=PATIENCE,
                 check=False,
+                **whole,
             )
         return done
 

@@ -32,17 +32,14 @@ def read(unit: Path) -> Settings:
     return found
 
 
-def environment(settings: Settings) -> dict[str, str]:
-    pairs = " ".join(settings.get("Environment", [])).split()
-    return dict(pair.split("=", 1) for pair in pairs)
-
-
 def command(unit: Path, **told: str) -> list[str]:
     settings = read(unit)
     (line,) = settings["ExecStart"]
     line = line.replace("%i", INSTANCE.get(unit.stem, "")).replace("%d", "/run/credentials")
     line = re.sub(r"\$(\w+)", lambda name: told.get(name[1], ""), line)  # without braces: any number of words
-    return filled(re.sub(r"%[CS]", "/var/lib", line), environment(settings) | told)
+    pairs = " ".join(settings.get("Environment", [])).split()
+    environment = dict(pair.split("=", 1) for pair in pairs)
+    return filled(re.sub(r"%[CS]", "/var/lib", line), environment | told)
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
@@ -130,12 +127,8 @@ def test_systemd_has_nothing_to_say_against_a_unit(unit: Path, tmp_path: Path) -
         text = each.read_text().replace(BIN, str(tmp_path / "bin"))
         (tmp_path / f"{each.stem}{INSTANCE.get(each.stem, '')}.service").write_text(text)
     name = f"{unit.stem}{INSTANCE.get(unit.stem, '')}.service"
-    said = subprocess.run(
-        [ANALYSE, "verify", "--man=no", str(tmp_path / name)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = [ANALYSE, "verify", "--man=no", str(tmp_path / name)]
+    said = subprocess.run(words, capture_output=True, text=True, check=False)
     about_us = [line for line in said.stderr.splitlines() if "qdgrasp" in line]
     assert (said.returncode, about_us) == (0, [])
 

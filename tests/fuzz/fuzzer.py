@@ -29,25 +29,18 @@ VALUES: list[Any] = [
     b"x", b"\xff" * 16, b"x" * 17, [], [[]], [0] * 17, [b""], {}, {"": ""}, {"v": 1},
     b"\x00\x00\xc0\x7f" * 8,
 ]  # fmt: skip
-"""What a field may be said to be."""
+"""Values that a field may be said to have."""
 
 DEEPER = 0.7
-"""How often a list or map is gone into and not changed as a whole."""
+"""Share of lists and maps that are gone into and not changed as a whole."""
 
 
 class Mutator:
-    """Changes messages.
-
-    Parameters
-    ----------
-    seed
-        The same seed gives the same changes.
-    corpus
-        Whole messages to splice with.
-    """
+    """Changes messages, by the same seed in the same ways; those in `corpus` are spliced with."""
 
     def __init__(self, seed: int, corpus: Sequence[bytes]) -> None:
         self._chance = random.Random(seed)  # noqa: S311 - to be the same again, not to be secret
+        self.choose = self._chance.choice
         self._corpus = corpus
         self._ways: list[Callable[[bytearray], bytes]] = [
             self._flip, self._set, self._cut, self._drop, self._repeat, self._insert, self._splice,
@@ -59,10 +52,6 @@ class Mutator:
         for _ in range(self._chance.choice((1, 1, 2, 4))):
             message = self._chance.choice(self._ways)(bytearray(message))
         return bytes(message)
-
-    def choose(self, options: Sequence[Any]) -> Any:
-        """One of several, by chance."""
-        return self._chance.choice(options)
 
     def _place(self, message: bytearray) -> int:
         """Near the beginning, where the structure is, more often than not."""
@@ -124,9 +113,8 @@ class Mutator:
             case 2 if isinstance(holder[key], bytes | str) and holder[key]:
                 holder[key] = holder[key][: self._chance.randrange(len(holder[key]))]
             case 3 if isinstance(holder[key], int) and not isinstance(holder[key], bool):
-                holder[key] = max(
-                    -(2**63), min(2**64 - 1, holder[key] + self._chance.choice((-1, 1, 1 << 20)))
-                )
+                changed = holder[key] + self._chance.choice((-1, 1, 1 << 20))
+                holder[key] = max(-(2**63), min(2**64 - 1, changed))
             case _:
                 holder[key] = self._chance.choice(VALUES)
 
@@ -140,31 +128,16 @@ ASTRAY = 0.1
 
 @dataclass
 class Lap:
-    """What became of the messages.
+    """Results of giving messages to consumers."""
 
-    Attributes
-    ----------
-    taken
-        How many were good messages still, by kind.
-    refused
-        How many were refused with an error of ours, by its kind.
-    escaped
-        Errors that are not ours, and the bytes that made them.
-    slowest
-        The longest that one took [s], in CPU time.
-    growth
-        How much the greatest memory of this process grew after the first tenth [bytes].
-    """
-
-    taken: Counter[str] = field(default_factory=Counter)
-    refused: Counter[str] = field(default_factory=Counter)
-    escaped: list[tuple[str, bytes, str]] = field(default_factory=list)
-    slowest: float = 0.0
-    growth: int = 0
+    taken: Counter[str] = field(default_factory=Counter)  # those that were good still, by kind
+    refused: Counter[str] = field(default_factory=Counter)  # those refused with an error of ours, by its kind
+    escaped: list[tuple[str, bytes, str]] = field(default_factory=list)  # errors that are not ours
+    slowest: float = 0.0  # the longest that one took [s], in CPU time
+    growth: int = 0  # of the greatest memory of this process after the first tenth [bytes]
 
     @property
     def messages(self) -> int:
-        """How many messages there were."""
         return self.taken.total() + self.refused.total() + len(self.escaped)
 
     def give(self, kind: str, payload: bytes) -> None:

@@ -194,7 +194,6 @@ class AssetNames:
 
 
 def _check_assets(specs: Collection[RunSpec]) -> None:
-    """Check that all grippers and objects are there, and that the methods are for such hands."""
     jawless = {name for name in {spec.gripper for spec in specs} if find_gripper(name).file.jaw is None}
     for name in {spec.object for spec in specs}:
         check_object(name)
@@ -204,7 +203,6 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
 
 
 def _check_tables(source: dict[str, Any], where: str) -> None:
-    """Check the keys of a campaign's file that are not a run's."""
     for key in source:
         if key not in CAMPAIGN_KEYS:
             raise UnknownKey(where, key, sorted(CAMPAIGN_KEYS))
@@ -326,7 +324,6 @@ def _mesh_fault(draft: ObjectDraft, mass: float | None) -> str:
 
 
 def _mesh_files(folder: Path) -> dict[str, Path]:
-    """List the meshes in a folder by their names."""
     if not folder.is_dir():
         raise InputError(f"There is no folder of meshes at '{folder}'.")
     kinds = {*READABLE_FORMATS, *FORMAT_PACKAGES}
@@ -369,7 +366,6 @@ def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_mesh(file: Path, scale: float | None) -> ObjectDraft:
-    """Read a mesh file for an object; a file that cannot be read is a fault too."""
     try:
         return read_draft(file, scale)
     except AssetError as error:

@@ -167,7 +167,6 @@ class CampaignRunQueue:
         return plan_run(spec, prepared, name)
 
     def _scene_of(self, spec: RunSpec) -> PreparedScene:
-        """Build the scene of a spec, unless it is that of the run before."""
         known = self._scene
         if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
             self._scene = known = spec, prepare_scene(spec)
@@ -209,7 +208,6 @@ def open_campaign(path: Path) -> JobFolder:
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:
-    """Check that every run that the folder's campaign has is asked for."""
     lost = [name for name in read_campaign(folder.path / CAMPAIGN).runs if name not in asked.runs]
     if lost:
         lacking = counted(len(lost), "run that is", "runs that are")

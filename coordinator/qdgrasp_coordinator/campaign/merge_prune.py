@@ -97,14 +97,12 @@ def _check_same_scene(one: MergePart, other: MergePart) -> None:
 
 
 def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
-    """Return the spec of the merged folder: the first run's, with all evaluations."""
     budget = min(sum(part.source.asked.evaluations for part in parts), MOST_EVALUATIONS)
     first = parts[0].source.asked
     return msgspec.structs.replace(first, evaluations=budget, successes=None, no_new_cell=None, poses=None)
 
 
 def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
-    """Return the summary of all runs together."""
     summaries = [part.source.summary for part in parts]
     platforms = [part.source.platform.items() for part in parts]
     values: dict[str, Any] = dict(summaries[0])

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.storage.journal_schema import REDUCED, JournalIdentity, JournalSource, create_tables
@@ -63,26 +64,16 @@ def source_rows(folder: RunFolder, number: int) -> Iterator[Rows]:
         yield from journal.kept(first, first + journal.sources[number].kept)
 
 
-def pad_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return the rows in a shape as wide or wider, zeros behind genes and descriptors."""
+def reshape_rows(rows: Rows, shape: RowShape) -> Rows:
+    """Return the rows in a shape that is wider, zeros behind genes and descriptors, or narrower."""
     if rows.dtype == shape.dtype:
         return rows
-    wider = shape.empty(len(rows))
+    made = shape.empty(len(rows))
     for column in COLUMNS:
-        values = rows[column.name]
-        wider[column.name][tuple(slice(n) for n in values.shape)] = values
-    return wider
-
-
-def trim_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return rows of `pad_rows` in their own shape again."""
-    if rows.dtype == shape.dtype:
-        return rows
-    narrower = shape.empty(len(rows))
-    for column in COLUMNS:
-        target = narrower[column.name]
-        target[...] = rows[column.name][tuple(slice(n) for n in target.shape)]
-    return narrower
+        source, target = rows[column.name], made[column.name]
+        common = tuple(map(slice, np.minimum(source.shape, target.shape)))
+        target[common] = source[common]
+    return made
 
 
 def write_reduced_journal(
@@ -114,24 +105,17 @@ def write_reduced_journal(
             database.execute("INSERT INTO sources VALUES (?, ?)", (number, text))
             expected = first + source.kept
             for rows in blocks:
-                first = _insert_blocks(database, first, rows)
+                for start in range(0, len(rows), BLOCK_ROWS):
+                    part = JournalSlice(first, rows[start : start + BLOCK_ROWS])
+                    insert_rows(database, part, epoch=0)
+                    first = part.stop
             _check_same(source.run, expected, first)
         database.execute("COMMIT")
 
 
 def _check_same(run: str, expected: int, rows: int) -> None:
-    """Check that a run has as many rows as it had at first."""
     if rows != expected:
         raise FolderError(f"'{run}' grew while it was read; wait until it is done, or stop it.")
-
-
-def _insert_blocks(database: sqlite3.Connection, first: int, rows: Rows) -> int:
-    """Add rows as blocks; returns the number of the next row."""
-    for start in range(0, len(rows), BLOCK_ROWS):
-        part = JournalSlice(first, rows[start : start + BLOCK_ROWS])
-        insert_rows(database, part, epoch=0)
-        first = part.stop
-    return first
 
 
 def common_shape(folders: Iterable[RunFolder]) -> RowShape:
@@ -177,7 +161,7 @@ class MergePart:
 
     def rows(self, shape: RowShape) -> Iterator[Rows]:
         """Return its kept rows, in a shape that is as wide or wider."""
-        return (pad_rows(rows, shape) for rows in source_rows(self.folder, self.number))
+        return (reshape_rows(rows, shape) for rows in source_rows(self.folder, self.number))
 
     def row_bytes(self) -> set[bytes]:
         """Return its kept rows, each as bytes; no two have the same key."""

@@ -135,12 +135,12 @@ def import_(
 
 def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
     """Return the conditions under which the grasps were found, as flags."""
-    about = found.metadata
+    about = found.imported.metadata
     spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
-    mass = about.object_mass if about else found.mass or "KG"
+    mass = about.object_mass if about else found.imported.mass or "KG"
     return {
         "mass": mass if Path(object_).suffix else spec.mass,
-        "friction": spec.friction if about else found.friction,
+        "friction": spec.friction if about else found.imported.friction,
         "protocol": None if spec.protocol == "paper" else spec.protocol,
     }
 

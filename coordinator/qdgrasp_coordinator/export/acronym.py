@@ -139,24 +139,18 @@ CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/abo
 
 def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as an ACRONYM file."""
-    path.write_bytes(_file_bytes(grasps, jaw_metadata(metadata, grasps.scene.gripper)))
-
-
-def _file_bytes(grasps: Grasps, metadata: GraspMetadata) -> bytes:
-    """Make the file in memory, as HDF5 does not survive a disk that is full."""
     import h5py
 
+    ours = jaw_metadata(metadata, grasps.scene.gripper)
+    # it is made in memory, as HDF5 does not survive a disk that is full
     with h5py.File("grasps", "w", driver="core", backing_store=False) as file:
-        for name, value in _datasets(grasps, metadata).items():
+        for name, value in _datasets(grasps, ours).items():
             file[name] = value
-        file[ABOUT] = metadata.json
+        file[ABOUT] = ours.json
         # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
-        file["qdgrasp"].attrs.update(
-            {name: value for name, value in metadata.values.items() if name != "runs"}
-        )
+        file["qdgrasp"].attrs.update({name: value for name, value in ours.values.items() if name != "runs"})
         file.flush()
-        made: bytes = file.id.get_file_image()
-    return made
+        path.write_bytes(file.id.get_file_image())
 
 
 def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
@@ -168,7 +162,7 @@ def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         "object/mass": body.mass,
         "object/density": body.density,
         "object/friction": metadata.object_friction,
-        "object/volume": body.volume,
+        "object/volume": body.mesh.volume,
         "object/com": body.com,
         "object/inertia": body.inertia,
         TRANSFORMS: jaw_transforms(grasps, metadata),

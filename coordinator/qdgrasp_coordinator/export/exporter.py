@@ -105,7 +105,6 @@ def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
 
 
 def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
-    """Explain that there is no grasp to write."""
     successes = every[every.is_success]
     if not len(successes):
         with folder.journal() as journal:

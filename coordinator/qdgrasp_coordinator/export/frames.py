@@ -77,14 +77,9 @@ class UniformSolid:
     """(3,) [m]: the centre of mass."""
 
     @property
-    def volume(self) -> float:
-        """Volume that the mesh encloses [m3]."""
-        return self.mesh.volume
-
-    @property
     def density(self) -> float:
         """[kg/m3]."""
-        return self.mass / self.volume
+        return self.mass / self.mesh.volume
 
     @property
     def inertia(self) -> Floats:

@@ -135,7 +135,6 @@ def read(path: Path, payload: bytes) -> ImportedGrasps:
 
 
 def _with_joints(path: Path, imported: ImportedGrasps, ours: GraspGenMetadata) -> ImportedGrasps:
-    """Add joints and synergies from the block `qdgrasp`."""
     beside, count = ours.grasps, len(imported)
     starts = to_array(
         path, "pregrasp_joint_positions", beside.pregrasp_joint_positions, (len(ours.joint_names),), count

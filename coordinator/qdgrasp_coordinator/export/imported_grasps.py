@@ -156,7 +156,6 @@ def check_matrices(path: Path, matrices: Floats) -> None:
 
 
 def _check_metadata(path: Path, metadata: GraspMetadata) -> None:
-    """Check the numbers in the metadata of a file of ours, and the specs of its runs."""
     for name in ("object_scale", "object_mass"):
         _check_positive(path, name, getattr(metadata, name))
     if not 0 <= metadata.object_friction < np.inf:

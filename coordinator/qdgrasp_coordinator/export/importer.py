@@ -28,7 +28,6 @@ from qdgrasp_coordinator.export.imported_grasps import (
     check_positions,
     decode_json,
 )
-from qdgrasp_coordinator.export.metadata import GraspMetadata
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
@@ -152,12 +151,8 @@ class ImportedPoses:
     """By name, as in an npz file of poses; beside them the file's `name` and `confidence`."""
     notes: tuple[str, ...]
     """Differences from what the file says, a sentence each."""
-    metadata: GraspMetadata | None
-    """Of a file of ours."""
-    mass: float | None
-    """Of the object [kg]; None: the file does not say it."""
-    friction: float | None
-    """Lateral coefficient of the object; None: the file does not say it."""
+    imported: ImportedGrasps
+    """The grasps as the file gives them."""
 
     def __len__(self) -> int:
         return len(self.arrays["name"])
@@ -194,9 +189,7 @@ def import_poses(
         "name": imported.names,
         "confidence": np.full(len(imported), np.nan) if imported.confidence is None else imported.confidence,
     }
-    return ImportedPoses(
-        arrays, tuple(_notes(imported, hand, body)), imported.metadata, imported.mass, imported.friction
-    )
+    return ImportedPoses(arrays, tuple(_notes(imported, hand, body)), imported)
 
 
 def _root_poses(
@@ -227,7 +220,6 @@ def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) ->
 
 
 def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
-    """Yield a sentence for each difference from what the file says."""
     is_built_in = imported.metadata is not None and not imported.metadata.object_file
     scale = imported.scale
     if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:

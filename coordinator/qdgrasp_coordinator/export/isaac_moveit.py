@@ -71,7 +71,6 @@ def _extra_lines(grasps: Grasps) -> Iterator[str]:
 
 
 def _lines(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
-    """Yield the lines of each grasp."""
     joints = [yaml_word(name) for name in grasps.joint_names]
     for number, confidence, pose, closed, start in grasp_decimals(grasps, metadata.frame):
         x, y, z, qx, qy, qz, qw = pose
@@ -199,7 +198,6 @@ def write_moveit(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
 
 
 def _messages(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
-    """Yield the lines of each message."""
     names = ", ".join(map(_quoted, grasps.joint_names))
     moves = _moves(grasps)
     object_frame, touched = HEADER.format(_quoted(metadata.object)), _quoted(metadata.object)

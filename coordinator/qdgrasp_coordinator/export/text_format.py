@@ -114,7 +114,6 @@ def read_yaml(path: Path) -> Tree:
 
 
 def _build_tree(path: Path, events: Iterator[Any]) -> Tree:
-    """Build lists and mappings from events, without recursion."""
     import yaml
 
     values = (yaml.ScalarEvent, yaml.MappingStartEvent, yaml.SequenceStartEvent)

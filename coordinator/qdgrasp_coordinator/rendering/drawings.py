@@ -65,7 +65,6 @@ def figure_text(words: str) -> str:
 
 @cache
 def _has_letter(letter: str) -> bool:
-    """Return whether the font has a letter, plain and bold."""
     files = {findfont(FontProperties(weight=weight)) for weight in ("normal", "bold")}
     return all(get_font(file).get_char_index(ord(letter)) for file in files)
 
@@ -121,10 +120,9 @@ def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> No
 
 
 def _draw_hands(axes: Axes, view: RenderedView, successes: Rows) -> None:
-    _show(axes, view)
+    show_view(axes, view)
     words = _choice_in_words(view.shown, successes)
     axes.text(0.5, 0.0, words, transform=axes.transAxes, size=13, color=FAINT, ha="center", va="bottom")
-    scale_bar(axes, view)
     axes_triad(axes, view)
 
 
@@ -137,8 +135,7 @@ def _choice_in_words(shown: Rows, successes: Rows) -> str:
 
 
 def _draw_cells(axes: Axes, view: RenderedView) -> None:
-    _show(axes, view)
-    scale_bar(axes, view)
+    show_view(axes, view)
     cells = counted(len(view.shown), "cell", told="{:,}".format)
     heading = f"{cells} of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
@@ -170,13 +167,10 @@ def _draw_growth(axes: Axes, grown: ArchiveGrowth) -> None:
     axes.set_xlabel("evaluations", size=12, color=FAINT)
 
 
-def _show(axes: Axes, view: RenderedView) -> None:
-    axes.imshow(view.image, interpolation="none")
+def show_view(axes: Axes, view: RenderedView, interpolation: str = "none") -> None:
+    """Show a view with a bar of 5 cm in the lower right corner."""
+    axes.imshow(view.image, interpolation=interpolation)
     axes.set_axis_off()
-
-
-def scale_bar(axes: Axes, view: RenderedView) -> None:
-    """Draw a bar of 5 cm in the lower right corner."""
     rows, columns, _ = view.image.shape
     length = SCALE_BAR / (view.camera.step * RAYS_PER_PIXEL)
     right, low = 0.985 * columns, 0.985 * rows

@@ -181,7 +181,6 @@ def _mean_evidence(
 
 
 def _groups_of(scenes: GroupsByScene, methods: tuple[str, ...]) -> Iterator[tuple[RunGroup, ...]]:
-    """Yield the groups of these methods on each scene that has them all."""
     for groups in scenes.values():
         if all(method in groups for method in methods):
             yield tuple(groups[method] for method in methods)

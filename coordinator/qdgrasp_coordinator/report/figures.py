@@ -15,7 +15,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.scores import ROBUST, eta, scored_successes
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
-from qdgrasp_coordinator.rendering.drawings import axes_triad, scale_bar
+from qdgrasp_coordinator.rendering.drawings import axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
 from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_fitness, view_of_cells
 from qdgrasp_coordinator.report.claims import ConfidenceInterval, near_nu_interval
@@ -49,6 +49,7 @@ from qdgrasp_coordinator.report.run_groups import (
     SceneName,
     default_groups,
     measure_words,
+    number_span,
     run_words,
 )
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
@@ -265,9 +266,7 @@ def near_words(lean: NuDistribution) -> str:
 
 def sample_words(lean: NuDistribution) -> str:
     """Describe the sample behind a distribution."""
-    low, high = lean.evaluations
-    ends = f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"
-    scenes = counted(lean.scenes, "scene")
+    ends, scenes = number_span(lean.evaluations), counted(lean.scenes, "scene")
     variant = f"{lean.variant}: " if lean.variant else ""
     return f"{variant}{counted(lean.runs, 'run')} \u00d7 {ends} evaluations, {scenes}"
 
@@ -351,9 +350,7 @@ def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
         view = view_of_cells(one.scene, one.best, best_azimuth(one.scene, one.best), VOXEL_PIXELS, hues)
         run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
         run += "" if one.run.complete else ", unfinished"
-        axes.imshow(view.image, interpolation="bicubic")
-        axes.set_axis_off()
-        scale_bar(axes, view)
+        show_view(axes, view, "bicubic")
         axes_triad(axes, view)
         panel_heading(axes, one.name.words, _voxel_counts(one, view.is_uncut), run)
     grid.title(

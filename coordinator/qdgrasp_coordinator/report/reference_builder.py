@@ -101,7 +101,6 @@ def merge_reference_sets(
 
 
 def _add(sets: SetsByObject, new: ReferenceSet, where: Path, mixed: bool) -> None:
-    """Add a set to those of one gripper."""
     grippers = {origin.gripper for origin in (one.origin for one in (*sets.values(), new)) if origin}
     if len(grippers) > 1:
         raise InputError(
@@ -135,7 +134,6 @@ def _origin(known: ReferenceSet, path: Path) -> ReferenceOrigin:
 
 
 def _existing_sets(out: Path) -> SetsByObject:
-    """Read the sets in a file that can be added to; empty where there is no file."""
     sets = read_references(out) if out.exists() else {}
     for known in sets.values():
         _origin(known, out)

@@ -162,6 +162,5 @@ def is_ours(folder: Path) -> bool:
 
 
 def _earlier_page(folder: Path) -> str:
-    """Read the page of an earlier analysis; empty if it is missing."""
     page = folder / PAGE_FILE
     return page.read_text(encoding="utf-8", errors="replace") if atomic_files.is_file(page) else ""

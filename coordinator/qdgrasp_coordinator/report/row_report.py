@@ -242,7 +242,6 @@ def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
 
 
 def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
-    """Read the columns of a row with its scene."""
     outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
     pose, label = _pose(row, scene.gripper), int(synergies(scene, prior).labels(row["genome"][None])[0])
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")

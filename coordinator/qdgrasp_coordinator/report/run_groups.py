@@ -370,13 +370,14 @@ def run_words(groups: Sequence[RunGroup], room: float) -> str:
 
 
 def _seeds_in_words(groups: Sequence[RunGroup]) -> str:
-    seeds = _span([len(group.runs) for group in groups])
-    ends = _span([run.evaluations for group in groups for run in group.runs])
+    seeds = number_span([len(group.runs) for group in groups])
+    ends = number_span([run.evaluations for group in groups for run in group.runs])
     unfinished = sum(group.unfinished for group in groups)
     mark = f", {unfinished} unfinished" if unfinished else ""
     return f"{seeds} seed{'' if seeds == '1' else 's'} \u00d7 {ends} evaluations{mark}"
 
 
-def _span(numbers: Sequence[int]) -> str:
+def number_span(numbers: Sequence[int]) -> str:
+    """Write a number that is the same throughout, or the least and the greatest."""
     low, high = min(numbers), max(numbers)
     return f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"

@@ -301,7 +301,6 @@ def _verdict(one: JudgedClaim) -> str:
 
 
 def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
-    """Yield a line for each number of a claim, those to compare with at the end."""
     for found, is_judged in one.numbers:
         interval, (low, high) = found.interval, (min(found.evaluations), max(found.evaluations))
         verdict = one.claim.band.verdict(interval).value + (FEW_MARK if found.has_few_runs else "")

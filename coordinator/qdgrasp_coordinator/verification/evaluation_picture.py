@@ -69,7 +69,6 @@ class ReplayCaption:
 
 
 def _title(shown: ReplayTarget) -> str:
-    """Return the title: gripper, object, row number, outcome and fitness."""
     outcome = shown.outcome
     noun = "grasp" if outcome.is_success else "row"
     trial = f", trial {shown.trial}" if shown.trial else ""
@@ -78,7 +77,6 @@ def _title(shown: ReplayTarget) -> str:
 
 
 def _contact_words(shown: ReplayTarget) -> str:
-    """Describe contacts and penetration of a success; empty for other outcomes."""
     if not shown.outcome.is_success:
         return ""
     links = int(shown.row["contacts"])
@@ -154,7 +152,6 @@ def _with_words(
     legend: Sequence[tuple[str, str]],
     layout: PictureLayout,
 ) -> Image.Image:
-    """Put a caption below a scene."""
     whole = Image.new("RGB", layout.size, "white")
     whole.paste(scene)
     pen = ImageDraw.Draw(whole)

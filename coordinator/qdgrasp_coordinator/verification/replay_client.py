@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene
-from qdgrasp_coordinator.campaign.reduced_journal import trim_rows
+from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
 from qdgrasp_coordinator.local.restart_policy import GRACE
 from qdgrasp_coordinator.report.row_report import row_at
 from qdgrasp_coordinator.scheduler.run_plan import row_shape
@@ -52,7 +52,7 @@ def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Sce
             f"{folder.path} has rows of {genes} genes where this version of qdgrasp has {shape.genes} for "
             f"the prior '{prior}': use the version that recorded them."
         )
-    return trim_rows(rows, shape)
+    return reshape_rows(rows, shape)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,6 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
 def _trial_of(
     journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
 ) -> tuple[int, np.void]:
-    """Return number and row of one trial of a row's genome."""
     first, recorded = found_by.rows.start, 0
     for rows in journal.kept(first, found_by.rows.stop):
         is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
@@ -223,7 +222,6 @@ def local_platform() -> dict[str, str]:
 
 
 def _run_process(folder: Path, stop: Stop) -> None:
-    """Start the process that replays, and wait for it."""
     with ProcessGroup(folder, GRACE) as processes:
         processes.start("replay", REPLAY_MODULE, [str(folder)])
         while not (stop.is_set or (ended := processes.exits())):

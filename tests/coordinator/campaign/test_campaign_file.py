@@ -1,8 +1,10 @@
 """Many runs from one file: what is asked for, and how the runs are called."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
+import tomli_w
 import trimesh
 
 from qdgrasp_assets import ycb
@@ -28,6 +30,8 @@ from qdgrasp_protocol.keys import NAME
 
 SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
 CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
+
+SHADOW = {"gripper": "shadow", "method": "antipodal_rand"}
 
 
 def names(source: dict[str, object]) -> list[str]:
@@ -56,17 +60,9 @@ class TestCrossing:
 
     def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
         file = tmp_path / "c.toml"
-        file.write_text(
-            """[defaults]
-gripper = "panda"
-successes = 5
-[[cross]]
-object = "mug"
-[[cross]]
-object = "bowl"
-successes = 7
-"""
-        )
+        crosses = [{"object": "mug"}, {"object": "bowl", "successes": 7}]
+        source = {"defaults": {"gripper": "panda", "successes": 5}, "cross": crosses}
+        file.write_text(tomli_w.dumps(source))
         as_written = read_campaign(file)
         asked = read_campaign(file, goals={"successes": 9, "no_new_cell": None})
         assert [spec.successes for spec in as_written.runs.values()] == [5, 7]
@@ -83,22 +79,17 @@ successes = 7
             names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
 
     def test_without_a_method_a_run_has_the_default_and_one_generation_in_flight(self) -> None:
-        (spec,) = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml").runs.values()
+        found = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
+        (spec,) = found.runs.values()
         assert (spec.method, spec.overlaps, spec.population) == ("aimed", "redraw", 50)
         assert spec.generations_in_flight == 1
+        taken_for_granted = {"method": "aimed", "generations_in_flight": 1}
+        assert tomllib.loads(found.toml)["defaults"].items() >= taken_for_granted.items()
 
     def test_the_file_may_ask_for_more_generations_in_flight(self) -> None:
         source = {"cross": [{"gripper": "panda", "object": "mug", "generations_in_flight": [1, 2]}]}
-        runs = make_campaign(source, "c.toml").runs
-        assert {name: spec.generations_in_flight for name, spec in runs.items()} == {
-            "panda-mug-aimed-s0": 1,
-            "panda-mug-aimed-s0-flight2": 2,
-        }
-
-    def test_the_folders_file_says_what_was_taken_for_granted(self) -> None:
-        found = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
-        assert 'method = "aimed"' in found.toml
-        assert "generations_in_flight = 1" in found.toml
+        found = {name: spec.generations_in_flight for name, spec in make_campaign(source, "c").runs.items()}
+        assert found == {"panda-mug-aimed-s0": 1, "panda-mug-aimed-s0-flight2": 2}
 
     def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
         runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
@@ -106,37 +97,32 @@ successes = 7
 
 
 class TestNames:
-    def test_a_name_says_what_is_not_the_default(self) -> None:
-        assert named() == "panda-mug-aimed-s0"
-        assert named(mutation_sigma=0.05, protocol="released") == "panda-mug-aimed-s0-sigma0_05-released"
-
     @pytest.mark.parametrize(
-        ("method", "usual"),
+        ("values", "more"),
         [
-            ("aimed", {"overlaps": "redraw", "population": 50}),
-            ("me_scs", {"overlaps": "count", "population": 500}),
+            ({}, ""),
+            ({"evaluations": 7}, ""),
+            ({"generations_in_flight": 1}, ""),
+            ({"generations_in_flight": 2}, "-flight2"),
+            ({"mutation_sigma": 0.05, "protocol": "released"}, "-sigma0_05-released"),
         ],
     )
-    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, usual) -> None:
-        assert named(method=method, **usual) == named(method=method)
-        other = named(method=method, overlaps="redraw" if method == "me_scs" else "count")
-        assert other != named(method=method)
+    def test_a_name_says_what_is_not_the_default_and_no_budget(self, values, more) -> None:
+        assert named(**values) == f"panda-mug-aimed-s0{more}"
 
-    def test_a_second_generation_in_flight_is_told_of(self) -> None:
-        assert named(generations_in_flight=1) == named()
-        assert named(generations_in_flight=2) == "panda-mug-aimed-s0-flight2"
-
-    def test_a_budget_is_no_part_of_a_name(self) -> None:
-        assert named(evaluations=7) == named()
+    @pytest.mark.parametrize(
+        ("method", "overlaps", "other", "population"),
+        [("aimed", "redraw", "count", 50), ("me_scs", "count", "redraw", 500)],
+    )
+    def test_what_the_method_has_anyway_is_no_part_of_a_name(
+        self, method, overlaps, other, population
+    ) -> None:
+        assert named(method=method, overlaps=overlaps, population=population) == named(method=method)
+        assert named(method=method, overlaps=other) != named(method=method)
 
     def test_a_long_name_is_cut_and_still_its_own(self) -> None:
-        long = {
-            "gripper": "ref_robotiq_2f",
-            "object": "bleach_cleanser",
-            "method": "antipodal_cma_mae",
-            "population": 60,
-        }
-        one, other = named(**long, surface_seed=1), named(**long, surface_seed=2)
+        long = {"gripper": "ref_robotiq_2f", "object": "bleach_cleanser", "method": "antipodal_cma_mae"}
+        one, other = (named(**long, population=60, surface_seed=seed) for seed in (1, 2))
         assert one != other
         assert all(NAME.fullmatch(name) for name in (one, other))
 
@@ -178,11 +164,7 @@ class TestRefusals:
             ({"cross": [CROSS | {"seed": [-1]}]}, ImpossibleValue, "at least 0"),
             ({"cross": [CROSS | {"gripper": "pandaa"}]}, UnknownName, "pandaa"),
             ({"cross": [CROSS | {"object": "mugg"}]}, UnknownName, "mugg"),
-            (
-                {"cross": [CROSS | {"gripper": "shadow", "method": "antipodal_rand"}]},
-                JawNeeded,
-                "'shadow' has no",
-            ),
+            ({"cross": [CROSS | SHADOW]}, JawNeeded, "'shadow' has no"),
             ({"cross": [{"object": "mug"}]}, InputError, "'gripper' is missing"),
         ],
     )
@@ -314,11 +296,13 @@ def test_what_is_known_of_no_object_is_refused():
 
 def test_the_meshes_of_any_campaign_are_read_before_it_is_begun(parts):
     whole = {"gripper": "panda", "object": [str(file) for file in sorted(parts.glob("*.[sp][tl]*"))]}
-    good = make_campaign(
-        {"cross": [whole | {"scale": 0.001, "mass": 0.1}, {"gripper": "panda", "object": "mug"}]}, "c"
-    )
-    check_meshes(good.runs.values())
+
+    def check(**known: float) -> None:
+        crosses = [whole | known, {"gripper": "panda", "object": "mug"}]
+        check_meshes(make_campaign({"cross": crosses}, "c").runs.values())
+
+    check(scale=0.001, mass=0.1)
     with pytest.raises(UnusableMeshes, match=r"^2 of 2 meshes"):
-        check_meshes(make_campaign({"cross": [whole | {"mass": 0.1}]}, "c").runs.values())
+        check(mass=0.1)
     with pytest.raises(UnusableMeshes, match="has no mass"):
-        check_meshes(make_campaign({"cross": [whole | {"scale": 0.001}]}, "c").runs.values())
+        check(scale=0.001)

@@ -3,21 +3,20 @@
 import importlib
 import itertools
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator import recorded_runs
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
-from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign import merge_prune
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_campaign, prune_run
 from qdgrasp_coordinator.campaign.ranking import read_run_grasps
-from qdgrasp_coordinator.campaign.reduced_journal import kept_rows
+from qdgrasp_coordinator.campaign.reduced_journal import kept_rows, reshape_rows
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.report.reference_builder import reference_set_of
@@ -33,18 +32,19 @@ N = 300
 
 
 @pytest.fixture
-def scene(make_scene: SceneMaker) -> Scene:
-    return make_scene()
+def recorded(tmp_path: Path) -> Callable[..., RunFolder]:
+    """Records rows as a run of one scene, by its name, in which every genome counts."""
+    usual = {"evaluations": N, "overlaps": "count"}
+    return lambda name, rows, gripper="jaw", **settings: record(
+        tmp_path / name, made_scene(gripper), rows, **usual | settings
+    )
 
 
 @pytest.fixture
-def runs(tmp_path: Path, scene: Scene) -> list[RunFolder]:
+def runs(recorded) -> list[RunFolder]:
     """Three finished runs of one scene, with different methods and seeds."""
     settings = ({"seed": 0}, {"seed": 1}, {"seed": 0, "method": "contact_rand"})
-    return [
-        record(tmp_path / f"run-{n}", scene, random_rows(N, seed=n), evaluations=N, overlaps="count", **one)
-        for n, one in enumerate(settings)
-    ]
+    return [recorded(f"run-{n}", random_rows(N, seed=n), **one) for n, one in enumerate(settings)]
 
 
 def rows_of(folder: RunFolder) -> Rows:
@@ -98,8 +98,8 @@ def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) 
             act()
 
 
-def test_a_run_that_is_not_finished_or_in_use_is_not_pruned(tmp_path, scene) -> None:
-    run = record(tmp_path / "run", scene, random_rows(20), evaluations=N, overlaps="count")
+def test_a_run_that_is_not_finished_or_in_use_is_not_pruned(recorded) -> None:
+    run = recorded("run", random_rows(20))
     before = digest_of(run)
     with pytest.raises(FolderError, match="is not finished"):
         prune_run(run)
@@ -143,11 +143,10 @@ def test_a_full_disk_leaves_the_run_as_it_was(runs, monkeypatch) -> None:
     assert not list(run.path.glob("*.part"))
 
 
-def test_of_a_campaign_the_finished_runs_are_pruned(tmp_path, scene, runs) -> None:
+def test_of_a_campaign_the_finished_runs_are_pruned(tmp_path, recorded) -> None:
     home = JobFolder.create(tmp_path / "many", "many").path
     for number, budget in enumerate((N, 2 * N)):
-        run = record(tmp_path / "made", scene, random_rows(N), evaluations=budget, overlaps="count")
-        run.path.rename(home / "runs" / f"run-{number}")
+        recorded("made", random_rows(N), evaluations=budget).path.rename(home / "runs" / f"run-{number}")
     done = prune_campaign(JobFolder(home))
     assert (done.pruned, done.runs) == (1, 2)
     assert done.freed > 0
@@ -191,10 +190,8 @@ def test_the_order_in_which_runs_are_named_does_not_matter_nor_whether_they_were
 
 
 @pytest.mark.parametrize("rows", [0, 17, N - 1])
-def test_a_run_beside_its_own_beginning_counts_once_and_that_is_said(tmp_path, scene, runs, rows) -> None:
-    early = record(
-        tmp_path / "early", scene, random_rows(N, seed=0)[:rows], evaluations=N, overlaps="count", seed=0
-    )
+def test_a_run_beside_its_own_beginning_counts_once_and_that_is_said(tmp_path, recorded, runs, rows) -> None:
+    early = recorded("early", random_rows(N, seed=0)[:rows], seed=0)
     alone = merge_runs(runs, tmp_path / "all")
     assert alone.repeats == ()
     for number, order in enumerate(itertools.permutations([early, *runs[:2]])):
@@ -206,20 +203,11 @@ def test_a_run_beside_its_own_beginning_counts_once_and_that_is_said(tmp_path, s
 
 
 def test_a_search_counts_once_whatever_ended_it_and_whatever_was_pruned_or_merged(
-    tmp_path, scene, runs
+    tmp_path, recorded, runs
 ) -> None:
-    whole = runs[0]
-    sooner, early = (
-        record(
-            tmp_path / name,
-            scene,
-            random_rows(N, seed=0)[:rows],
-            evaluations=budget,
-            overlaps="count",
-            seed=0,
-        )
-        for name, rows, budget in (("sooner", 100, 100), ("early", 150, N))
-    )
+    whole, rows = runs[0], random_rows(N, seed=0)
+    sooner = recorded("sooner", rows[:100], evaluations=100, seed=0)
+    early = recorded("early", rows[:150], seed=0)
     prune_run(sooner)
     merge_runs([early, runs[1]], tmp_path / "two")
     found = merge_runs([RunFolder(tmp_path / "two"), sooner, whole], tmp_path / "all")
@@ -228,21 +216,18 @@ def test_a_search_counts_once_whatever_ended_it_and_whatever_was_pruned_or_merge
     assert sorted(found.repeats) == sorted([f"'early' in {tmp_path / 'two'}{said}", f"{sooner.path}{said}"])
 
 
-def test_records_of_one_search_that_disagree_count_each(tmp_path, scene, runs) -> None:
+def test_records_of_one_search_that_disagree_count_each(tmp_path, recorded, runs) -> None:
     rows = random_rows(N, seed=0)
     rows["nu"][rows["outcome"] == Outcome.HELD] += 1e-6  # another machine
-    other = record(tmp_path / "other", scene, rows[:100], evaluations=N, overlaps="count", seed=0)
-    found = merge_runs([runs[0], other], tmp_path / "all")
+    found = merge_runs([runs[0], recorded("other", rows[:100], seed=0)], tmp_path / "all")
     assert found.repeats == ()
     assert found.summary.evaluations == N + 100
 
 
-def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, runs, monkeypatch) -> None:
-    monkeypatch.setattr(recorded_runs, "SHAPE", RowShape(genes=5, joints=2, descriptors=3))
-    wide = random_rows(N)
+def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, recorded, runs) -> None:
+    wide = reshape_rows(random_rows(N), RowShape(genes=5, joints=2, descriptors=3))
     wide["genome"] = 0.5
-    other = record(tmp_path / "wide", scene, kept_rows(wide), evaluations=N, overlaps="count", seed=9)
-    merge_runs([runs[2], other], tmp_path / "all")
+    merge_runs([runs[2], recorded("wide", kept_rows(wide), seed=9)], tmp_path / "all")
     rows = rows_of(RunFolder(tmp_path / "all"))
     narrow = successes(rows_of(runs[2]))
     assert rows["genome"].shape[1] == 5
@@ -250,11 +235,11 @@ def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, 
     assert np.array_equal(rows["base_to_object"][-len(narrow) :], narrow["base_to_object"])
 
 
-def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, make_scene, runs) -> None:
-    heavy = record(tmp_path / "heavy", make_scene("other"), random_rows(N), evaluations=N, mass=2.5)
+def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, recorded, runs) -> None:
+    heavy = recorded("heavy", random_rows(N), "other", mass=2.5)
     with pytest.raises(InputError, match=r"different scenes.*differ in mass \(0\.1 and 2\.5\)"):
         merge_runs([runs[0], heavy], tmp_path / "all")
-    same = record(tmp_path / "same", make_scene("other"), random_rows(N), evaluations=N)
+    same = recorded("same", random_rows(N), "other")
     with pytest.raises(InputError, match="the scene's files or the version of qdgrasp"):
         merge_runs([runs[0], same], tmp_path / "all")
     assert not (tmp_path / "all").exists()
@@ -271,10 +256,10 @@ def test_a_merge_that_fails_leaves_nothing(tmp_path, runs) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == before == ["run-0", "run-1", "run-2"]
 
 
-def test_unfinished_runs_are_merged_unless_successes_lack_trials(tmp_path, scene, runs) -> None:
-    half = record(tmp_path / "half", scene, random_rows(40, seed=7), evaluations=N, seed=7)
+def test_unfinished_runs_are_merged_unless_successes_lack_trials(tmp_path, recorded, runs) -> None:
+    half = recorded("half", random_rows(40, seed=7), seed=7)
     assert not merge_runs([runs[0], half], tmp_path / "all").summary.complete
-    robust = record(tmp_path / "robust", scene, random_rows(40), evaluations=N, protocol="robust")
+    robust = recorded("robust", random_rows(40), protocol="robust")
     with pytest.raises(InputError, match="lack their trials"):
         merge_runs([robust], tmp_path / "none")
 
@@ -290,10 +275,12 @@ def test_grasps_of_runs_with_different_priors_are_not_ranked_together(tmp_path, 
 
 
 @pytest.mark.parametrize("moment", ["run_summary", "source_rows"])
-def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, monkeypatch, moment) -> None:
+def test_a_run_that_grows_while_it_is_merged_is_refused(
+    tmp_path, recorded, runs, monkeypatch, moment
+) -> None:
     rows = random_rows(60, seed=7)
     rows["outcome"] = Outcome.HELD
-    growing = record(tmp_path / "growing", scene, rows[:40], evaluations=N, seed=7)
+    growing = recorded("growing", rows[:40], seed=7)
     module = {"run_summary": "reduced_journal", "source_rows": "merge_prune"}[moment]
     read = getattr(importlib.import_module(f"qdgrasp_coordinator.campaign.{module}"), moment)
 

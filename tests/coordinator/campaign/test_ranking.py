@@ -1,13 +1,13 @@
 """Choice of the grasps that are scored again, and their ranks."""
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.coordinator.recorded_runs import record_spec
 
 from qdgrasp_coordinator.campaign.ranking import (
     best_of_kinds,
@@ -19,16 +19,12 @@ from qdgrasp_coordinator.campaign.ranking import (
 )
 from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, niches
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
-from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=7, joints=2)
 TRIALS = 100
-Record = Callable[[str, RunSpec, Rows], RunFolder]
 
 
 def spec(protocol: str = "paper", population: int = 50) -> RunSpec:
@@ -50,19 +46,6 @@ def trials_of(row: np.void, total: int) -> Rows:
     made["fitness"] = np.where(np.arange(TRIALS) < total // 2, 2, 0)
     made["fitness"][-1] = total % 2
     return made
-
-
-@pytest.fixture
-def record(tmp_path: Path) -> Record:
-    def make(name: str, spec: RunSpec, rows: Rows) -> RunFolder:
-        folder = RunFolder.create(tmp_path / name, spec, None)
-        with JournalWriter.create(
-            folder.path, JournalIdentity("run", to_toml(spec), "0" * 64, SHAPE)
-        ) as journal:
-            journal.append(JournalSlice(0, rows), 1, 0.0)
-        return folder
-
-    return make
 
 
 @pytest.mark.parametrize(
@@ -108,26 +91,29 @@ def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
     assert best_of_kinds(found, 4, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
 
 
-def test_only_grasps_are_scored_again(record: Record) -> None:
+def test_only_grasps_are_scored_again(tmp_path: Path) -> None:
     every = rows(*Outcome)
-    assert read_run_grasps(record("run", spec(), every))["outcome"].tolist() == [Outcome.SHAKEN, Outcome.HELD]
+    assert read_run_grasps(record_spec(tmp_path / "run", spec(), every))["outcome"].tolist() == [
+        Outcome.SHAKEN,
+        Outcome.HELD,
+    ]
 
 
-def test_grasps_of_a_run_with_trials_go_by_their_sum(record: Record) -> None:
+def test_grasps_of_a_run_with_trials_go_by_their_sum(tmp_path: Path) -> None:
     nominal = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
     journal = np.concatenate([nominal, trials_of(nominal[0], 7), trials_of(nominal[1], 190)])
-    found = read_run_grasps(record("run", spec("robust"), journal))
+    found = read_run_grasps(record_spec(tmp_path / "run", spec("robust"), journal))
     assert found[["index", "fitness"]].tolist() == [(0, 7), (1, 190)]  # the third has no trials yet
     assert best_of_kinds(found, 1)["index"] == 1
 
 
-def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(record: Record, tmp_path: Path) -> None:
+def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path) -> None:
     source = rows(*[Outcome.HELD] * 4)
     source["generation"], source["index"] = 7, [11, 3, 5, 2]
     again = rows(Outcome.HELD, Outcome.HELD, Outcome.MISSED, Outcome.SHAKEN)
     sums = (20, 150, None, 150)
     trials = [trials_of(row, total) for row, total in zip(again, sums, strict=True) if total is not None]
-    folder = record("again", spec("robust"), np.concatenate([again, *trials]))
+    folder = record_spec(tmp_path / "again", spec("robust"), np.concatenate([again, *trials]))
     assert not is_reranking(folder)
     write_source(folder, RunFolder(tmp_path / "first"), source)
     assert is_reranking(folder)

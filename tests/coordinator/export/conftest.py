@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export import foreign_files
 from tests.coordinator.recorded_runs import record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
@@ -26,11 +27,9 @@ MakeRun = Callable[..., RunFolder]
 
 
 @pytest.fixture
-def scene(make_scene: SceneMaker) -> Scene:
+def scene() -> Scene:
     """A hand with a jaw, and a block whose mesh has its origin elsewhere."""
-    from msgspec.structs import replace
-
-    made = make_scene()
+    made = made_scene()
     jaw = Jaw(axis=(0.0, 1.0, 0.0), opening=0.08)
     return replace(made, gripper=replace(made.gripper, jaw=jaw), object=replace(made.object, com_in_mesh=COM))
 

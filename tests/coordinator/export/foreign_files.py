@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from qdgrasp_coordinator.export.graspgen import DATA, INDEX_FILE
 from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
 from qdgrasp_coordinator.export.importer import ImportedPoses
 
@@ -43,9 +44,14 @@ def acronym(path: Path, transforms: Any, **datasets: Any) -> None:
     with h5py.File(path, "w") as file:
         file["grasps/transforms"] = transforms
         file["grasps/qualities/flex/object_in_gripper"] = np.ones(len(transforms), np.int64)
-        file["object/scale"] = 1.0
-        for name, value in datasets.items():
+        for name, value in ({"object__scale": 1.0} | datasets).items():
             file[name.replace("__", "/")] = value
+
+
+def imported_file(out: Path) -> Path:
+    """The file of an export that is imported: of a folder the JSON of its grasps."""
+    (found,) = set((out / DATA).iterdir()) - {out / DATA / INDEX_FILE} if out.is_dir() else [out]
+    return found
 
 
 def check_pose(found: ImportedPoses, position: Any = POSITION - COM) -> None:

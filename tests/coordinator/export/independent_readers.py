@@ -60,19 +60,14 @@ def graspgen(path: Path) -> Read:
     return Read(np.array(told["grasps"]["transforms"]), np.array(told["grasps"]["object_in_gripper"]), told)
 
 
-def parquet(path: Path) -> Read:
-    """As pandas reads it."""
-    return _table(pandas.read_parquet(path))
-
-
 def comma_separated(path: Path) -> Read:
     """RFC 4180, once the lines that begin with # are left out."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    return _table(pandas.DataFrame(rows))
+    return table_read(pandas.DataFrame(rows))
 
 
-def _table(table: pandas.DataFrame) -> Read:
+def table_read(table: pandas.DataFrame) -> Read:
     numbers = table[["x", "y", "z", "qx", "qy", "qz", "qw", "confidence"]].astype(float).to_numpy()
     return Read(homogeneous(numbers[:, :3], numbers[:, 3:7]), numbers[:, 7], table)
 
@@ -145,7 +140,7 @@ READERS = {
     "isaac": isaac,
     "acronym": acronym,
     "graspgen": graspgen,
-    "parquet": parquet,
+    "parquet": lambda path: table_read(pandas.read_parquet(path)),
     "moveit": moveit,
     "csv": comma_separated,
 }

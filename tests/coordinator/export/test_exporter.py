@@ -3,6 +3,7 @@
 import os
 import shutil
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from typer.testing import CliRunner, Result
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.export import exporter
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
 from qdgrasp_coordinator.export.grasp_set import read_run
 from qdgrasp_coordinator.metrics.scores import SHAKES
@@ -37,8 +37,8 @@ def there(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def refusal(*arguments: object) -> str:
-    error = command(*arguments).exception
+def refusal(run: Path, name: str, out: Path, *more: object) -> str:
+    error = command(run, "--format", name, "-o", out, *more).exception
     assert isinstance(error, InputError)
     return str(error)
 
@@ -53,9 +53,7 @@ def test_the_command_writes_a_file_and_says_what_is_in_it(run: RunFolder, tmp_pa
     assert out.is_dir() == (name == "graspgen")
 
 
-def test_it_is_told_what_is_begun_with(
-    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_told_what_is_begun_with(run, tmp_path, monkeypatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
@@ -72,7 +70,7 @@ def test_it_is_told_what_is_begun_with(
 def test_what_is_there_is_replaced_by_force_alone(run: RunFolder, tmp_path: Path, name: str) -> None:
     out = tmp_path / "out"
     export_run(run, out, name)
-    assert f"{out} is there already" in refusal(run.path, "--format", name, "-o", out)
+    assert f"{out} is there already" in refusal(run.path, name, out)
     assert command(run.path, "--format", name, "-o", out, "--min-fitness", 2, "--force").exit_code == 0
     assert there(tmp_path) == ["out", "run"]
     assert np.count_nonzero(READERS[name](out).quality) == 2
@@ -88,92 +86,73 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
         form.write(path, *arguments)  # type: ignore[arg-type]
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
-    )
+    monkeypatch.setitem(FORMATS, name, replace(form, write=half))
     with pytest.raises(InputError, match="no space left on device"):
         export_run(run, tmp_path / "out", name)
     assert there(tmp_path) == ["run"]
     monkeypatch.undo()
     export_run(run, tmp_path / "out", name)
     before = READERS[name](tmp_path / "out").matrices
-    monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
-    )
+    monkeypatch.setitem(FORMATS, name, replace(form, write=half))
     with pytest.raises(InputError):
         export_run(run, tmp_path / "out", name, min_fitness=2, force=True)
     np.testing.assert_array_equal(READERS[name](tmp_path / "out").matrices, before)
 
 
-def test_a_file_is_not_written_over_a_folder_nor_a_folder_over_other_files(
-    run: RunFolder, tmp_path: Path
-) -> None:
-    assert "is a folder, where a file is to be written" in refusal(
-        run.path, "--format", "csv", "-o", tmp_path, "--force"
-    )
+def test_a_file_is_not_written_over_a_folder_nor_a_folder_over_other_files(run, tmp_path) -> None:
+    assert "is a folder, where a file is to be written" in refusal(run.path, "csv", tmp_path, "--force")
     (tmp_path / "file").touch()
     assert "is a file, where a folder is to be written" in refusal(
-        run.path, "--format", "graspgen", "-o", tmp_path / "file", "--force"
+        run.path, "graspgen", tmp_path / "file", "--force"
     )
-    assert "holds other files" in refusal(run.path, "--format", "graspgen", "-o", run.path, "--force")
+    assert "holds other files" in refusal(run.path, "graspgen", run.path, "--force")
     assert RunFolder.is_run(run.path)
 
 
 @each_format
-def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(
-    run: RunFolder, tmp_path: Path, name: str
-) -> None:
+def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(run, tmp_path, name) -> None:
     os.mkfifo(tmp_path / "pipe")
     export_run(run, tmp_path / "there", name)
     (tmp_path / "link").symlink_to(tmp_path / "there")
     for out in ("pipe", "link"):
-        assert "name a" in refusal(run.path, "--format", name, "-o", tmp_path / out, "--force")
+        assert "name a" in refusal(run.path, name, tmp_path / out, "--force")
     assert (tmp_path / "pipe").is_fifo()
     assert (tmp_path / "link").is_symlink()
 
 
-def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(run, tmp_path) -> None:
     out = tmp_path / "out"
-    assert refusal(run.path, "--format", "isac", "-o", out) == (
+    assert refusal(run.path, "isac", out) == (
         "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet."
     )
-    assert refusal(run.path, "--format", "csv", "--frame", "world", "-o", out) == (
-        "Unknown frame 'world'. Known: com, mesh."
-    )
-    assert "no place for failures" in refusal(run.path, "--format", "isaac", "--negatives", 1, "-o", out)
+    assert refusal(run.path, "csv", out, "--frame", "world") == ("Unknown frame 'world'. Known: com, mesh.")
+    assert "no place for failures" in refusal(run.path, "isaac", out, "--negatives", 1)
 
 
 def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: MakeRun, tmp_path: Path) -> None:
     weak, none = make_run(*[Outcome.DROPPED] * 3, name="weak"), make_run(Outcome.MISSED, name="none")
     out = tmp_path / "out"
-    assert refusal(weak.path, "--format", "csv", "-o", out) == (
+    assert refusal(weak.path, "csv", out) == (
         f"{weak.path} has no grasp with a fitness of 1 or more: the best of its 3 successes has 0, and "
         "--min-fitness 0 writes those."
     )
-    assert "there is no success among 1 row." in refusal(none.path, "--format", "csv", "-o", out)
+    assert "there is no success among 1 row." in refusal(none.path, "csv", out)
     assert not out.exists()
+    assert "there is no success among 0 rows" in refusal(make_run(name="new").path, "csv", out)
 
 
-def test_a_run_that_has_not_begun_has_no_grasp(scene: Scene, tmp_path: Path) -> None:
-    empty = record(tmp_path / "run", scene, random_rows(scene, []), method="contact_rand")
-    said = refusal(empty.path, "--format", "csv", "-o", tmp_path / "out")
-    assert "there is no success among 0 rows" in said
-
-
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
     job = JobFolder.create(tmp_path / "job", "job")
     out = tmp_path / "out"
-    assert "holds a campaign; name one of its runs" in refusal(job.path, "--format", "csv", "-o", out)
-    assert "holds no run" in refusal(tmp_path, "--format", "csv", "-o", out)
-    assert "There is no folder" in refusal(tmp_path / "none", "--format", "csv", "-o", out)
+    assert "holds a campaign; name one of its runs" in refusal(job.path, "csv", out)
+    assert "holds no run" in refusal(tmp_path, "csv", out)
+    assert "There is no folder" in refusal(tmp_path / "none", "csv", out)
+    (run.path / "scene.bundle").unlink()
+    assert "scene.bundle cannot be read" in refusal(run.path, "csv", out)
 
 
 @pytest.mark.parametrize(("asked", "expected"), [(None, 6), (0, 0), (3, 3), (100, 6)])
-def test_failures_are_written_as_many_as_are_asked_for(
-    run: RunFolder, tmp_path: Path, asked: int | None, expected: int
-) -> None:
+def test_failures_are_written_as_many_as_are_asked_for(run, tmp_path, asked, expected) -> None:
     export_run(run, tmp_path / "out", "graspgen", negatives=asked)
     bits = READERS["graspgen"](tmp_path / "out").quality
     assert np.count_nonzero(~bits) == expected
@@ -211,9 +190,7 @@ def test_a_pruned_run_gives_the_same_grasps(make_run: MakeRun, tmp_path: Path) -
     assert after.numbers.tolist() == list(range(6))
 
 
-def test_of_merged_runs_each_genome_is_read_with_its_own_prior(
-    make_run: MakeRun, scene: Scene, tmp_path: Path
-) -> None:
+def test_of_merged_runs_each_genome_is_read_with_its_own_prior(make_run, scene, tmp_path) -> None:
     contact = make_run(*[Outcome.HELD] * 16, name="contact", **FINISHED)
     rows = random_rows(scene, [Outcome.SHAKEN] * 16, seed=1, prior="antipodal")
     antipodal = record(tmp_path / "antipodal", scene, rows, method="antipodal_rand", **FINISHED)
@@ -230,10 +207,8 @@ def trials_of(rows: Rows, totals: list[int]) -> Rows:
     """The trials of successes, whose fitness sums up to these totals."""
     repeated = np.repeat(rows, TRIALS)
     repeated["trial"] = np.tile(np.arange(1, TRIALS + 1), len(rows))
-    for place, total in enumerate(totals):
-        fitness = repeated["fitness"][place * TRIALS : (place + 1) * TRIALS]
-        fitness[:] = 0
-        fitness[: total // SHAKES] = SHAKES
+    held = repeated["trial"] <= np.repeat(totals, TRIALS) // SHAKES
+    repeated["fitness"] = np.where(held, SHAKES, 0)
     return repeated
 
 
@@ -247,8 +222,3 @@ def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Pa
     np.testing.assert_allclose(grasps.confidence, [0.75, 0.2, 1.0])
     export_run(run, tmp_path / "out", "csv", top=1)
     assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
-
-
-def test_a_scene_that_is_missing_is_said(run: RunFolder, tmp_path: Path) -> None:
-    (run.path / "scene.bundle").unlink()
-    assert "scene.bundle cannot be read" in refusal(run.path, "--format", "csv", "-o", tmp_path / "out")

@@ -11,13 +11,11 @@ from qdgrasp_coordinator.export.frames import (
     FRAMES,
     MESH,
     change_frame,
-    frame_of,
     from_matrices,
     jaw_turn,
     to_matrices,
     turn_hand_axes,
 )
-from qdgrasp_protocol.errors import UnknownName
 
 
 @pytest.fixture
@@ -55,8 +53,3 @@ def test_turned_axes_approach_along_z_and_open_along_x(scene: Scene, poses, appr
     np.testing.assert_allclose(axes[:, :, 2], links @ approach, atol=1e-12)
     if across:
         np.testing.assert_allclose(axes[:, :, 0], links @ across, atol=1e-12)
-
-
-def test_a_frame_that_is_none_is_refused() -> None:
-    with pytest.raises(UnknownName, match="Unknown frame 'world'"):
-        frame_of("world")

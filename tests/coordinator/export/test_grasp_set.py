@@ -62,9 +62,7 @@ def grasps(make_run: MakeRun) -> Grasps:
 
 
 @pytest.mark.parametrize(("least", "expected"), [(0, 120), (1, 80), (2, 40)])
-def test_those_that_are_good_enough_are_taken_in_their_order(
-    grasps: Grasps, least: int, expected: int
-) -> None:
+def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expected) -> None:
     chosen = select_grasps(grasps, least)
     assert len(chosen) == expected
     assert (chosen.fitness >= least).all()

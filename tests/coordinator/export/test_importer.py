@@ -4,12 +4,9 @@ import json
 import os
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import yaml
-from tests.coordinator.export.conftest import COM as ORIGIN
-from tests.coordinator.export.conftest import MakeRun
 from tests.coordinator.export.foreign_files import (
     COM,
     ISAAC,
@@ -17,6 +14,7 @@ from tests.coordinator.export.foreign_files import (
     acronym,
     check_pose,
     check_refusal,
+    imported_file,
     matrix,
 )
 
@@ -28,7 +26,6 @@ from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
 from qdgrasp_coordinator.export.importer import ObjectFrame
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome
 
 
 def test_grasps_of_other_tools_in_isaac_yaml_are_read(panda, tmp_path: Path) -> None:
@@ -57,42 +54,55 @@ def test_spellings_of_other_writers_are_read(panda, tmp_path: Path, old: str, ne
     check_pose(panda(tmp_path / "f.yaml"))
 
 
-def test_grasps_of_other_tools_in_acronym_files_are_read(panda, tmp_path: Path) -> None:
-    acronym(tmp_path / "f.h5", [matrix()])
-    check_pose(panda(tmp_path / "f.h5"))
+TRANSFORMS = {"transforms": [matrix().tolist()]}
 
 
-def test_flat_json_is_read(panda, tmp_path: Path) -> None:
-    told = {
-        "object": "mug.obj",
-        "object_scale": 1.0,
-        "transforms": [matrix().tolist()],
-        "quality_flex_object_in_gripper": [1],
-    }
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"object": "mug.obj", "object_scale": 1.0, "quality_flex_object_in_gripper": [1]} | TRANSFORMS,
+        {"object": {"file": "a", "scale": 1.0}, "grasps": TRANSFORMS | {"object_in_gripper": [True]}},
+    ],
+    ids=["flat", "GraspGen"],
+)
+def test_json_is_read(panda, tmp_path: Path, told: dict[str, object]) -> None:
     (tmp_path / "f.json").write_text(json.dumps(told))
     check_pose(panda(tmp_path / "f.json"))
 
 
-def test_graspgen_json_is_read(panda, tmp_path: Path) -> None:
-    grasps = {"transforms": [matrix().tolist()], "object_in_gripper": [True]}
-    (tmp_path / "f.json").write_text(json.dumps({"object": {"file": "a", "scale": 1.0}, "grasps": grasps}))
-    check_pose(panda(tmp_path / "f.json"))
+TAKEN = "they are taken for those of link 'panda_hand' of gripper 'panda'."
+
+
+@pytest.mark.parametrize(
+    ("other", "notes"),
+    [
+        ({}, []),
+        (
+            {"object__scale": 0.5},
+            ["The file scales its mesh by 0.5, and here it is scaled by 1: "
+             "if it is the same mesh, add --scale 0.5."],
+        ),
+        ({"gripper__type": "robotiq"}, [f"The file tells poses of gripper 'robotiq'; {TAKEN}"]),
+        (("panda_hand", "palm"), [f"The file tells poses of link 'palm'; {TAKEN}"]),
+        (
+            ("panda_finger_joint1", "finger_joint"),
+            ["The file names joints that gripper 'panda' does not have: finger_joint; they are left aside."],
+        ),
+    ],
+)  # fmt: skip
+def test_another_scale_hand_link_or_joint_is_pointed_out(panda, tmp_path: Path, other, notes) -> None:
+    if isinstance(other, dict):
+        acronym(tmp_path / "f", [matrix()], **other)
+    else:
+        (tmp_path / "f").write_text(ISAAC.replace(*other))
+    found = panda(tmp_path / "f")
+    check_pose(found)
+    assert found.notes == tuple(notes)
 
 
 def test_poses_may_be_told_at_the_centre_of_mass(panda, tmp_path: Path) -> None:
     (tmp_path / "f.yaml").write_text(ISAAC)
     check_pose(panda(tmp_path / "f.yaml", frame="com"), POSITION)
-
-
-def test_another_scale_is_pointed_out(panda, tmp_path: Path) -> None:
-    acronym(tmp_path / "f.h5", [matrix()])
-    with h5py.File(tmp_path / "f.h5", "a") as file:
-        file["object/scale"][()] = 0.5
-    (note,) = panda(tmp_path / "f.h5").notes
-    assert note == (
-        "The file scales its mesh by 0.5, and here it is scaled by 1: "
-        "if it is the same mesh, add --scale 0.5."
-    )
 
 
 def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, tmp_path: Path) -> None:
@@ -122,10 +132,8 @@ def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere
 def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(
     run: RunFolder, tmp_path: Path, name: str
 ) -> None:
-    out = tmp_path / "f"
-    export_run(run, out, name)
-    file = out / "grasp_data" / "block.json" if out.is_dir() else out
-    hand, thing = run.scene().gripper, ObjectFrame(COM, 1.0)
+    export_run(run, tmp_path / "f", name)
+    file, hand, thing = imported_file(tmp_path / "f"), run.scene().gripper, ObjectFrame(COM, 1.0)
     plain, named = (importer.import_poses(file, hand, thing, frame) for frame in (None, "mesh"))
     np.testing.assert_array_equal(named.arrays["base_position"], plain.arrays["base_position"])
     with pytest.raises(
@@ -156,30 +164,6 @@ def test_impossible_numbers_in_what_a_file_of_ours_says_are_refused(
     check_refusal(panda, tmp_path / "f", why)
 
 
-def test_joints_that_the_hand_does_not_have_are_left_aside_with_a_note(panda, tmp_path: Path) -> None:
-    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_finger_joint1", "finger_joint"))
-    found = panda(tmp_path / "f.yaml")
-    check_pose(found)
-    assert found.notes == (
-        "The file names joints that gripper 'panda' does not have: finger_joint; they are left aside.",
-    )
-
-
-def test_a_file_of_another_gripper_is_pointed_out(panda, tmp_path: Path) -> None:
-    acronym(tmp_path / "f.h5", [matrix()], gripper__type="robotiq")
-    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_hand", "palm"))
-    taken = "; they are taken for those of link 'panda_hand' of gripper 'panda'."
-    assert panda(tmp_path / "f.h5").notes == (f"The file tells poses of gripper 'robotiq'{taken}",)
-    assert panda(tmp_path / "f.yaml").notes == (f"The file tells poses of link 'palm'{taken}",)
-
-
-def test_a_graspgen_file_of_a_scaled_object_is_of_that_scale(make_run: MakeRun, tmp_path: Path) -> None:
-    run = make_run(Outcome.HELD, scale=0.001)
-    export_run(run, tmp_path / "out", "graspgen")
-    file, hand = tmp_path / "out" / "grasp_data" / "block.json", run.scene().gripper
-    assert importer.import_poses(file, hand, ObjectFrame(np.array(ORIGIN), 0.001)).notes == ()
-
-
 @pytest.mark.parametrize("name", ["acronym", "parquet"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
 def test_what_was_cut_off_is_refused(run: RunFolder, panda, tmp_path: Path, name: str, share: float) -> None:
@@ -192,24 +176,18 @@ def test_what_was_cut_off_is_refused(run: RunFolder, panda, tmp_path: Path, name
 @pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])
 def test_what_was_damaged_anywhere_is_read_or_refused(run: RunFolder, tmp_path: Path, name: str) -> None:
     export_run(run, tmp_path / "whole", name)
-    file = tmp_path / "whole" / "grasp_data" / "block.json" if name == "graspgen" else tmp_path / "whole"
-    hand, random = run.scene().gripper, np.random.default_rng(0)
-    sentences = []
+    content, hand = imported_file(tmp_path / "whole").read_bytes(), run.scene().gripper
+    sentences, random = [], np.random.default_rng(0)
     for _ in range(60):
-        (tmp_path / "damaged").write_bytes(damaged(file.read_bytes(), random))
+        first, (gone, come) = int(random.integers(len(content))), random.integers(0, 30, 2).tolist()
+        damaged = content[:first] + random.bytes(come) + content[first + gone :]
+        (tmp_path / "damaged").write_bytes(damaged)
         try:
             importer.import_poses(tmp_path / "damaged", hand, ObjectFrame(COM, 1.0))
         except InputError as error:
             sentences.append(str(error))
     assert len(sentences) > 5
     assert "\n" not in "".join(sentences)
-
-
-def damaged(content: bytes, random: np.random.Generator) -> bytes:
-    """With a byte or some that are others, gone, or too many."""
-    first = int(random.integers(len(content)))
-    gone, come = random.integers(0, 30, 2)
-    return content[:first] + random.bytes(int(come)) + content[first + int(gone) :]
 
 
 BAD_FILES = {
@@ -239,12 +217,10 @@ def test_a_file_of_none_of_the_formats_is_refused(panda, tmp_path: Path, content
     check_refusal(panda, tmp_path / "f", why)
 
 
-def test_a_file_that_is_not_there_is_refused(panda, tmp_path: Path) -> None:
+def test_what_is_no_file_is_refused_and_not_waited_for(panda, tmp_path: Path) -> None:
     check_refusal(panda, tmp_path / "none", "no such file or directory")
     check_refusal(panda, tmp_path, "it is a folder; of one that is for GraspGen name the JSON in grasp_data")
 
-
-def test_a_pipe_is_refused_and_not_waited_for(panda, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "f")
     check_refusal(panda, tmp_path / "f", "it is no ordinary file")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export.conftest import evaluate_given
+from tests.coordinator.export.foreign_files import imported_file
 
 from qdgrasp_coordinator.export.exporter import export_run
 from qdgrasp_coordinator.export.grasp_set import read_run
@@ -26,8 +27,7 @@ def there_and_back(run: RunFolder, name: str, path: Path, **settings: str) -> np
     """The genomes of poses that were exported, imported, written for `evaluate` and read by it."""
     out = path / name
     export_run(run, out, name, min_fitness=0, force=True, **settings)
-    file = out / "grasp_data" / "rubiks_cube.json" if out.is_dir() else out
-    found = read_file(file, hand_named(run.spec.gripper), object_frame(run.spec.object))
+    found = read_file(imported_file(out), hand_named(run.spec.gripper), object_frame(run.spec.object))
     assert found.notes == ()
     found.write(OutFile(path / "poses.npz", force=True))
     return read_poses(path / "poses.npz").genomes(run.scene())
@@ -47,14 +47,13 @@ def errors(genomes: np.ndarray, rows: Rows) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("frame", ["mesh", "com"])
-def test_through_parquet_every_bit_is_the_same(evaluated_run: RunFolder, tmp_path: Path, frame: str) -> None:
-    genomes = there_and_back(evaluated_run, "parquet", tmp_path, frame=frame)
+@pytest.mark.parametrize("name", ["parquet", "isaac"])
+def test_parquet_and_isaac_yaml_keep_every_bit(evaluated_run, tmp_path, name, frame) -> None:
+    genomes = there_and_back(evaluated_run, name, tmp_path, frame=frame)
     assert genomes.tobytes() == read_run(evaluated_run).starts.tobytes()
 
 
-def test_poses_that_came_through_parquet_evaluate_to_the_same_bits(
-    evaluated_run: RunFolder, tmp_path: Path
-) -> None:
+def test_poses_that_came_through_parquet_evaluate_to_the_same_bits(evaluated_run, tmp_path) -> None:
     genomes = there_and_back(evaluated_run, "parquet", tmp_path)
     before, after = successes(evaluated_run), evaluate_given(evaluated_run.scene(), genomes)
     for column in COMPARED:
@@ -62,25 +61,15 @@ def test_poses_that_came_through_parquet_evaluate_to_the_same_bits(
 
 
 @pytest.mark.parametrize("frame", ["mesh", "com"])
-def test_isaac_yaml_keeps_every_bit_too(evaluated_run: RunFolder, tmp_path: Path, frame: str) -> None:
-    genomes = there_and_back(evaluated_run, "isaac", tmp_path, frame=frame)
-    assert genomes.tobytes() == read_run(evaluated_run).starts.tobytes()
-
-
-@pytest.mark.parametrize("frame", ["mesh", "com"])
 @pytest.mark.parametrize("name", ["acronym", "graspgen"])
-def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(
-    evaluated_run: RunFolder, tmp_path: Path, name: str, frame: str
-) -> None:
+def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(evaluated_run, tmp_path, name, frame) -> None:
     rows = successes(evaluated_run)
     genomes = there_and_back(evaluated_run, name, tmp_path, frame=frame)[: len(rows)]
     assert max(errors(genomes, rows)) < LARGEST
     np.testing.assert_array_equal(genomes[:, 7:], read_run(evaluated_run).starts[:, 7:])
 
 
-def test_poses_that_came_through_matrices_have_the_same_outcomes(
-    evaluated_run: RunFolder, tmp_path: Path
-) -> None:
+def test_poses_that_came_through_matrices_have_the_same_outcomes(evaluated_run, tmp_path) -> None:
     genomes = there_and_back(evaluated_run, "acronym", tmp_path)
     before, after = successes(evaluated_run), evaluate_given(evaluated_run.scene(), genomes)
     assert np.mean(before["outcome"] == after["outcome"]) >= 0.99

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
-from tests.coordinator.export.conftest import MakeRun, random_rows
+from tests.coordinator.export.conftest import random_rows
 from tests.coordinator.export.foreign_files import check_refusal
 from tests.coordinator.recorded_runs import record
 
@@ -23,9 +23,7 @@ def as_documented(path: Path) -> pandas.DataFrame:
 
 
 @pytest.mark.parametrize("name", ["run#1", "#first", 'a "b", c', "#", "# \n2"])
-def test_no_character_in_the_name_of_a_run_costs_a_reader_its_rows(
-    make_run: MakeRun, tmp_path: Path, name: str
-) -> None:
+def test_no_character_in_the_name_of_a_run_costs_a_reader_its_rows(make_run, tmp_path, name) -> None:
     export_run(make_run(Outcome.HELD, Outcome.SHAKEN, name=name), tmp_path / "out.csv", "csv")
     table = as_documented(tmp_path / "out.csv")
     assert table.run.tolist() == [name, name]
@@ -57,9 +55,7 @@ def test_a_parquet_file_without_its_columns_is_refused(run: RunFolder, panda, tm
     check_refusal(panda, tmp_path / "f.parquet", "it is a damaged Parquet file")
 
 
-def test_a_small_parquet_file_that_stands_for_much_is_refused(
-    run: RunFolder, panda, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_parquet_file_that_stands_for_much_is_refused(run, panda, tmp_path, monkeypatch) -> None:
     export_run(run, tmp_path / "f", "parquet")
     monkeypatch.setattr(tabular, "MOST_NUMBERS", 10)
     check_refusal(panda, tmp_path / "f", "it has more than 10 numbers")

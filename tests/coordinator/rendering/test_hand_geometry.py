@@ -2,6 +2,7 @@ import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.rendering.hand_geometry import AS_MODELLED, hand_geometry, orientation, table_under
@@ -11,46 +12,32 @@ from qdgrasp_protocol.rows import Rows, RowShape
 AT_HOME = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
 
-def bounds(scene: Scene, pose: np.ndarray, joints: list[float]) -> dict[str, np.ndarray]:
-    posed = hand_geometry(scene.gripper).place_meshes(pose, np.array(joints))
-    return {shape.link: np.stack([points.min(axis=0), points.max(axis=0)]) for shape, points in posed}
-
-
-def test_the_fingers_stand_where_their_joints_put_them(make_scene) -> None:
-    found = bounds(make_scene(), AT_HOME, [0.03, 0.01])
+def test_the_fingers_stand_where_their_joints_put_them() -> None:
+    posed = hand_geometry(made_scene().gripper).place_meshes(AT_HOME, np.array([0.03, 0.01]))
+    found = {shape.link: np.stack([points.min(axis=0), points.max(axis=0)]) for shape, points in posed}
     assert np.allclose(found["palm"][:, 2], [0.0, 0.06])
     assert np.allclose(found["left_finger"][:, 1], [0.03, 0.05])
     assert np.allclose(found["right_finger"][:, 1], [-0.03, -0.01])
     assert np.allclose(found["left_finger"][:, 2], [0.06, 0.11])
 
 
-def test_only_finger_links_are_fingers(make_scene) -> None:
-    found = hand_geometry(make_scene().gripper)
-    assert {shape.link: found.is_finger(shape) for shape in found.shapes} == {
-        "palm": False,
-        "left_finger": True,
-        "right_finger": True,
-    }
+def test_only_finger_links_are_fingers() -> None:
+    found = hand_geometry(made_scene().gripper)
+    fingers = {shape.link: found.is_finger(shape) for shape in found.shapes}
+    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
 
 
-def test_the_hand_goes_where_its_base_is(make_scene) -> None:
+def test_the_hand_goes_where_its_base_is() -> None:
     turned = Rotation.from_rotvec([0.3, -0.5, 1.1])
     pose = np.concatenate([[0.1, -0.2, 0.3], turned.as_quat()])
-    home = {
-        s.link: p
-        for s, p in hand_geometry(make_scene().gripper).place_meshes(AT_HOME, np.array([0.02, 0.02]))
-    }
-    away = {
-        s.link: p for s, p in hand_geometry(make_scene().gripper).place_meshes(pose, np.array([0.02, 0.02]))
-    }
-    for link, points in home.items():
-        assert np.allclose(turned.apply(points) + pose[:3], away[link])
+    hand = hand_geometry(made_scene().gripper)
+    home, away = (hand.place_meshes(at, np.array([0.02, 0.02])) for at in (AT_HOME, pose))
+    for (_, points), (_, moved) in zip(home, away, strict=True):
+        assert np.allclose(turned.apply(points) + pose[:3], moved)
 
 
 @pytest.mark.parametrize("protocol", ["paper", "released"])
-def test_the_carrier_of_a_reference_hand_is_not_drawn(
-    reference_data, monkeypatch: pytest.MonkeyPatch, protocol: str
-) -> None:
+def test_the_carrier_of_a_reference_hand_is_not_drawn(reference_data, monkeypatch, protocol) -> None:
     from qdgrasp_assets.catalog import find_gripper
 
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
@@ -77,20 +64,20 @@ def clear(scene: Scene, rows: Rows, pose: Rotation = AS_MODELLED) -> list[bool]:
     return table_under(scene, pose).is_clear_of(scene, "contact", rows).tolist()
 
 
-def test_a_grasp_from_above_is_kept_and_one_from_below_is_not(make_scene) -> None:
-    scene = make_scene()  # a block of 6 cm, so that the table is 3 cm below its centre
+def test_a_grasp_from_above_is_kept_and_one_from_below_is_not() -> None:
+    scene = made_scene()  # a block of 6 cm, so that the table is 3 cm below its centre
     assert clear(scene, grasps([0, 0, 0.1], DOWN)) == [True]
     assert clear(scene, grasps([0, 0, -0.1], Rotation.identity())) == [False]
 
 
-def test_a_hand_is_kept_just_as_long_as_its_fingertips_are_above_the_table(make_scene) -> None:
+def test_a_hand_is_kept_just_as_long_as_its_fingertips_are_above_the_table() -> None:
     heights = np.array([0.0801, 0.0799])  # the fingertips are 11 cm from the base
     places = np.column_stack([np.zeros(2), np.zeros(2), heights])
-    assert clear(make_scene(), grasps(places, Rotation.concatenate([DOWN, DOWN]))) == [True, False]
+    assert clear(made_scene(), grasps(places, Rotation.concatenate([DOWN, DOWN]))) == [True, False]
 
 
-def test_a_hand_must_be_clear_both_open_and_at_the_grasp(make_scene) -> None:
-    scene, random = make_scene(), np.random.default_rng(8)
+def test_a_hand_must_be_clear_both_open_and_at_the_grasp() -> None:
+    scene, random = made_scene(), np.random.default_rng(8)
     rows = grasps(random.uniform(-0.1, 0.1, (300, 3)), Rotation.random(300, random_state=random))
     rows["joints"] = random.uniform(0, 0.08, (300, 2))
     drawn, poses = hand_geometry(scene.gripper), rows["base_to_object"].astype(float)
@@ -103,14 +90,14 @@ def test_a_hand_must_be_clear_both_open_and_at_the_grasp(make_scene) -> None:
     assert clear(scene, rows) == (is_clear["open"] & is_clear["grasp"]).tolist()
 
 
-def test_the_object_pose_says_which_side_is_down(make_scene) -> None:
-    scene, above = make_scene(), grasps([0, 0, 0.1], DOWN)
-    assert clear(scene, above, orientation("180,0,0")) == [False]
+def test_the_object_pose_says_which_side_is_down() -> None:
+    scene = made_scene()
+    assert clear(scene, grasps([0, 0, 0.1], DOWN), orientation("180,0,0")) == [False]
     assert clear(scene, grasps([0, 0, -0.1], Rotation.identity()), orientation("1,0,0,0")) == [True]
 
 
-def test_turning_object_and_hand_together_changes_nothing(make_scene) -> None:
-    scene, random = make_scene(), np.random.default_rng(5)
+def test_turning_object_and_hand_together_changes_nothing() -> None:
+    scene, random = made_scene(), np.random.default_rng(5)
     turns = Rotation.random(200, random_state=random)
     rows = grasps(random.uniform(-0.15, 0.15, (200, 3)), turns, joints=0.01)
     kept = clear(scene, rows)
@@ -123,11 +110,11 @@ def test_turning_object_and_hand_together_changes_nothing(make_scene) -> None:
     assert np.mean(np.array(again) == kept) > 0.98  # what touches the plane within rounding may differ
 
 
-def test_many_hands_reach_as_low_as_each_alone(make_scene) -> None:
+def test_many_hands_reach_as_low_as_each_alone() -> None:
     random = np.random.default_rng(6)
     poses = np.hstack([random.normal(size=(9, 3)), Rotation.random(9, random_state=random).as_quat()])
     joints, up = random.uniform(0, 0.04, (9, 2)), np.array([0.0, 0.6, 0.8])
-    drawn = hand_geometry(make_scene().gripper)
+    drawn = hand_geometry(made_scene().gripper)
     alone = [
         min(float((points @ up).min()) for _, points in drawn.place_meshes(pose, joint))
         for pose, joint in zip(poses, joints, strict=True)

@@ -24,9 +24,10 @@ def ball(radius: float = 0.05) -> Mesh:
     return Mesh(np.array(sphere.vertices), np.array(sphere.faces))
 
 
-def box(side: float = 0.06) -> Mesh:
-    cube = trimesh.creation.box((side, side, side))
-    return Mesh(np.array(cube.vertices), np.array(cube.faces))
+def box(*sides: float) -> Mesh:
+    """A box with these sides; of one a cube."""
+    made = trimesh.creation.box(sides * 3 if len(sides) == 1 else sides)
+    return Mesh(np.array(made.vertices), np.array(made.faces))
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (-0.9, 0.4), (2.5, -1.2)])
@@ -42,7 +43,7 @@ def test_a_ball_is_seen_where_and_as_far_as_it_is(azimuth: float, elevation: flo
 def test_a_ball_is_smooth_and_a_box_keeps_its_edges() -> None:
     hits = RayMesh(ball()).cast_from(fit_camera(ball().vertices, 0.3, 0.2, 200, 200))
     assert np.allclose(hits.normals, hits.points / 0.05, atol=0.02)
-    faces = box()
+    faces = box(0.06)
     assert np.allclose(corner_normals(faces), faces.normals[:, None], atol=1e-6)
 
 
@@ -79,8 +80,7 @@ def test_a_lid_shuts_out_the_light_above_and_no_other() -> None:
 
 
 def plate(height: float) -> Mesh:
-    slab = trimesh.creation.box((0.1, 0.1, 0.002))
-    return Mesh(np.array(slab.vertices), np.array(slab.faces)).moved((0.0, 0.0, height))
+    return box(0.1, 0.1, 0.002).moved((0.0, 0.0, height))
 
 
 VIEW = fit_camera(plate(0.0).vertices, 0.0, 0.5, 60, 60)
@@ -131,20 +131,15 @@ def test_an_empty_image_is_white() -> None:
     assert LayeredImage(FLAT_VIEW).composed().tolist() == [[[1.0, 1.0, 1.0]]]
 
 
-def test_the_nearer_of_two_solids_is_seen_whatever_the_order() -> None:
-    for order in ((1.0, 2.0), (2.0, 1.0)):
-        image = LayeredImage(FLAT_VIEW)
-        for depth in order:
-            image.add_solid(everywhere(depth), spread(RED if depth == 1.0 else BLUE))
-        assert image.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
-
-
-def test_veils_lie_over_one_another_from_back_to_front_whatever_the_order() -> None:
-    for order in ((1.0, 2.0), (2.0, 1.0)):
-        image = LayeredImage(FLAT_VIEW)
-        for depth in order:
-            image.add_translucent(everywhere(depth), spread(RED if depth == 1.0 else BLUE), half())
-        assert image.composed()[0, 0].tolist() == [0.75, 0.25, 0.5]
+@pytest.mark.parametrize("order", [(1.0, 2.0), (2.0, 1.0)])
+def test_the_nearer_of_solids_is_seen_and_veils_lie_over_one_another_whatever_the_order(order) -> None:
+    solid, veiled = LayeredImage(FLAT_VIEW), LayeredImage(FLAT_VIEW)
+    for depth in order:
+        colour = spread(RED if depth == 1.0 else BLUE)
+        solid.add_solid(everywhere(depth), colour)
+        veiled.add_translucent(everywhere(depth), colour, half())
+    assert solid.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
+    assert veiled.composed()[0, 0].tolist() == [0.75, 0.25, 0.5]
 
 
 def test_a_veil_behind_a_solid_is_hidden() -> None:

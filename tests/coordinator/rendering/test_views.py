@@ -1,13 +1,12 @@
-from collections.abc import Callable
-
 import msgspec
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.rendering.ray_renderer import fit_camera
 from qdgrasp_coordinator.rendering.views import (
     AZIMUTHS,
@@ -26,9 +25,9 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.fixture
-def jaw(make_scene: Callable[[], Scene]) -> SceneGripper:
+def jaw() -> SceneGripper:
     """Two fingers, approach along z."""
-    return make_scene().gripper
+    return made_scene().gripper
 
 
 def around(n: int, outcome: Outcome, seed: int = 0) -> Rows:

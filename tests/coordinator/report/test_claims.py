@@ -9,7 +9,9 @@ from qdgrasp_coordinator.report.claims import (
     CLAIMS,
     AgreementBand,
     ClaimAgreement,
+    ClaimEvidence,
     ConfidenceInterval,
+    GroupsByScene,
     JudgedClaim,
     groups_by_scene,
     judge_claims,
@@ -43,14 +45,17 @@ def test_the_interval_of_a_mean_is_the_one_of_a_normal_sample() -> None:
     )
 
 
-def test_equal_runs_have_no_spread() -> None:
-    found = mean_interval([values(3, 3, 3), values(3, 3)])
-    assert (found.low, found.value, found.high) == (3, 3, 3)
+INTERVALS = {
+    "equal runs have no spread": (mean_interval([values(3, 3, 3), values(3, 3)]), (3, 3, 3)),
+    "that of two runs reaches from one to the other": (mean_interval([values(1, 5)]), (1, 3, 5)),
+    "a ratio over nothing": (ratio_interval([values(1, 2)], [values(0, 0)]), (np.inf, np.inf, np.inf)),
+    "a ratio of nothing": (ratio_interval([values(0, 0)], [values(1, 2)]), (0, 0, 0)),
+}
 
 
-def test_of_two_runs_the_interval_reaches_from_one_to_the_other() -> None:
-    found = mean_interval([values(1, 5)])
-    assert (found.low, found.value, found.high) == (1, 3, 5)
+@pytest.mark.parametrize(("found", "expected"), INTERVALS.values(), ids=INTERVALS)
+def test_an_interval_reaches_from_low_to_high_around_its_value(found, expected) -> None:
+    assert (found.low, found.value, found.high) == expected
 
 
 @pytest.mark.parametrize("lone", [mean_interval([values(2)]), ratio_interval([values(2)], [values(1, 3)])])
@@ -60,12 +65,8 @@ def test_of_one_run_on_one_scene_there_is_a_number_and_no_interval(lone) -> None
 
 
 def test_of_nothing_there_is_no_number() -> None:
-    for found in (
-        mean_interval([]),
-        mean_interval([values()]),
-        ratio_interval([values()], [values(1)]),
-        ratio_interval([values(0)], [values(0)]),
-    ):
+    ratios = [ratio_interval([values()], [values(1)]), ratio_interval([values(0)], [values(0)])]
+    for found in (mean_interval([]), mean_interval([values()]), *ratios):
         assert np.isnan(found.value)
         assert not found.is_known
 
@@ -90,12 +91,6 @@ def test_the_exchanged_ratio_is_the_reciprocal() -> None:
     a, b = [values(3, 4), values(10, 20, 30)], [values(1, 2), values(9, 9)]
     assert ratio_interval(a, b).value == pytest.approx(1 / ratio_interval(b, a).value)
     assert ratio_interval(a, b).runs == (5, 4)
-
-
-def test_the_ratio_over_what_found_nothing_is_infinite() -> None:
-    found = ratio_interval([values(1, 2)], [values(0, 0)])
-    assert (found.value, found.low, found.high) == (np.inf, np.inf, np.inf)
-    assert ratio_interval([values(0, 0)], [values(1, 2)]).high == 0
 
 
 def test_scenes_without_one_of_the_arms_are_left_out() -> None:
@@ -168,11 +163,8 @@ def test_one_run_says_nothing_and_two_that_differ_much_do_not_either() -> None:
 
 
 def test_one_number_against_a_claim_outweighs_those_for_it() -> None:
-    (a, *_) = judge_claims(
-        group_runs(
-            [*runs("contact_me_scs", 50, 52), *runs("contact_rand", 1, 2), *runs("approach_rand", 90, 95)]
-        )
-    )
+    against = [*runs("contact_me_scs", 50, 52), *runs("contact_rand", 1, 2), *runs("approach_rand", 90, 95)]
+    (a, *_) = judge_claims(group_runs(against))
     assert (a.verdict, len(a.evidence), a.absent_count) == (ClaimAgreement.DOES_NOT, 2, 4)
 
 
@@ -186,57 +178,46 @@ def test_one_number_against_a_claim_outweighs_those_for_it() -> None:
         (math.nan, math.nan, ClaimAgreement.UNKNOWN),
     ],
 )  # fmt: skip
-def test_an_interval_is_in_a_band_or_out_of_it_or_neither(
-    low: float, high: float, verdict: ClaimAgreement
-) -> None:
+def test_an_interval_is_in_a_band_or_out_of_it_or_neither(low, high, verdict) -> None:
     assert AgreementBand(1.0, math.inf).verdict(ConfidenceInterval(1.0, low, high, 1, (2, 2))) is verdict
     assert JudgedClaim(CLAIMS[0], (), ()).verdict is ClaimAgreement.ABSENT
 
 
+def scenes(*found: RunHistory) -> GroupsByScene:
+    return groups_by_scene(group_runs(found))
+
+
+def ratio(*found: RunHistory) -> ClaimEvidence | None:
+    return reached_ratio(scenes(*found), "me_scs", "contact_me_scs")
+
+
 def test_methods_are_compared_after_as_many_evaluations() -> None:
-    scenes = groups_by_scene(
-        group_runs(
-            [made("me_scs", climb(10, 80, every=50)), made("contact_me_scs", climb(20), evaluations=60)]
-        )
-    )
-    found = reached_ratio(scenes, "me_scs", "contact_me_scs")
-    assert found is not None
+    found = ratio(made("me_scs", climb(10, 80, every=50)), made("contact_me_scs", climb(20), evaluations=60))
     assert (found.interval.value, found.evaluations, found.statistic) == (0.5, (60,), "ratio of cells")
 
 
 def test_finished_runs_are_compared_where_there_are_any() -> None:
     finished, going = made("me_scs", climb(10)), made("me_scs", climb(99), seed=1, evaluations=20)
-    found = reached_ratio(
-        groups_by_scene(group_runs([finished, going, *runs("contact_me_scs", 5, 5)])),
-        "me_scs",
-        "contact_me_scs",
-    )
-    assert found is not None
+    found = ratio(finished, going, *runs("contact_me_scs", 5, 5))
     assert (found.interval.value, found.interval.runs, found.evaluations) == (2.0, (1, 2), (100,))
 
 
 def test_scenes_that_have_both_methods_count() -> None:
     both = [*runs("me_scs", 2, 2), *runs("contact_me_scs", 8, 8)]
     lone = runs("me_scs", 100, 100, object="mug")
-    found = reached_ratio(groups_by_scene(group_runs([*both, *lone])), "me_scs", "contact_me_scs")
-    assert found is not None
+    found = ratio(*both, *lone)
     assert (found.interval.value, found.interval.scenes) == (0.25, 1)
-    assert reached_ratio(groups_by_scene(group_runs(lone)), "me_scs", "contact_me_scs") is None
+    assert ratio(*lone) is None
 
 
 def test_what_the_second_half_adds_is_a_share_of_the_end() -> None:
-    scenes = groups_by_scene(
-        group_runs([made("antipodal_rand", climb(30, 40, every=50)), made("antipodal_rand", climb(), seed=1)])
-    )
-    found = late_share(scenes, "antipodal_rand")
-    assert found is not None
+    some, none = made("antipodal_rand", climb(30, 40, every=50)), made("antipodal_rand", climb(), seed=1)
+    found = late_share(scenes(some, none), "antipodal_rand")
     assert (found.interval.value, found.interval.runs) == (0.25, (1,))  # a run without a cell has no share
 
 
 def test_each_run_counts_alike_in_the_share_of_nu() -> None:
     many = made("contact_me_scs", climb(1), nu=np.full(24, 100), near=2400)
     few = made("contact_me_scs", climb(1), seed=1, nu=np.ones(24, np.int64), near=12)
-    none = made("contact_me_scs", climb(1), seed=2)
-    found = near_nu_share(groups_by_scene(group_runs([many, few, none])), "contact_me_scs")
-    assert found is not None
+    found = near_nu_share(scenes(many, few, made("contact_me_scs", climb(1), seed=2)), "contact_me_scs")
     assert (found.interval.value, found.interval.runs) == (0.75, (2,))

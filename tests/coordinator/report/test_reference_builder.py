@@ -1,26 +1,26 @@
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.recorded_runs import record_spec
+from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
 
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity, read_reference, read_references
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
-from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=2, joints=2)
 Found = dict[tuple[int, int, int], Outcome]
+Runs = Callable[..., RunFolder]
 
 
 def rows_of(found: Found) -> Rows:
@@ -32,42 +32,26 @@ def rows_of(found: Found) -> Rows:
     return rows
 
 
-@dataclass
-class Runs:
-    """Runs on an object of one's own, with what they are to have found."""
+@pytest.fixture
+def run(tmp_path: Path) -> Runs:
+    """Makes runs on an object of one's own, with what they are to have found."""
+    numbers = itertools.count()
 
-    home: Path
-    make_scene: SceneMaker
-    made: list[RunFolder] = field(default_factory=list)
-
-    def __call__(
-        self,
+    def make(
         found: Found | Rows,
-        *,
         gripper: str = "jaw",
         object_: str = "block.stl",
-        protocol: str = "paper",
         com: float = 0.0,
+        **settings: str,
     ) -> RunFolder:
-        scene = self.make_scene(gripper)
+        scene = made_scene(gripper)
         body = msgspec.structs.replace(scene.object, name=Path(object_).stem, com_in_mesh=(com, 0.0, 0.0))
-        bundle = pack_scene(msgspec.structs.replace(scene, object=body, protocol=protocol))
-        spec = RunSpec(gripper=gripper, object=object_, mass=0.1, protocol=protocol)
-        folder = RunFolder.create(self.home / f"run{len(self.made)}", spec, bundle)
+        bundle = pack_scene(msgspec.structs.replace(scene, object=body, **settings))
+        spec = RunSpec(gripper=gripper, object=object_, mass=0.1, **settings)
         rows = rows_of(found) if isinstance(found, dict) else found
-        with JournalWriter.create(
-            folder.path, JournalIdentity("run", to_toml(spec), bundle.digest, SHAPE)
-        ) as journal:
-            journal.begin_epoch(1, 0.0)
-            for first in range(len(rows)):
-                journal.append(JournalSlice(first, rows[first : first + 1]), 1, 0.0)
-        self.made.append(folder)
-        return folder
+        return record_spec(tmp_path / f"run{next(numbers)}", spec, rows, bundle, block=1)
 
-
-@pytest.fixture
-def run(tmp_path: Path, make_scene: SceneMaker) -> Runs:
-    return Runs(tmp_path, make_scene)
+    return make
 
 
 A, B, C = (1, 2, 3), (-4, 0, 9), (-4, 0, -9)
@@ -147,9 +131,7 @@ def test_runs_that_do_not_belong_together_are_refused_and_the_file_stays(run: Ru
     assert not (tmp_path / "new.npz").exists()
 
 
-def test_protocols_are_mixed_where_that_is_asked_for_and_the_file_remembers(
-    run: Runs, tmp_path: Path
-) -> None:
+def test_protocols_are_mixed_where_that_is_asked_for_and_the_file_remembers(run, tmp_path) -> None:
     out = tmp_path / "set.npz"
     runs = [run({A: Outcome.DROPPED}), run({A: Outcome.SHAKEN}, protocol="released")]
     build_reference_sets(runs, out, mixed=True)
@@ -174,8 +156,8 @@ def test_the_folder_of_a_set_is_made(run: Runs, tmp_path: Path) -> None:
     assert groups(tmp_path / "new" / "set.npz") == {A: 2}
 
 
-def test_an_object_is_known_by_its_mesh_and_centre_of_mass(make_scene: SceneMaker) -> None:
-    body = make_scene().object
+def test_an_object_is_known_by_its_mesh_and_centre_of_mass() -> None:
+    body = made_scene().object
     change = msgspec.structs.replace
     assert object_identity(body) == object_identity(change(body, name="part", mass=2.0, lateral_friction=1.0))
     others = [

@@ -6,7 +6,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.campaign.merge_prune import prune_run
@@ -29,7 +29,7 @@ def few_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def campaign(tmp_path: Path, make_scene: SceneMaker) -> Path:
+def campaign(tmp_path: Path) -> Path:
     """Three methods with two seeds each, one of them unfinished and one not begun."""
     home = tmp_path / "small" / "runs"
     home.mkdir(parents=True)
@@ -38,7 +38,7 @@ def campaign(tmp_path: Path, make_scene: SceneMaker) -> Path:
             rows = random_rows(100, seed=10 * METHODS.index(method) + seed)
             rows = rows[: {("me_scs", 0): 70, ("me_scs", 1): 0}.get((method, seed), 100)]
             settings = {"method": method, "seed": seed, "evaluations": 100}
-            record(home / f"jaw-block-{method}-s{seed}", make_scene(), rows, **settings)
+            record(home / f"jaw-block-{method}-s{seed}", made_scene(), rows, **settings)
     return home.parent
 
 
@@ -88,10 +88,8 @@ def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign
     assert "`jaw-block-me_scs-s0` (70 of 100), `jaw-block-me_scs-s1` (0 of 100)" in page
     assert "No coverage: no S_G of jaw and block." in page
     assert "| me_scs | 2, 2 unfinished | every genome |" in page
-    assert (
-        "| b | contact and approach variants of ME_scs end close together | **not in this campaign** |"
-        in page
-    )
+    claim = "contact and approach variants of ME_scs end close together"
+    assert f"| b | {claim} | **not in this campaign** |" in page
     assert "nan" not in page
 
 
@@ -113,12 +111,10 @@ def test_coverage_is_drawn_where_there_is_a_set(campaign: Path) -> None:
     assert (float(whole["coverage"]), float(whole["robust"])) == (1.0, 1.0)
 
 
-def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
-    tmp_path: Path, make_scene: SceneMaker
-) -> None:
+def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(tmp_path: Path) -> None:
     rows = random_rows(30)
     rows["outcome"] = Outcome.MISSED
-    record(tmp_path / "runs/a", make_scene(), rows, method="contact_rand", evaluations=30)
+    record(tmp_path / "runs/a", made_scene(), rows, method="contact_rand", evaluations=30)
     earlier = tmp_path / "analysis"
     earlier.mkdir()
     (earlier / "tables.md").write_text("# a\n\n## What the paper claims\n\n![nu](nu.png)\n")
@@ -132,9 +128,7 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
 
 
-def test_what_an_analysis_wrote_is_what_the_next_one_replaces(
-    campaign: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_analysis_wrote_is_what_the_next_one_replaces(campaign, monkeypatch) -> None:
     first = analysed(campaign).out
     (first / "notes").write_text("mine")
     monkeypatch.setattr("qdgrasp_coordinator.report.report.run_voxels", lambda *_: [])
@@ -155,31 +149,29 @@ def test_a_folder_with_files_of_others_is_left_as_it_is(campaign: Path) -> None:
         write_report(campaign, campaign / "runs/jaw-block-contact_me_scs-s0")
 
 
-def test_cells_of_robust_runs_have_an_eta(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_cells_of_robust_runs_have_an_eta(tmp_path: Path) -> None:
     nominal = random_rows(10)
     trials = np.repeat(nominal[nominal["outcome"] >= Outcome.DROPPED], TRIALS)
     trials["trial"], trials["fitness"] = 1 + np.arange(len(trials)) % TRIALS, 1
     rows = np.concatenate([nominal, trials])
-    record(tmp_path / "runs/a", make_scene(), rows, protocol="robust", evaluations=10)
+    record(tmp_path / "runs/a", made_scene(), rows, protocol="robust", evaluations=10)
     out = analysed(tmp_path).out
     assert {row["eta"] for row in table(out / "voxels.csv")} == {"0.5"}
     assert table(out / "runs.csv")[0]["eta"] == "0.5"
 
 
 @pytest.mark.parametrize("methods", [("aimed", "contact_me_scs"), ("me_scs", "contact_me_scs")])
-def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(
-    methods: tuple[str, str], tmp_path: Path, make_scene: SceneMaker
-) -> None:
+def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(methods, tmp_path) -> None:
     sizes = (30, 90) if "aimed" in methods else (90, 30)
     for method, rows in zip(methods, sizes, strict=True):
-        record(tmp_path / method, make_scene(), random_rows(rows), method=method, evaluations=100)
+        record(tmp_path / method, made_scene(), random_rows(rows), method=method, evaluations=100)
     assert {row["method"] for row in table(analysed(tmp_path).out / "voxels.csv")} == {methods[0]}
 
 
-def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path, make_scene: SceneMaker) -> None:
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path) -> None:
     with pytest.raises(UnknownName, match="method in this campaign 'approach_rand'"):
         analysed(campaign, method="approach_rand")
-    record(tmp_path / "empty/a", make_scene(), random_rows(0))
+    record(tmp_path / "empty/a", made_scene(), random_rows(0))
     with pytest.raises(FolderError, match="has recorded an evaluation yet"):
         analysed(tmp_path / "empty")
 
@@ -210,14 +202,12 @@ def test_a_campaign_is_analysed_alike_after_its_runs_were_pruned(campaign: Path)
     assert after.without_curves == []
 
 
-def test_a_pruned_run_without_curves_is_left_out_and_that_is_said(
-    campaign: Path, make_scene: SceneMaker
-) -> None:
+def test_a_pruned_run_without_curves_is_left_out_and_that_is_said(campaign: Path) -> None:
     rows = random_rows(100)
     rows["outcome"][-1] = Outcome.HELD
     simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
     settings = {"method": "aimed", "evaluations": simulated, "overlaps": "redraw"}
-    prune_run(record(campaign / "runs" / "jaw-block-aimed-s0", make_scene(), rows, **settings))
+    prune_run(record(campaign / "runs" / "jaw-block-aimed-s0", made_scene(), rows, **settings))
     done = CliRunner().invoke(app, ["analyse", str(campaign)])
     assert done.exit_code == 0, done.output
     said = "1 run is left out, of which only the successes were kept: jaw-block-aimed-s0."

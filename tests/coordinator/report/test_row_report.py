@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
-from msgspec.structs import replace
+from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import JAW, made_scene
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
@@ -21,23 +20,19 @@ from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
 
 
-def closing(make_scene) -> Scene:
-    scene = make_scene()
-    hand = replace(
-        scene.gripper, synergies=tuple(Synergy(name=name, joints=("left",)) for name in ("a", "b", "c"))
-    )
-    return replace(scene, gripper=hand)
+SYNERGIES = tuple(Synergy(name=name, joints=("left",)) for name in ("a", "b", "c"))
+CLOSING = with_gripper(made_scene(), synergies=SYNERGIES)
 
 
-def run_of_synergies(path: Path, scene: Scene, method: str, seed: int) -> tuple[RunFolder, Rows]:
-    random, genes = np.random.default_rng(seed), len(layout(scene, PRIORS[method]))
+def run_of_synergies(path: Path, method: str = "me_scs", seed: int = 1) -> tuple[RunFolder, Rows]:
+    random, genes = np.random.default_rng(seed), len(layout(CLOSING, PRIORS[method]))
     rows = RowShape(genes, 2).empty(20)
     rows["generation"], rows["index"] = np.divmod(np.arange(20), 10)
     rows["outcome"], rows["fitness"] = Outcome.HELD, 2
     rows["genome"] = random.uniform(-1, 1, rows["genome"].shape)
     rows["base_to_object"][:, :3] = rows["descriptor"] = random.uniform(-0.1, 0.1, (20, 3))
     rows["base_to_object"][:, 6] = 1
-    return record(path, scene, rows, method=method, seed=seed, evaluations=20), rows
+    return record(path, CLOSING, rows, method=method, seed=seed, evaluations=20), rows
 
 
 def labels(folder: RunFolder) -> list[int]:
@@ -46,16 +41,14 @@ def labels(folder: RunFolder) -> list[int]:
         return row_context(folder, journal).synergies(rows, np.arange(len(rows))).tolist()
 
 
-def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path, make_scene) -> None:
-    scene = closing(make_scene)
-    folder, rows = run_of_synergies(tmp_path / "mug", scene, "me_scs", 1)
-    assert labels(folder) == synergies(scene, "spherical").labels(rows["genome"]).tolist()
+def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
+    folder, rows = run_of_synergies(tmp_path / "mug")
+    assert labels(folder) == synergies(CLOSING, "spherical").labels(rows["genome"]).tolist()
     assert len(set(labels(folder))) == 3
 
 
-def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: Path, make_scene) -> None:
-    scene = closing(make_scene)
-    runs = [run_of_synergies(tmp_path / name, scene, name, seed) for seed, name in enumerate(PRIORS)]
+def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: Path) -> None:
+    runs = [run_of_synergies(tmp_path / name, name, seed) for seed, name in enumerate(PRIORS)]
     merge_runs([folder for folder, _ in runs], tmp_path / "both")
     merged = RunFolder.open(tmp_path / "both")
     own = {name: labels(folder) for name, (folder, _) in zip(PRIORS, runs, strict=True)}
@@ -65,15 +58,15 @@ def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: P
     assert labels(merged) == own[order[0]] + own[order[1]]
 
 
-def test_a_legend_is_read_once(tmp_path: Path, make_scene) -> None:
-    folder, _ = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+def test_a_legend_is_read_once(tmp_path: Path) -> None:
+    folder, _ = run_of_synergies(tmp_path / "mug")
     known = RowContextCache()
     with folder.journal() as journal:
         assert known.get(folder, journal) is known.get(folder, journal)
 
 
-def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path, make_scene) -> None:
-    folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
+    folder, rows = run_of_synergies(tmp_path / "mug")
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
         found = RowContextCache().get(folder, journal).synergies(rows, np.arange(len(rows)))
@@ -92,8 +85,8 @@ class Made:
 
 
 @pytest.fixture
-def made(tmp_path: Path, make_scene: SceneMaker) -> Made:
-    return run_of(tmp_path / "mug", make_scene(), OUTCOMES)
+def made(tmp_path: Path) -> Made:
+    return run_of(tmp_path / "mug", made_scene(), OUTCOMES)
 
 
 def run_of(path: Path, scene: Scene, outcomes: list[Outcome], **settings: str) -> Made:
@@ -109,35 +102,23 @@ def run_of(path: Path, scene: Scene, outcomes: list[Outcome], **settings: str) -
     return Made(scene, rows, record(path, scene, rows, method=METHOD, **settings))
 
 
-def test_a_row_is_told_as_it_was_recorded(made: Made) -> None:
+def test_a_row_is_told_as_it_was_recorded_with_frames_orders_names_and_units(made: Made) -> None:
     found = row_report(made.folder, 1)
     assert (found.number, found.rows, found.generation, found.index, found.trial) == (1, 5, 0, 1, 0)
     assert (found.outcome, found.fitness, found.cell) == ("held", 2.0, (1, 2, 3))
     assert (found.method, found.prior, found.gripper, found.protocol) == (METHOD, PRIOR, "jaw", "paper")
     assert found.scene == made.folder.bundle().digest
-
-
-def test_a_pose_says_its_frame_and_the_order_of_its_quaternion(made: Made) -> None:
-    pose = row_report(made.folder, 1).base_to_object
-    assert pose is not None
+    pose = found.base_to_object
     assert (pose.link, pose.frame) == ("palm", "object's centre-of-mass frame")
     assert pose.position == pytest.approx((0.01, 0.02, 0.03))
     assert pose.quaternion_xyzw == (0, 0, 0, 1)
+    joints = [(one.name, round(one.position, 6), one.unit) for one in found.joints]
+    assert joints == [("left", 0.01, "m"), ("right", 0.02, "m")]
 
 
-def test_joints_have_names_and_units(made: Made) -> None:
-    joints = row_report(made.folder, 1).joints
-    assert [(one.name, round(one.position, 6), one.unit) for one in joints] == [
-        ("left", 0.01, "m"),
-        ("right", 0.02, "m"),
-    ]
-
-
-def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene()
-    urdf = scene.gripper.urdf.replace("prismatic", "revolute")
-    hand = msgspec.structs.replace(scene.gripper, urdf=urdf)
-    turning = run_of(tmp_path / "mug", msgspec.structs.replace(scene, gripper=hand), OUTCOMES)
+def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
+    turning = with_gripper(made_scene(), urdf=JAW.replace("prismatic", "revolute"))
+    turning = run_of(tmp_path / "mug", turning, OUTCOMES)
     assert {one.unit for one in row_report(turning.folder, 1).joints} == {"rad"}
 
 
@@ -154,20 +135,20 @@ def test_what_there_is_not_is_left_out(made: Made) -> None:
     assert (missed.surface_point, missed.nu, missed.eta, missed.synergy) == (None, None, None, "")
 
 
-def test_the_synergy_is_told_by_its_name(tmp_path: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene()
-    hand = msgspec.structs.replace(
-        scene.gripper,
-        synergies=(Synergy(name="one", joints=("left",)), Synergy(name="both", joints=("left", "right"))),
+def test_the_synergy_is_told_by_its_name(tmp_path: Path) -> None:
+    joints = {"one": ("left",), "both": ("left", "right")}
+    scene = with_gripper(
+        made_scene(),
+        synergies=tuple(Synergy(name=name, joints=closed) for name, closed in joints.items()),
         free_joints=(FreeJoint(name="left", low=0.0, high=0.04),),
     )
-    closing = run_of(tmp_path / "mug", msgspec.structs.replace(scene, gripper=hand), OUTCOMES)
+    closing = run_of(tmp_path / "mug", scene, OUTCOMES)
     assert [row_report(closing.folder, number).synergy for number in (0, 4)] == ["one", "both"]
 
 
 @pytest.mark.parametrize("missing", [0, 1])
-def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, make_scene: SceneMaker, missing: int) -> None:
-    made = run_of(tmp_path / "plain", make_scene(), OUTCOMES)
+def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, missing: int) -> None:
+    made = run_of(tmp_path / "plain", made_scene(), OUTCOMES)
     trials = np.repeat(made.rows[[1, 3]], 100)
     trials["trial"] = np.tile(np.arange(1, 101), 2)
     trials["fitness"] = np.repeat([1, 0], 100)
@@ -187,11 +168,9 @@ def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, make_scene: Scene
         ([], "has no row 7: it has none yet."),
     ],
 )
-def test_a_number_that_no_row_has_is_refused_with_the_nearest(
-    tmp_path: Path, make_scene: SceneMaker, outcomes: list[Outcome], words: str
-) -> None:
+def test_a_number_that_no_row_has_is_refused_with_the_nearest(tmp_path, outcomes, words) -> None:
     with pytest.raises(NoSuchRow, match=words):
-        row_report(run_of(tmp_path / "mug", make_scene(), outcomes).folder, 7)
+        row_report(run_of(tmp_path / "mug", made_scene(), outcomes).folder, 7)
 
 
 def test_a_person_reads_every_field(made: Made) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.report.made_runs import climb, made
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup, ReferenceSet
 from qdgrasp_coordinator.report.run_groups import (
@@ -45,12 +45,8 @@ def test_hands_stand_in_the_paper_s_order_and_methods_in_that_of_the_table() -> 
         for method in ("me_scs", "contact_rand")
     ]
     found = group_runs(runs)
-    assert list(dict.fromkeys(group.scene.gripper for group in found)) == [
-        "panda",
-        "ref_bh280",
-        "shadow",
-        "own",
-    ]
+    hands = dict.fromkeys(group.scene.gripper for group in found)
+    assert list(hands) == ["panda", "ref_bh280", "shadow", "own"]
     assert [(group.scene.object, group.method) for group in found[:4]] == [
         ("bowl", "contact_rand"), ("bowl", "me_scs"), ("mug", "contact_rand"), ("mug", "me_scs"),
     ]  # fmt: skip
@@ -98,32 +94,28 @@ def test_an_unfinished_run_settles_nothing_beside_finished_ones() -> None:
 
 
 @pytest.mark.parametrize("home", ["runs", "."])
-def test_runs_are_found_in_a_campaign_and_side_by_side(
-    tmp_path: Path, make_scene: SceneMaker, home: str
-) -> None:
+def test_runs_are_found_in_a_campaign_and_side_by_side(tmp_path: Path, home: str) -> None:
     (tmp_path / home).mkdir(exist_ok=True)
     (tmp_path / home / "analysis").mkdir()
     for name in ("b", "a"):
-        record(tmp_path / home / name, make_scene(), random_rows(20))
+        record(tmp_path / home / name, made_scene(), random_rows(20))
     assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["a", "b"]
     assert [folder.path.name for folder in search_run_folders(tmp_path / home / "a")] == ["a"]
 
 
-def test_a_run_without_the_files_of_its_job_is_one_all_the_same(
-    tmp_path: Path, make_scene: SceneMaker
-) -> None:
-    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+def test_a_run_without_the_files_of_its_job_is_one_all_the_same(tmp_path: Path) -> None:
+    folder = record(tmp_path / "a", made_scene(), random_rows(20))
     (folder.path / "job.json").unlink()
     (found,) = read_histories(search_run_folders(tmp_path), ReferenceLookup())
     assert found.evaluations == 20
 
 
-def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path) -> None:
     pose = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
-    scored = record(tmp_path / "scored", make_scene(), random_rows(1), method="given", poses=(pose,))
+    scored = record(tmp_path / "scored", made_scene(), random_rows(1), method="given", poses=(pose,))
     with pytest.raises(FolderError, match="score given poses"):
         search_run_folders(scored.path)
-    record(tmp_path / "searched", make_scene(), random_rows(20))
+    record(tmp_path / "searched", made_scene(), random_rows(20))
     assert [folder.path.name for folder in search_run_folders(tmp_path)] == ["searched"]
 
 
@@ -134,8 +126,8 @@ def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
         search_run_folders(tmp_path / "nowhere")
 
 
-def test_a_run_whose_scene_is_elsewhere_has_no_target(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+def test_a_run_whose_scene_is_elsewhere_has_no_target(tmp_path: Path) -> None:
+    folder = record(tmp_path / "a", made_scene(), random_rows(20))
     (folder.path / "scene.bundle").unlink()
     (found,) = read_histories([folder], ReferenceLookup())
     assert (found.target.size, found.target.why) == (0, "the run's scene is not here")
@@ -214,11 +206,9 @@ def test_a_shorter_run_counts_as_far_as_it_goes() -> None:
 
 
 def test_a_run_that_has_not_begun_does_not_count() -> None:
-    found = quartile_curve(
-        group(made("me_scs", climb(4)), made("me_scs", climb(), seed=1, evaluations=0)), CELLS
-    )
-    assert found.runs[-1] == 1
-    assert found.median[-1] == 4
+    waiting = made("me_scs", climb(), seed=1, evaluations=0)
+    found = quartile_curve(group(made("me_scs", climb(4)), waiting), CELLS)
+    assert (found.runs[-1], found.median[-1]) == (1, 4)
 
 
 @given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=10), min_size=1, max_size=5))
@@ -249,19 +239,21 @@ def test_quartiles_of_nothing_are_not_numbers() -> None:
 RUNS = [
     made(method, climb(3, 5), seed=seed) for method in ("contact_rand", "contact_me_scs") for seed in (0, 1)
 ]
+LONE = made("me_scs", climb(1), evaluations=40)
 
 
-def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves() -> None:
-    assert run_words(group_runs(RUNS), 3) == "2 seeds \u00d7 100 evaluations"
-    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
-    assert (
-        run_words(group_runs(more), 4) == "2 seeds \u00d7 100 evaluations; me_scs: 1 \u00d7 40, 1 unfinished"
-    )
-
-
-def test_a_heading_without_room_says_from_where_to_where() -> None:
-    more = [*RUNS, made("me_scs", climb(1), evaluations=40)]
-    assert run_words(group_runs(more), 2) == "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"
+@pytest.mark.parametrize(
+    ("more", "room", "words"),
+    [
+        ([], 3, "2 seeds \u00d7 100 evaluations"),
+        ([LONE], 4, "2 seeds \u00d7 100 evaluations; me_scs: 1 \u00d7 40, 1 unfinished"),
+        ([LONE], 2, "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"),
+    ],
+)
+def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves(
+    more: list[RunHistory], room: float, words: str
+) -> None:
+    assert run_words(group_runs([*RUNS, *more]), room) == words
 
 
 def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.campaign.merge_prune import prune_run
 from qdgrasp_coordinator.metrics.reference_coverage import (
@@ -26,8 +26,8 @@ ARCHIVE = ReleasedArchive(np.array([-0.083, -0.081, -0.079]), 0.1512)
 """Its cells are not those of the rounding, so that two elites may share an entry."""
 
 
-def told(tmp_path: Path, make_scene: SceneMaker, rows: Rows, **settings: object) -> RunHistory:
-    folder = record(tmp_path / "run", make_scene(), rows, **settings)
+def told(tmp_path: Path, rows: Rows, **settings: object) -> RunHistory:
+    folder = record(tmp_path / "run", made_scene(), rows, **settings)
     return read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
 
 
@@ -75,32 +75,30 @@ def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int,
     assert int(finds(rows).published(KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
 
 
-def test_cells_grow_as_in_the_picture_of_a_run(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_cells_grow_as_in_the_picture_of_a_run(tmp_path: Path) -> None:
     rows = random_rows(500)
-    found, drawn = told(tmp_path, make_scene, rows), archive_growth(rows)
+    found, drawn = told(tmp_path, rows), archive_growth(rows)
     assert found.cells.after(drawn.evaluations).tolist() == drawn.cells.tolist()
     assert (found.evaluations, found.successes) == (500, drawn.successes[-1])
     assert (np.diff(found.cells.totals) > 0).all()
     assert found.robust_cells.end < found.cells.end
 
 
-def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
     rows = random_rows(300)
-    found = told(tmp_path, make_scene, rows, overlaps="redraw")
+    found = told(tmp_path, rows, overlaps="redraw")
     assert found.evaluations == np.count_nonzero(rows["outcome"] != Outcome.OVERLAP)
     assert found.cells.evaluations.max() <= found.evaluations
 
 
-def test_trials_give_eta_and_nothing_else(tmp_path: Path, make_scene: SceneMaker) -> None:
+def test_trials_give_eta_and_nothing_else(tmp_path: Path) -> None:
     nominal = random_rows(10)
     success = np.flatnonzero(nominal["outcome"] >= Outcome.DROPPED)
     trials = np.repeat(nominal[success], TRIALS)
     trials["trial"] = np.tile(np.arange(1, TRIALS + 1), len(success))
     trials["fitness"], trials["descriptor"], trials["base_to_object"] = 1, 0.5, 0.5
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    alone = told(tmp_path / "a", make_scene, nominal)
-    robust = told(tmp_path / "b", make_scene, np.concatenate([nominal, trials]), protocol="robust")
+    alone = told(tmp_path / "a", nominal)
+    robust = told(tmp_path / "b", np.concatenate([nominal, trials]), protocol="robust")
     assert len(success) > 2
     assert (alone.eta, robust.eta) == (None, 0.5)
     for name in ("evaluations", "successes", "near"):
@@ -109,18 +107,16 @@ def test_trials_give_eta_and_nothing_else(tmp_path: Path, make_scene: SceneMaker
         assert getattr(alone, name).totals.tolist() == getattr(robust, name).totals.tolist()
 
 
-def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(
-    tmp_path: Path, make_scene: SceneMaker
-) -> None:
+def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(tmp_path: Path) -> None:
     rows = random_rows(4)
     rows["outcome"], rows["nu"] = Outcome.HELD, [0.0, np.pi / 4, np.pi / 4 + 1e-3, np.pi]
-    found = told(tmp_path, make_scene, rows)
+    found = told(tmp_path, rows)
     assert (found.near, found.near_share) == (2, 0.5)
     assert (found.nu[:6].sum(), found.nu[23], found.nu.sum()) == (2, 1, 4)
 
 
-def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path, make_scene: SceneMaker) -> None:
-    found = told(tmp_path, make_scene, random_rows(0))
+def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path) -> None:
+    found = told(tmp_path, random_rows(0))
     assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)
 
 
@@ -132,9 +128,7 @@ def flat(told: object) -> list[object]:
 
 
 @pytest.mark.parametrize("protocol", ["paper", "robust"])
-def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(
-    tmp_path: Path, make_scene: SceneMaker, protocol: str
-) -> None:
+def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(tmp_path, protocol) -> None:
     nominal = random_rows(100, seed=4)
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
     repeated = np.repeat(successes, TRIALS)
@@ -142,7 +136,7 @@ def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(
     rows = np.concatenate([nominal, repeated]) if protocol == "robust" else nominal
     rows = rows[np.lexsort((rows["index"], rows["trial"] > 0, rows["generation"]))]
     settings = {"protocol": protocol, "evaluations": 100, "overlaps": "count"}
-    folder = record(tmp_path / "run", make_scene(), rows, **settings)
+    folder = record(tmp_path / "run", made_scene(), rows, **settings)
     before = read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
     assert before.successes > 20
     prune_run(folder)
@@ -150,13 +144,11 @@ def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(
     assert flat(read_history(folder, CoverageTarget(KNOWN, ARCHIVE))) == flat(before)
 
 
-def test_a_pruned_run_whose_overlaps_do_not_count_has_no_curves(
-    tmp_path: Path, make_scene: SceneMaker
-) -> None:
+def test_a_pruned_run_whose_overlaps_do_not_count_has_no_curves(tmp_path: Path) -> None:
     rows = random_rows(100)
     rows["outcome"][-1] = Outcome.HELD
     simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
-    folder = record(tmp_path / "run", make_scene(), rows, evaluations=simulated, overlaps="redraw")
+    folder = record(tmp_path / "run", made_scene(), rows, evaluations=simulated, overlaps="redraw")
     assert has_curves(folder)
     prune_run(folder)
     assert not has_curves(folder)

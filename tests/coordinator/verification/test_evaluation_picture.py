@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 from tests.coordinator.report.test_row_report import run_of
-from tests.coordinator.scenes import SceneMaker, jaw
+from tests.coordinator.scenes import jaw, made_scene
 
 from qdgrasp_coordinator.rendering.annotations import (
     APPROACH_COLOUR,
@@ -15,7 +15,6 @@ from qdgrasp_coordinator.rendering.annotations import (
     OTHER_CONTACT_COLOUR,
     OVERLAP_COLOUR,
 )
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.verification.evaluation_picture import (
     LARGEST,
     SMALLEST,
@@ -68,12 +67,12 @@ def shot(phase: Phase = "closing", *touches: ContactPoint, step: int = 100) -> R
 
 
 @pytest.fixture
-def held(tmp_path: Path, make_scene: SceneMaker) -> ReplayTarget:
-    return replay_target(grasped(tmp_path, make_scene, Outcome.HELD), 0)
+def held(tmp_path: Path) -> ReplayTarget:
+    return target(tmp_path, Outcome.HELD)
 
 
-def grasped(tmp_path: Path, make_scene: SceneMaker, outcome: Outcome) -> RunFolder:
-    return run_of(tmp_path / outcome.name, make_scene(), [outcome]).folder
+def target(path: Path, outcome: Outcome) -> ReplayTarget:
+    return replay_target(run_of(path / outcome.name, made_scene(), [outcome]).folder, 0)
 
 
 def drawn(shown: ReplayTarget, *shots: ReplayFrame) -> list[np.ndarray]:
@@ -113,9 +112,7 @@ def turned() -> ReplayFrame:
     return ReplayFrame(phase="closing", step=100, seconds=1.0, hand=hand, object=OBJECT, touches=())
 
 
-def test_frames_stand_at_the_hand_and_the_object_with_their_axes(
-    held: ReplayTarget, turned: ReplayFrame
-) -> None:
+def test_frames_stand_at_the_hand_and_the_object_with_their_axes(held, turned) -> None:
     (image,) = drawn(held, turned)
     on_x, on_y, hand_y, hand_z = seen((0.12, 0.1, 0), (0.1, 0.12, 0), (-0.1, 0.02, 0), (-0.08, 0, 0))
     assert has(image, AXIS_COLOURS["x"], on_x)
@@ -152,16 +149,12 @@ def test_a_caption_says_what_it_is_and_what_came_of_it(held: ReplayTarget) -> No
 
 
 def test_a_caption_says_where_the_replay_differs(held: ReplayTarget) -> None:
-    assert (
-        ReplayCaption.of(held, [shot()], ["fitness 1.0 instead of 2.0"])
-        .lines[1]
-        .endswith("; but replayed: fitness 1.0 instead of 2.0")
-    )
+    caption = ReplayCaption.of(held, [shot()], ["fitness 1.0 instead of 2.0"])
+    assert caption.lines[1].endswith("; but replayed: fitness 1.0 instead of 2.0")
 
 
-def test_a_caption_calls_a_failure_a_row(tmp_path: Path, make_scene: SceneMaker) -> None:
-    missed = replay_target(grasped(tmp_path, make_scene, Outcome.MISSED), 0)
-    caption = ReplayCaption.of(missed, [shot()], [])
+def test_a_caption_calls_a_failure_a_row(tmp_path: Path) -> None:
+    caption = ReplayCaption.of(target(tmp_path, Outcome.MISSED), [shot()], [])
     assert caption.title == "jaw on block, row 0: missed, fitness 0"
     assert caption.lines[0] == "no finger touched the object"
 

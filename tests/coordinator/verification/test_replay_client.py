@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.report.test_row_report import PRIOR, run_of
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
@@ -19,14 +19,14 @@ OUTCOMES = [Outcome.OVERLAP, Outcome.HELD, Outcome.DEAD_END, Outcome.ERROR]
 
 
 @pytest.fixture
-def folder(tmp_path: Path, make_scene: SceneMaker) -> RunFolder:
-    return run_of(tmp_path / "mug", make_scene(), OUTCOMES).folder
+def folder(tmp_path: Path) -> RunFolder:
+    return run_of(tmp_path / "mug", made_scene(), OUTCOMES).folder
 
 
 @pytest.fixture
-def repeated(tmp_path: Path, make_scene: SceneMaker) -> RunFolder:
+def repeated(tmp_path: Path) -> RunFolder:
     """Two successes of a run under the protocol robust; of each three trials are recorded."""
-    scene = make_scene()
+    scene = made_scene()
     rows = RowShape(len(layout(scene, PRIOR)), 2).empty(8)
     rows["index"], rows["trial"] = (0, 1, 0, 0, 0, 1, 1, 1), (0, 0, 1, 2, 3, 1, 2, 3)
     rows["outcome"], rows["base_to_object"][:, 6] = Outcome.HELD, 1
@@ -75,8 +75,8 @@ def test_a_number_that_no_row_has_is_refused(folder: RunFolder) -> None:
         replay_target(folder, 4)
 
 
-def test_rows_of_merged_runs_stand_for_their_poses_too(tmp_path: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene()
+def test_rows_of_merged_runs_stand_for_their_poses_too(tmp_path: Path) -> None:
+    scene = made_scene()
     runs = [run_of(tmp_path / "short", scene, [Outcome.HELD]).folder]
     rows = RowShape(len(layout(scene, "contact")), 2).empty(2)
     rows["index"], rows["outcome"], rows["base_to_object"] = (0, 1), Outcome.HELD, (0.1, 0, 0, 0, 0, 0, 1)
