@@ -38,7 +38,7 @@ def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def named_scene(request: pytest.FixtureRequest) -> Callable[[str, str], Scene]:
-    """Scenes by hand and object: of a built-in hand in protocol paper, of a reference one in released."""
+    """Scenes by hand and object, in protocol paper; those of reference hands in released."""
 
     def find(hand: str, target: str) -> Scene:
         if not hand.startswith("ref_"):

@@ -62,7 +62,7 @@ def outcomes(rows: Rows) -> list[Outcome]:
 
 
 def elsewhere(act: Callable[..., T], *arguments: object) -> T:
-    """What a function returns in a process of its own."""
+    """Call a function in a process of its own."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(act, *arguments).result(PATIENCE)
 
@@ -77,7 +77,7 @@ def encoded(scene: Scene, values: NDArray[np.float64]) -> Genomes:
 def facing(
     scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0
 ) -> NDArray[np.float64]:
-    """Values (n, 15) of genomes of the prior aimed that look at surface points from straight above.
+    """Values (n, 15) of genomes of the prior aimed that look straight at surface points.
 
     Their hands are a third into the stand-off, at any roll, and their weights zero.
     """
