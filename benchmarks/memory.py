@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from benchmarks.measure import Figure
 from numpy.typing import NDArray
-from tests.worker.aimed_genomes import encoded, facing
+from tests.worker.genomes import encoded, facing
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import MOST_CANDIDATES, layout

@@ -64,9 +64,9 @@ def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_
     session.on_coordinator(2, True, 1.0)
     session.ask(2)
     session.on_answer(Joined(epoch=1, drop=[]), 1.5, 1.0)
-    assert not session.is_due(2.0)
+    assert session.join_at > 2.0
     session.on_coordinator(1, False, 2.0)
-    assert session.is_due(2.0)
+    assert session.join_at <= 2.0
 
 
 def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:

@@ -1,20 +1,15 @@
-"""Scenes and genomes that the worker's tests share, as building a scene takes long."""
+"""Scenes that the worker's tests share, as building a scene takes long."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
-
-NEAR = (-1.0, -0.5)
-"""Genes nu and d of genomes that look straight at the surface from near by."""
 
 
 @cache
@@ -41,20 +36,20 @@ def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return reference_data
 
 
+@pytest.fixture
+def named_scene(request: pytest.FixtureRequest) -> Callable[[str, str], Scene]:
+    """Scenes by hand and object, in protocol paper; those of reference hands in released."""
+
+    def find(hand: str, target: str) -> Scene:
+        if not hand.startswith("ref_"):
+            return scene_of(hand, target, "paper")
+        request.getfixturevalue("asset_path")
+        return scene_of(hand, f"ycb_{target}", "released")
+
+    return find
+
+
 @pytest.fixture(scope="module")
 def evaluator(cube: Scene) -> Iterator[Evaluator]:
     with Evaluator(cube) as evaluator:
         yield evaluator
-
-
-@pytest.fixture(scope="session")
-def draw() -> Callable[..., NDArray[np.float32]]:
-    """Genomes drawn uniformly; `near` of them look straight at the surface, often grasps."""
-
-    def draw(n: int, genes: int = 7, seed: int = 0, near: int = 0) -> NDArray[np.float32]:
-        genomes = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, genes)).astype(np.float32)
-        if near:
-            genomes[:near, 3:5] = NEAR
-        return genomes
-
-    return draw

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from tests.common import with_gripper
+from tests.worker.genomes import draw
 
 from qdgrasp_assets.scene import FreeJoint, Synergy
 from qdgrasp_protocol.errors import UnknownName
@@ -32,7 +33,7 @@ class TestEveryPrior:
     """The contract of a prior, for genomes that stand for one pose each."""
 
     @pytest.fixture
-    def genomes(self, prior, cube, draw):
+    def genomes(self, prior, cube):
         decoder = decoder_of(cube, prior)
         genomes = draw(3000, len(decoder.layout))
         if prior == "aimed":
@@ -60,8 +61,8 @@ class TestEveryPrior:
         alone = [decoder(genomes[i : i + 1]) for i in range(20)]
         for name in ("positions", "quaternions", "joints", "surface_points", "nu"):
             assert getattr(together, name).tobytes() == getattr(reversed_, name)[::-1].tobytes()
-            for i, one in enumerate(alone):
-                assert getattr(one, name).tobytes() == getattr(together, name)[i : i + 1].tobytes()
+            parts = b"".join(getattr(one, name).tobytes() for one in alone)
+            assert parts == getattr(together, name)[:20].tobytes()
 
     def test_opens_the_fingers(self, prior, cube, genomes):
         grasps = decoder_of(cube, prior)(genomes)
@@ -85,68 +86,68 @@ class TestCone:
         return decoder_of(cube, prior)
 
     @pytest.fixture
-    def genomes(self, draw):
+    def genomes(self):
         return draw(500)
 
-    def test_aims_at_the_surface_point_nearest_to_the_finder(self, decoder, genomes, cube):
+    @pytest.fixture
+    def grasps(self, decoder, genomes):
+        return decoder(genomes)
+
+    @pytest.fixture
+    def normals(self, grasps, cube):
+        return cube.surface_normals[KDTree(cube.surface_points).query(grasps.surface_points)[1]]
+
+    def test_aims_at_the_surface_point_nearest_to_the_finder(self, decoder, genomes, grasps, cube):
         values = values_of(decoder, genomes)
         finders = np.stack([values["x_r"], values["y_r"], values["z_r"]], axis=1)
         distances = np.linalg.norm(finders[:, None] - cube.surface_points[None], axis=2)
         nearest = cube.surface_points[distances.argmin(axis=1)]
-        np.testing.assert_array_equal(decoder(genomes).surface_points, nearest)
+        np.testing.assert_array_equal(grasps.surface_points, nearest)
 
-    def test_leans_from_the_normal_by_nu(self, decoder, genomes, cube):
-        grasps = decoder(genomes)
-        normals = cube.surface_normals[KDTree(cube.surface_points).query(grasps.surface_points)[1]]
+    def test_leans_from_the_normal_by_nu(self, decoder, genomes, grasps, normals):
         outward = grasps.positions.astype(float) - grasps.surface_points
         cosines = (outward * normals).sum(axis=1) / np.linalg.norm(outward, axis=1)
-        np.testing.assert_allclose(cosines, np.cos(values_of(decoder, genomes)["nu"]), atol=1e-5)
-        np.testing.assert_array_equal(grasps.nu, values_of(decoder, genomes)["nu"].astype(np.float32))
+        nu = values_of(decoder, genomes)["nu"]
+        np.testing.assert_allclose(cosines, np.cos(nu), atol=1e-5)
+        np.testing.assert_array_equal(grasps.nu, nu.astype(np.float32))
 
-    def test_stands_at_the_distance_d_and_the_palm_offset(self, decoder, genomes, cube):
-        grasps = decoder(genomes)
+    def test_stands_at_the_distance_d_and_the_palm_offset(self, decoder, genomes, grasps, cube):
         distances = np.linalg.norm(grasps.positions.astype(float) - grasps.surface_points, axis=1)
         expected = values_of(decoder, genomes)["d"] + cube.gripper.palm_offset
         np.testing.assert_allclose(distances, expected, atol=ROUNDING)
 
-    def test_points_its_approach_axis_at_the_surface_point(self, decoder, genomes, cube):
-        grasps = decoder(genomes)
-        axes = Rotation.from_quat(grasps.quaternions).apply(cube.gripper.approach_axis)
-        inward = grasps.surface_points - grasps.positions.astype(float)
-        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-        np.testing.assert_allclose(axes, inward, atol=5e-6)
-
-    def test_does_so_for_any_approach_axis(self, prior, cube, genomes):
-        for axis in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.6, 0.0, 0.8)):
+    def test_points_any_approach_axis_at_the_surface_point(self, prior, cube, genomes):
+        others = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.6, 0.0, 0.8))
+        for axis in (cube.gripper.approach_axis, *others):
             grasps = decoder_of(with_gripper(cube, approach_axis=axis), prior)(genomes)
             pointed = Rotation.from_quat(grasps.quaternions).apply(axis)
             inward = grasps.surface_points - grasps.positions.astype(float)
             inward /= np.linalg.norm(inward, axis=1, keepdims=True)
             np.testing.assert_allclose(pointed, inward, atol=5e-6)
 
-    def test_turns_about_the_normal_by_xi(self, decoder, genomes, cube):
+    def test_turns_about_the_normal_by_xi(self, decoder, genomes, grasps, normals):
         turned = genomes.copy()
         turned[:, 5] = -genomes[:, 5]
-        one, other = decoder(genomes), decoder(turned)
-        normals = cube.surface_normals[KDTree(cube.surface_points).query(one.surface_points)[1]]
         angles = values_of(decoder, turned)["xi"] - values_of(decoder, genomes)["xi"]
         turns = Rotation.from_rotvec(normals * angles[:, None])
-        expected = one.surface_points + turns.apply(one.positions - one.surface_points)
-        np.testing.assert_allclose(other.positions, expected, atol=1e-6)
+        expected = grasps.surface_points + turns.apply(grasps.positions - grasps.surface_points)
+        np.testing.assert_allclose(decoder(turned).positions, expected, atol=1e-6)
 
-    def test_rolls_about_the_approach_axis_by_omega_and_stays_where_it_is(self, decoder, genomes, cube):
+    def test_rolls_about_the_approach_axis_by_omega_and_stays_where_it_is(
+        self, decoder, genomes, grasps, cube
+    ):
         rolled = genomes.copy()
         rolled[:, 6] = -genomes[:, 6]
-        one, other = decoder(genomes), decoder(rolled)
-        np.testing.assert_array_equal(one.positions, other.positions)
+        other = decoder(rolled)
+        np.testing.assert_array_equal(grasps.positions, other.positions)
         angles = values_of(decoder, rolled)["omega"] - values_of(decoder, genomes)["omega"]
         rolls = Rotation.from_rotvec(np.array(cube.gripper.approach_axis) * angles[:, None])
-        expected = Rotation.from_quat(one.quaternions) * rolls
+        expected = Rotation.from_quat(grasps.quaternions) * rolls
         difference = (expected.inv() * Rotation.from_quat(other.quaternions)).magnitude()
         np.testing.assert_allclose(difference, 0.0, atol=2e-6)
 
 
-def test_contact_with_nu_up_to_nu_a_is_approach(cube, draw):
+def test_contact_with_nu_up_to_nu_a_is_approach(cube):
     approach = draw(300)
     approach[:, 3] = np.round(approach[:, 3] * 64) / 64  # so that the gene below is exact
     contact = approach.copy()
@@ -156,7 +157,7 @@ def test_contact_with_nu_up_to_nu_a_is_approach(cube, draw):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube, draw):
+def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube):
     stored = decoder_of(cube, "contact")(draw(300))
     again = decoder_of(cube, "given")(np.concatenate([stored.positions, stored.quaternions], axis=1))
     assert again.positions.tobytes() == stored.positions.tobytes()
@@ -170,12 +171,7 @@ def test_a_given_quaternion_of_another_length_is_brought_to_one(cube):
     np.testing.assert_allclose(decoder_of(cube, "given")(pose).quaternions, [[0, 0, 0.6, 0.8]], atol=1e-7)
 
 
-def test_a_given_quaternion_of_length_zero_is_no_pose(cube):
-    pose = np.array([[0, 0, 0.2, 0, 0, 0, 0]], dtype=np.float32)
-    assert not decoder_of(cube, "given")(pose).are_finite[0]
-
-
-def test_the_synergy_gene_is_rounded_to_a_label_with_half_the_room_for_the_outer_ones(cube, draw):
+def test_the_synergy_gene_is_rounded_to_a_label_with_half_the_room_for_the_outer_ones(cube):
     names = ("one", "two", "three", "four")
     hand = with_gripper(cube, synergies=tuple(Synergy(name=name, joints=FINGERS) for name in names))
     decoder = decoder_of(hand, "contact")
@@ -185,14 +181,13 @@ def test_the_synergy_gene_is_rounded_to_a_label_with_half_the_room_for_the_outer
     np.testing.assert_allclose(shares, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=0.02)
 
 
-def test_free_joints_stand_at_their_genes_and_the_others_stay_open(cube, draw):
+def test_free_joints_stand_at_their_genes_and_the_others_stay_open(cube):
     free = FreeJoint(name=FINGERS[1], low=0.03, high=0.01)
     decoder = decoder_of(with_gripper(cube, free_joints=(free,)), "contact")
     genomes = draw(50, 8)
     genomes[0, 7], genomes[1, 7] = -1.0, 1.0
     joints = decoder(genomes).joints
-    assert joints[0, 1] == np.float32(0.03)
-    assert joints[1, 1] == np.float32(0.01)
+    assert joints[:2, 1].tolist() == np.float32([0.03, 0.01]).tolist()
     np.testing.assert_allclose(joints[:, 1], 0.02 - 0.01 * genomes[:, 7], atol=1e-8)
     assert set(joints[:, 0].tolist()) == {float(np.float32(0.04))}
 

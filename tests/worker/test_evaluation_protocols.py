@@ -1,15 +1,13 @@
 """Trials: what they draw, from what, and how an object that is displaced is met."""
 
 import json
-import subprocess
-import sys
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import ks_2samp, kstest
-from tests.common import PATIENCE
+from tests.worker.genomes import elsewhere
 
 from qdgrasp_protocol.rows import NO_SYNERGY, TRIALS, trial_count
 from qdgrasp_worker.decoder import HandPose
@@ -20,14 +18,10 @@ DRAWS = POSES * TRIALS
 SIGMA, UNLIKELY = 4.0, 1e-4
 """Bounds of draws: a deviation in standard errors, and a probability."""
 POSE = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
-ELSEWHERE = """
-import json
-from dataclasses import asdict
-from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.evaluation_protocols import ROBUST
-pose = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
-print(json.dumps([asdict(ROBUST.trial(pose, number)) for number in range(101)]))
-"""
+
+
+def trials_of(pose: HandPose) -> list[TrialSetup]:
+    return [ROBUST.trial(pose, number) for number in range(101)]
 
 
 def random_poses() -> list[HandPose]:
@@ -128,7 +122,7 @@ def test_another_seed_of_the_mixture_draws_other_trials():
     assert replace(MIXTURE, seed=1).trial(POSE, 1).frictions != MIXTURE.trial(POSE, 1).frictions
 
 
-def test_a_trial_keeps_posture_and_synergy(drawn):
+def test_a_trial_keeps_posture_and_synergy():
     trial = ROBUST.trial(POSE, 7)
     assert (trial.pose.joints, trial.pose.synergy) == (POSE.joints, POSE.synergy)
 
@@ -140,11 +134,7 @@ def test_poses_are_rounded_to_float32_as_decoding_rounds_them(drawn):
 
 
 def test_another_process_draws_the_same():
-    found = subprocess.run(
-        [sys.executable, "-c", ELSEWHERE], check=True, capture_output=True, timeout=PATIENCE
-    )
-    here = json.dumps([asdict(ROBUST.trial(POSE, number)) for number in range(101)])
-    assert json.loads(found.stdout) == json.loads(here)
+    assert elsewhere(trials_of, POSE) == trials_of(POSE)
 
 
 def test_a_mixture_without_noise_draws_the_grasp_itself_to_the_bit():

@@ -1,42 +1,33 @@
 """Evaluations: what a row says, and that a row that fails disturbs no other."""
 
+from collections import defaultdict
+from unittest.mock import Mock
+
 import msgspec
 import numpy as np
 import pytest
+from tests.worker.genomes import draw, evaluated, outcomes, results
 
 from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack, unpack
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, unpack
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache
 
-N, NEAR = 150, 12
+N = 150
 
 
 @pytest.fixture(scope="module")
-def genomes(draw):
-    return draw(N, near=NEAR)
+def genomes():
+    return draw(N, near=12)
 
 
 @pytest.fixture(scope="module")
-def evaluation(evaluator, genomes):
-    return evaluator.evaluate("approach", genomes, nominal(genomes))
-
-
-@pytest.fixture(scope="module")
-def rows(evaluation):
-    return evaluation.rows
+def rows(cube, genomes):
+    return evaluated(cube, "approach", genomes)
 
 
 def nominal(genomes):
     return np.zeros(len(genomes), dtype=np.uint16)
-
-
-def results(rows):
-    return pack(rows, RESULT)
-
-
-def outcomes(rows):
-    return [Outcome(value) for value in rows["outcome"]]
 
 
 def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator, rows, genomes):
@@ -55,10 +46,11 @@ def test_the_sample_has_what_the_tests_need(rows):
     assert counts[Outcome.SHAKEN :].sum() > 5
 
 
-def test_fitness_counts_the_shakes_that_the_outcome_says(rows):
+def test_fitness_counts_the_shakes_that_the_outcome_says_and_each_row_is_one_proposal(rows):
     ladder = {Outcome.SHAKEN: 1.0, Outcome.HELD: 2.0}
     expected = [ladder.get(outcome, 0.0) for outcome in outcomes(rows)]
     np.testing.assert_array_equal(rows["fitness"], expected)
+    assert (rows["proposals"] == 1).all()
 
 
 def test_the_descriptor_is_the_position_of_the_pose(rows):
@@ -80,17 +72,6 @@ def test_joints_are_those_of_the_grasp_for_successes_and_the_initial_ones_otherw
     opened = np.full(2, 0.04, dtype=np.float32)
     assert (rows["joints"][~successes] == opened).all()
     assert (rows["joints"][successes] < 0.04).any(axis=1).all()
-
-
-def test_each_row_is_one_proposal(rows):
-    assert (rows["proposals"] == 1).all()
-
-
-def test_a_stored_pose_evaluated_as_given_finds_the_same(evaluator, rows):
-    again = evaluator.evaluate("given", rows["base_to_object"], nominal(rows)).rows
-    for column in RESULT:
-        if column.name not in ("surface_point", "nu"):
-            assert again[column.name].tobytes() == rows[column.name].tobytes(), column.name
 
 
 @pytest.mark.parametrize("poison", [0, 5, N - 1])
@@ -171,27 +152,15 @@ def test_an_unknown_protocol_is_named_with_the_known_ones(cube):
         Evaluator(msgspec.structs.replace(cube, protocol="papers"))
 
 
-class Stub:
-    """An evaluator that only knows whether it was closed."""
-
-    def __init__(self):
-        self.closed = 0
-
-    def close(self):
-        self.closed += 1
-
-
 @pytest.fixture
 def loaded():
-    return {}
+    """Evaluators that only know whether they were closed, by their scene."""
+    return defaultdict(Mock)
 
 
 @pytest.fixture
 def get(loaded):
-    def get(worlds, digest):
-        return worlds.get(digest, lambda: loaded.setdefault(digest, Stub()))
-
-    return get
+    return lambda worlds, digest: worlds.get(digest, lambda: loaded[digest])
 
 
 def test_a_scene_is_loaded_once_and_kept(get):
@@ -200,24 +169,18 @@ def test_a_scene_is_loaded_once_and_kept(get):
     assert worlds.get("a", lambda: pytest.fail("loaded again")) is first
 
 
-def test_at_most_eight_are_kept_and_the_one_longest_unused_is_closed_first(get, loaded):
+def test_at_most_eight_are_kept_and_the_one_longest_unused_is_closed_before_the_next_is_loaded(get, loaded):
     worlds = EvaluatorCache()
     names = [str(i) for i in range(MAX_EVALUATORS)]
     for name in names:
         get(worlds, name)
     get(worlds, "0")
-    get(worlds, "new")
+    worlds.get("new", lambda: Mock() if loaded["1"].close.called else pytest.fail("two worlds too many"))
     assert MAX_EVALUATORS == 8
     assert len(worlds) == 8
     assert "1" not in worlds
     assert "0" in worlds
-    assert [name for name, stub in loaded.items() if stub.closed] == ["1"]
-
-
-def test_room_is_made_before_the_next_is_loaded(get, loaded):
-    worlds = EvaluatorCache(most=1)
-    get(worlds, "a")
-    worlds.get("b", lambda: Stub() if loaded["a"].closed else pytest.fail("two worlds at once"))
+    assert [name for name, stub in loaded.items() if stub.close.called] == ["1"]
 
 
 def test_a_scene_that_cannot_be_loaded_leaves_no_trace(get):
@@ -235,6 +198,6 @@ def test_leaving_closes_all_of_them_once(get, loaded):
     with EvaluatorCache() as worlds:
         for name in "abc":
             get(worlds, name)
-    assert [stub.closed for stub in loaded.values()] == [1, 1, 1]
+    assert [stub.close.call_count for stub in loaded.values()] == [1, 1, 1]
     worlds.close()
-    assert [stub.closed for stub in loaded.values()] == [1, 1, 1]
+    assert [stub.close.call_count for stub in loaded.values()] == [1, 1, 1]

@@ -5,13 +5,11 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.worker.aimed_genomes import CANDIDATES, CONSTANT, WEIGHTS, encoded, facing
+from tests.worker.genomes import CANDIDATES, CONSTANT, WEIGHTS, decoded, draw, encoded, facing, outcomes
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY, RESULT, Outcome
-from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.screening import SweptVolumes, candidate_scores
 from qdgrasp_worker.world import World
 
@@ -52,9 +50,9 @@ def rows(evaluator, genomes):
 
 
 @pytest.fixture(scope="module")
-def candidates(evaluator, genomes):
+def candidates(scene, evaluator, genomes):
     """The poses (m, 7) of all candidates, the genome of each, and their features."""
-    grasps = evaluator._decoder("aimed")(genomes)
+    grasps = decoded(scene, "aimed", genomes)
     (places,) = np.nonzero(~grasps.dead_ends)
     features = evaluator._candidate_screen._ranking.features(grasps, places)
     poses = np.concatenate([grasps.positions[places], grasps.quaternions[places]], axis=1)
@@ -99,7 +97,7 @@ def test_proposals_are_the_candidates_within_the_stand_off_and_one_at_least(rows
 
 
 def test_features_are_those_of_simulated_poses_and_end_with_the_constant(rows):
-    simulated = np.array([Outcome(value).is_simulated for value in rows["outcome"]])
+    simulated = np.array([outcome.is_simulated for outcome in outcomes(rows)])
     features = rows["descriptor"][:, 3:]
     assert not features[~simulated].any()
     assert (features[simulated, 5] == 1.0).all()
@@ -124,10 +122,9 @@ def test_weights_decide_and_the_constant_changes_nothing():
 
 
 def test_one_candidate_is_simulated_as_it_is_drawn(scene, evaluator):
-    values = facing(scene, N, candidates=1, seed=5)
-    genomes = encoded(scene, values)
+    genomes = encoded(scene, facing(scene, N, candidates=1, seed=5))
     rows = rows_of(evaluator, "aimed", genomes)
-    grasps = evaluator._decoder("aimed")(genomes)
+    grasps = decoded(scene, "aimed", genomes)
     np.testing.assert_array_equal(rows["descriptor"][:, :3], grasps.positions)
     np.testing.assert_array_equal(rows["outcome"] == Outcome.DEAD_END, grasps.dead_ends)
     assert (rows["proposals"] == 1).all()
@@ -177,10 +174,8 @@ def volumes(hand_scene):
 
 
 @pytest.fixture(scope="module")
-def grasps(hand_scene, draw):
-    return Decoder(hand_scene, "approach", ObjectSurface(hand_scene))(
-        draw(60, len(layout(hand_scene, "approach")))
-    )
+def grasps(hand_scene):
+    return decoded(hand_scene, "approach", draw(60, len(layout(hand_scene, "approach"))))
 
 
 @pytest.fixture(scope="module")
@@ -241,9 +236,7 @@ def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, hand_scene
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):
     hand_scene = make_scene("panda", "rubiks_cube", "paper")
-    grasps = Decoder(hand_scene, "given", ObjectSurface(hand_scene))(
-        np.array([[0, 0, 0, 0, 0, 0, 1]], dtype=np.float32)
-    )
+    grasps = decoded(hand_scene, "given", np.array([[0, 0, 0, 0, 0, 0, 1]], dtype=np.float32))
     assert grasps.synergies.tolist() == [NO_SYNERGY]
     world = World(hand_scene)
     share = partial(shares, SweptVolumes(hand_scene.gripper, world.closing), grasps)

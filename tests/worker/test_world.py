@@ -78,13 +78,6 @@ def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
     assert not world.is_touching()
 
 
-def test_fingers_that_meet_nothing_close(world):
-    world.reset(FAR, world.opened)
-    assert world.finger_positions() == [0.04, 0.04]
-    close_hand(world)
-    np.testing.assert_allclose(world.finger_positions(), 0.0, atol=1e-4)
-
-
 def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
     course = world.closing([0.04, 0.03], NO_SYNERGY)
     assert len(course) == CLOSING_STEPS + 1
@@ -143,11 +136,6 @@ def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, mon
     assert list(tmp_path.iterdir()) == []
     seen = capfd.readouterr()
     assert (seen.out, seen.err) == ("", "")
-
-
-def test_closing_twice_is_allowed(world):
-    world.close()
-    world.close()
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,7 @@ VERSION = version("pybullet")
 STILL = [0.0, 0.0, 0.0]
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 Vector = tuple[float, float, float]
-Box = tuple[Vector, Vector]
-"""Low and high corner."""
+Box = tuple[Vector, Vector]  # Low and high corner
 BASE = -1  # The index of a body's root link
 
 

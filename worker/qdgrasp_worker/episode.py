@@ -85,7 +85,6 @@ class Episode:
         return touched
 
     def _touching_fingers(self) -> set[int]:
-        """The finger links that touch the object."""
         return {contact.link for contact in self.world.contacts()} & self.world.finger_links
 
     def _penetration(self) -> float:
@@ -102,7 +101,6 @@ class Episode:
         return survived
 
     def _holds_through(self, shake: Shake) -> bool:
-        """One shake; it ends with the first look that finds the object lost."""
         for target in shake.targets:
             self.world.shake_to(target, shake)
             for _ in range(0, TARGET_STEPS, self.protocol.contact_check_steps):

@@ -20,8 +20,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate, from_euler, mult
 from qdgrasp_protocol import rows
 from qdgrasp_worker.decoder import HandPose
 
-FRICTION_DECIMALS = 6
-"""Decimals of frictions: rounded so, the ends of an interval stay as in the table."""
+FRICTION_DECIMALS = 6  # Decimals of frictions: rounded so, the ends of an interval stay as in the table
 
 
 @dataclass(frozen=True)

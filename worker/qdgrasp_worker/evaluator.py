@@ -112,7 +112,6 @@ class Evaluator(BatchEvaluator):
         return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
 
     def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """Finger joints as the hand closes on nothing, in the present world."""
         return self._world.closing(posture, synergy)
 
     def __enter__(self) -> Self:
@@ -217,13 +216,12 @@ MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """At most `most` evaluators by their scene's digest; the one longest unused leaves first.
+    """At most `MAX_EVALUATORS` by their scene's digest; the one longest unused leaves first.
 
     A context manager that closes them all.
     """
 
-    def __init__(self, most: int = MAX_EVALUATORS) -> None:
-        self._most = most
+    def __init__(self) -> None:
         self._evaluators: OrderedDict[str, BatchEvaluator] = OrderedDict()
 
     def __enter__(self) -> Self:
@@ -241,7 +239,8 @@ class EvaluatorCache:
     def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
         """Return the evaluator of a scene, made by `load` if it is not here yet."""
         if digest not in self._evaluators:
-            self._make_room()
+            while len(self._evaluators) >= MAX_EVALUATORS:
+                self._evaluators.popitem(last=False)[1].close()
             self._evaluators[digest] = load()
         self._evaluators.move_to_end(digest)
         return self._evaluators[digest]
@@ -250,7 +249,3 @@ class EvaluatorCache:
         """Close all evaluators; closing twice is allowed."""
         while self._evaluators:
             self._evaluators.popitem()[1].close()
-
-    def _make_room(self) -> None:
-        while len(self._evaluators) >= self._most:
-            self._evaluators.popitem(last=False)[1].close()

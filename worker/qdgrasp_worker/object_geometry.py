@@ -117,8 +117,7 @@ class ObjectSurface:
 
 VOXEL_PITCH = 1e-3  # The side of a voxel [m]; larger for an object of more than `MOST` voxels
 MAX_VOXELS = 1 << 24
-SAFE_DEPTH = 1e-4
-"""Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm."""
+SAFE_DEPTH = 1e-4  # Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm.
 INSIDE_POINTS = 512
 DRAWS = 8192
 ROUNDS = 64
@@ -130,7 +129,6 @@ class ObjectSolid:
     def __init__(self, scene: Scene) -> None:
         parts = list(obj_group_corners(scene.object.collision.decode()))
         self.hulls = convex_hulls(parts)
-        """The parts."""
         self.is_whole = 0 < len(self.hulls) == len(parts)
         """True if all of the object is in them; flat parts are left out."""
         self._surface = scene.surface_points.astype(np.float64)

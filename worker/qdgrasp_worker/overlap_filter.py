@@ -19,8 +19,7 @@ from qdgrasp_worker.voxels import Hull, Singles
 SAMPLE_POINTS = 1024
 DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart
 DEEP_SHARE = 0.4  # The share of points that are drawn from within a part, and not from under its surface
-SURFACE_SCALE = 0.98
-"""Scale of a part's surface about its centre: points of the edge would be on either side."""
+SURFACE_SCALE = 0.98  # Scale of a part's surface about its centre: points of the edge would be on either side
 
 
 class HandSurfaceSamples:

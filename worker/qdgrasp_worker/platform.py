@@ -32,11 +32,7 @@ PROBE_AIM = (-1.0, -0.5)
 
 def platform() -> dict[str, str]:
     """Versions, the digest of the evaluation's code, and the digest of the probes' results."""
-    return {
-        "qdgrasp": version("qdgrasp"),
-        "pybullet": version("pybullet"),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
+    return {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")} | {
         "machine": machine.machine(),
         "code": code_digest(),
         "probes": probe_digest(),

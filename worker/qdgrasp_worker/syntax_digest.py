@@ -87,7 +87,6 @@ def digests(definitions: Mapping[Key, Definition]) -> dict[Key, str]:
 
 
 def _resolved(text: str, known: Mapping[Key, str]) -> str:
-    """Put the digests of definitions in place of references to them."""
     return REFERENCE.sub(lambda match: known[Key(*match.groups())], text)
 
 
@@ -114,7 +113,6 @@ def read(name: str) -> Module:
 
 
 def _defined(statement: ast.stmt) -> Iterator[str]:
-    """The names that a statement of a module defines."""
     match statement:
         case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
             yield name
@@ -165,7 +163,6 @@ def _meant(module: str, name: str) -> Key | str | None:
 
 
 def _definition(key: Key) -> Definition:
-    """A definition as it counts."""
     texts, unknown = [], set[str]()
     for place, statement in read(key.module).definitions[key.name]:
         text, strange = _counted(key.module, statement)
@@ -185,8 +182,6 @@ def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
 
 
 class _Reader(ast.NodeTransformer):
-    """Leaves what counts of a module's statements."""
-
     def __init__(self, module: str) -> None:
         self.unknown: set[str] = set()
         self._module = module

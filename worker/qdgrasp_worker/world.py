@@ -18,8 +18,7 @@ from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
 from qdgrasp_worker.hand_geometry import free_posture
 
-HAND_GROUP, OBJECT_GROUP = 1, 2
-"""Collision groups: a hand meets objects only, an object meets hands only."""
+HAND_GROUP, OBJECT_GROUP = 1, 2  # Collision groups: a hand meets objects only, an object meets hands only
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
@@ -98,8 +97,7 @@ def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int])
 
 
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
-FREE_POSTURES = 13
-"""Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread."""
+FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
 
 
 class World:
@@ -177,7 +175,6 @@ class World:
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
     def _prepare(self, gripper: SceneGripper) -> None:
-        """Work out once what every evaluation needs."""
         self.finger_links = self._hand.finger_links
         self.opened = [joint.opened for joint in gripper.joints]
         self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.worker.genomes import draw
 
 from qdgrasp_assets.genes import spherical_radius
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.object_geometry import ObjectSurface
+
+GENOMES = draw(500, 6)
 
 
 @pytest.fixture(scope="module")
@@ -14,14 +17,9 @@ def decoder(cube):
     return Decoder(cube, "spherical", ObjectSurface(cube))
 
 
-@pytest.fixture(scope="module")
-def genomes(draw):
-    return draw(500, 6)
-
-
-def test_the_hand_stands_at_its_radius_longitude_and_colatitude(decoder, genomes):
-    x, y, z = decoder(genomes).positions.astype(np.float64).T
-    radius, longitude, colatitude = decoder.layout.values(genomes).T[:3]
+def test_the_hand_stands_at_its_radius_longitude_and_colatitude(decoder):
+    x, y, z = decoder(GENOMES).positions.astype(np.float64).T
+    radius, longitude, colatitude = decoder.layout.values(GENOMES).T[:3]
     np.testing.assert_allclose(np.sqrt(x * x + y * y + z * z), radius, atol=1e-7)
     far = radius > 0.01
     np.testing.assert_allclose(np.arctan2(np.hypot(x, y), z)[far], colatitude[far], atol=1e-5)
@@ -35,15 +33,13 @@ def test_the_genes_reach_from_the_centre_of_mass_to_the_search_radius(decoder, c
     np.testing.assert_allclose(distances, [0.0, spherical_radius(cube)], atol=1e-7)
 
 
-def test_the_hand_is_turned_about_the_fixed_axes_x_y_and_z(decoder, genomes):
-    angles = decoder.layout.values(genomes)[:, 3:]
+def test_the_hand_is_turned_about_the_fixed_axes_x_y_and_z(decoder):
+    angles = decoder.layout.values(GENOMES)[:, 3:]
     expected = Rotation.from_euler("xyz", angles)
-    found = Rotation.from_quat(decoder(genomes).quaternions)
+    found = Rotation.from_quat(decoder(GENOMES).quaternions)
     np.testing.assert_allclose((expected.inv() * found).magnitude(), 0, atol=2e-6)
 
 
-def test_it_aims_at_nothing(decoder, genomes):
-    found = decoder(genomes)
-    assert not found.surface_points.any()
-    assert not found.nu.any()
-    assert not found.dead_ends.any()
+def test_it_aims_at_nothing(decoder):
+    found = decoder(GENOMES)
+    assert not any(column.any() for column in (found.surface_points, found.nu, found.dead_ends))

@@ -5,24 +5,20 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
+from tests.common import with_gripper
+from tests.worker.genomes import decoded, draw, evaluated
 
 from qdgrasp_assets.scene import Jaw
 from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.decoder import Decoder
-from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.object_geometry import ObjectSurface
 
 NU_T = np.pi / 6
 MIRROR = np.array([-1.0, 1.0, 1.0])
+NARROW = Jaw(axis=(0.0, 1.0, 0.0), opening=0.05)
 
 
-def decoder_of(scene):
-    return Decoder(scene, "antipodal", ObjectSurface(scene))
-
-
-def with_jaw(scene, jaw):
-    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, jaw=jaw))
+def decode(scene, genomes):
+    return decoded(scene, "antipodal", genomes)
 
 
 def normals_at(scene, points):
@@ -42,8 +38,8 @@ def scene(request, make_scene):
 
 
 @pytest.fixture(scope="module")
-def grasps(scene, draw):
-    found = decoder_of(scene)(draw(600, 4))
+def grasps(scene):
+    found = decode(scene, draw(600, 4))
     return type(found)(**{name: column[~found.dead_ends] for name, column in vars(found).items()})
 
 
@@ -63,15 +59,13 @@ def test_the_fingertips_stand_in_the_middle_of_two_points_of_the_surface(scene, 
     assert (2 * halves <= scene.gripper.jaw.opening + 1e-6).all()
     np.testing.assert_allclose(centres - halves[:, None] * axes, grasps.surface_points, atol=1e-6)
     opposite = centres + halves[:, None] * axes
-    assert distances_to_surface(scene, opposite).max() < 1e-6
+    assert max(heights(*surface(scene), point).min() for point in opposite[:100]) < 1e-6
 
 
 def test_both_normals_are_within_nu_t_of_the_fingers_axis(scene, grasps):
     centres, axes = middles(scene, grasps)
     halves = ((centres - grasps.surface_points) * axes).sum(axis=1)
-    triangles = scene.object.triangles.astype(np.float64)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles, normals = surface(scene)
     for opposite, axis in zip((centres + halves[:, None] * axes)[:100], axes[:100], strict=True):
         on = heights(triangles, normals, opposite) < 1e-6
         angles = np.arccos(np.clip(normals[on] @ axis, -1, 1))
@@ -89,11 +83,11 @@ def heights(triangles, normals, point):
     return np.where(inside, height, np.inf)
 
 
-def distances_to_surface(scene, points):
+def surface(scene):
+    """The triangles (t, 3, 3) of a scene's object, and their normals (t, 3)."""
     triangles = scene.object.triangles.astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.array([heights(triangles, normals, point).min() for point in points[:100]])
+    return triangles, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def test_nu_is_the_angle_between_the_first_normal_and_the_direction_to_the_hand(scene, grasps):
@@ -102,11 +96,11 @@ def test_nu_is_the_angle_between_the_first_normal_and_the_direction_to_the_hand(
     np.testing.assert_allclose(grasps.nu, np.arccos(cosines / np.linalg.norm(outward, axis=1)), atol=1e-5)
 
 
-def test_omega_rolls_about_the_fingers_axis_and_leaves_the_fingertips_where_they_are(cube, draw):
+def test_omega_rolls_about_the_fingers_axis_and_leaves_the_fingertips_where_they_are(cube):
     genomes = draw(300, 4)
     rolled = genomes.copy()
     rolled[:, 3] = -genomes[:, 3]
-    one, other = decoder_of(cube)(genomes), decoder_of(cube)(rolled)
+    one, other = decode(cube, genomes), decode(cube, rolled)
     centres, axes = middles(cube, one)
     np.testing.assert_allclose(middles(cube, other)[0], centres, atol=1e-6)
     angles = -2 * np.pi * genomes[:, 3].astype(np.float64)
@@ -115,11 +109,10 @@ def test_omega_rolls_about_the_fingers_axis_and_leaves_the_fingertips_where_they
     np.testing.assert_allclose(difference, 0.0, atol=5e-6)
 
 
-def test_any_axes_of_a_hand_that_are_at_right_angles_will_do(cube, draw):
+def test_any_axes_of_a_hand_that_are_at_right_angles_will_do(cube):
     jaw, approach = (0.8, 0.0, -0.6), (0.0, -1.0, 0.0)
-    hand = msgspec.structs.replace(cube.gripper, approach_axis=approach, jaw=Jaw(axis=jaw, opening=0.08))
-    scene = msgspec.structs.replace(cube, gripper=hand)
-    one, other = decoder_of(cube)(draw(200, 4)), decoder_of(scene)(draw(200, 4))
+    scene = with_gripper(cube, approach_axis=approach, jaw=Jaw(axis=jaw, opening=0.08))
+    one, other = decode(cube, draw(200, 4)), decode(scene, draw(200, 4))
     np.testing.assert_array_equal(one.positions, other.positions)
     for found, expected in zip(middles(scene, other), middles(cube, one), strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-6)
@@ -145,36 +138,21 @@ def mirrored(scene):
     )
 
 
-def test_in_a_mirror_the_same_fingertips_come_from_the_other_side(scene, draw):
+def test_in_a_mirror_the_same_fingertips_come_from_the_other_side(scene):
     genomes = draw(300, 4)
     reflected = genomes * np.array([-1, 1, 1, 1], np.float32)
     reflected[:, 3] = np.where(genomes[:, 3] >= 0, 1 - genomes[:, 3], -1 - genomes[:, 3])  # pi - Omega
-    one, other = decoder_of(scene)(genomes), decoder_of(mirrored(scene))(reflected)
+    one, other = decode(scene, genomes), decode(mirrored(scene), reflected)
     np.testing.assert_array_equal(one.dead_ends, other.dead_ends)
     np.testing.assert_allclose(other.positions, one.positions * MIRROR, atol=1e-6)
     alive = ~one.dead_ends
-    for name in ("approach_axis", "jaw"):
-        axis = scene.gripper.jaw.axis if name == "jaw" else scene.gripper.approach_axis
+    for axis in (scene.gripper.approach_axis, scene.gripper.jaw.axis):
         seen = Rotation.from_quat(one.quaternions[alive]).apply(axis) * MIRROR
         np.testing.assert_allclose(Rotation.from_quat(other.quaternions[alive]).apply(axis), seen, atol=5e-6)
 
 
-def test_what_is_wider_than_the_opening_is_a_dead_end(cube, draw):
-    narrow = with_jaw(cube, Jaw(axis=(0.0, 1.0, 0.0), opening=0.05))
-    found = decoder_of(narrow)(draw(100, 4))
-    assert found.dead_ends.all()
-    assert found.are_finite.all()
-    assert not found.positions.any()
-    assert not found.quaternions.any()
-
-
-def test_a_dead_end_is_an_outcome_and_is_not_simulated(cube, draw):
-    narrow = with_jaw(cube, Jaw(axis=(0.0, 1.0, 0.0), opening=0.05))
-    genomes = draw(20, 4)
-    with Evaluator(narrow) as evaluator:
-        evaluation = evaluator.evaluate("antipodal", genomes, np.zeros(20, np.uint16))
-    rows = evaluation.rows
-    assert not evaluation.failures
+def test_what_is_wider_than_the_opening_is_a_dead_end_and_is_not_simulated(cube):
+    rows = evaluated(with_gripper(cube, jaw=NARROW), "antipodal", draw(100, 4))
     assert set(rows["outcome"]) == {Outcome.DEAD_END}
     assert set(rows["proposals"]) == {1}
     assert not rows["descriptor"].any()
@@ -182,11 +160,11 @@ def test_a_dead_end_is_an_outcome_and_is_not_simulated(cube, draw):
     assert rows["surface_point"].any(axis=1).all()
 
 
-def test_many_antipodal_poses_of_the_cube_are_grasps(evaluator, draw):
-    rows = evaluator.evaluate("antipodal", draw(60, 4), np.zeros(60, np.uint16)).rows
+def test_many_antipodal_poses_of_the_cube_are_grasps(cube):
+    rows = evaluated(cube, "antipodal", draw(60, 4))
     assert (rows["outcome"] >= Outcome.SHAKEN).mean() > 0.5
 
 
 def test_a_hand_without_a_jaw_is_refused(cube):
     with pytest.raises(JawNeeded, match=r"'antipodal' is for two-finger hands.*'panda'.*qdgrasp methods"):
-        decoder_of(with_jaw(cube, None))
+        decode(with_gripper(cube, jaw=None), draw(1, 4))

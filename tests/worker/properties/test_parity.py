@@ -1,18 +1,17 @@
 """Parity of hands with the verdicts of the authors' own code, pose by pose.
-against the reference hands on the same poses; protocol `released` (data/README.md,
+
+Built-in hands are compared with the reference hands on the same poses; protocol `released` (data/README.md,
 docs/decisions/0009-grippers-and-inference.md).
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pytest
+from tests.worker import genomes
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluator import Evaluator
 
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
 REFERENCES = {"allegro": "allegro", "barrett": "bh280", "panda": "panda_2f", "shadow": "shadow"}
@@ -26,20 +25,10 @@ NEIGHBOURS = {"shadow": 24}
 """Number of poses to try around each success, where the successes alone are few."""
 
 
-@dataclass(frozen=True)
-class Verdicts:
-    """Verdicts of one side on each pose; (n,) each."""
-
-    valid: np.ndarray
-    touched: np.ndarray
-    success: np.ndarray
-    fitness: np.ndarray
-
-
-def joined(verdicts):
-    """Several files' verdicts as one."""
+def verdicts(valid, touched, success, fitness):
+    """Verdicts (n,) of one side on each pose."""
     names = ("valid", "touched", "success", "fitness")
-    return Verdicts(**{name: np.concatenate([getattr(each, name) for each in verdicts]) for name in names})
+    return np.rec.fromarrays([valid, touched, success, fitness], names=names)
 
 
 def recorded(path, hand, target, every=1):
@@ -51,23 +40,16 @@ def recorded(path, hand, target, every=1):
         columns.append(file["synergy"][:, None])
     if np.isfinite(file["spread"]).any():
         columns.append(file["spread"])
-    verdicts = Verdicts(fitness=file["fitness"], **{name: file[name].astype(bool) for name in NAMES})
-    return np.concatenate(columns, axis=1).astype(np.float32), verdicts
+    theirs = verdicts(*(file[name].astype(bool) for name in NAMES), file["fitness"])
+    return np.concatenate(columns, axis=1).astype(np.float32), theirs
 
 
 def evaluated(gripper, target, poses):
     """Our verdicts on poses."""
     spec = RunSpec(gripper=gripper, object=f"ycb_{target}", protocol="released")
-    with Evaluator(build_scene(spec)) as evaluator:
-        evaluation = evaluator.evaluate("given", poses, np.zeros(len(poses), np.uint16))
-    assert evaluation.failures == []
-    outcomes = [Outcome(value) for value in evaluation.rows["outcome"]]
-    return Verdicts(
-        valid=np.array([outcome.is_simulated for outcome in outcomes]),
-        touched=np.array([outcome.is_touched for outcome in outcomes]),
-        success=np.array([outcome.is_success for outcome in outcomes]),
-        fitness=evaluation.rows["fitness"],
-    )
+    rows = genomes.evaluated(build_scene(spec), "given", poses)
+    said = [(each.is_simulated, each.is_touched, each.is_success) for each in genomes.outcomes(rows)]
+    return verdicts(*np.array(said).T, rows["fitness"])
 
 
 @cache
@@ -102,7 +84,7 @@ def test_every_reference_hand_fares_as_in_the_authors_code(hand, asset_path):
     for ours, theirs in files:
         assert agreement(ours.valid, theirs.valid) >= 0.99
         assert agreement(ours.success, theirs.success) >= 0.97
-    ours, theirs = (joined(each) for each in zip(*files, strict=True))
+    ours, theirs = (np.concatenate(each).view(np.recarray) for each in zip(*files, strict=True))
     assert agreement(ours.success, theirs.success, ours.success | theirs.success) >= 0.85
     either = (ours.fitness >= 1) | (theirs.fitness >= 1)
     assert either.sum() < FEW or agreement(ours.fitness, theirs.fitness, either) >= FITNESS[hand]
@@ -113,7 +95,7 @@ def test_every_reference_hand_fares_as_in_the_authors_code(hand, asset_path):
 @pytest.mark.parametrize("name", REFERENCES)
 def test_a_built_in_hand_succeeds_where_the_reference_does(name, asset_path):
     sides = [both(asset_path, name, target) for target in OBJECTS]
-    own, reference = (joined(each) for each in zip(*sides, strict=True))
+    own, reference = (np.concatenate(each).view(np.recarray) for each in zip(*sides, strict=True))
     chosen = balanced(reference)
     assert len(chosen) >= 300
     assert agreement(own.success, reference.success, chosen) >= 0.85
@@ -138,9 +120,9 @@ def around(poses, count):
     return moved
 
 
-def balanced(verdicts):
+def balanced(said):
     """Indices of as many rows that are successes as of simulated ones that are not."""
-    hits, misses = np.flatnonzero(verdicts.success), np.flatnonzero(verdicts.valid & ~verdicts.success)
+    hits, misses = np.flatnonzero(said.success), np.flatnonzero(said.valid & ~said.success)
     count = min(len(hits), len(misses))
     random = np.random.default_rng(0)
     return np.concatenate([random.choice(each, count, replace=False) for each in (hits, misses)])

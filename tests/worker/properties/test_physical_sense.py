@@ -3,20 +3,21 @@
 from collections.abc import Iterator
 from itertools import repeat
 
-import msgspec
 import numpy as np
 import pybullet
 import pytest
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
+from tests.common import with_gripper
+from tests.worker.genomes import decoded, draw
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker import world
 from qdgrasp_worker.bullet import STILL, UPRIGHT
-from qdgrasp_worker.decoder import Decoder, HandPose
+from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import PAPER, ROBUST, TrialSetup
-from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.world import AWAY_POSITION, World
 
 POSES = 120
@@ -42,8 +43,7 @@ class TurnedWorld(World):
 
 
 def poses_of(scene, genomes) -> list[HandPose]:
-    grasps = Decoder(scene, "approach", ObjectSurface(scene))(genomes)
-    return [grasps[i] for i in range(len(grasps))]
+    return list(decoded(scene, "approach", genomes))
 
 
 def outcomes(world: World, poses: list[HandPose]) -> list[Outcome]:
@@ -96,16 +96,12 @@ def mirrored(scene: Scene) -> Scene:
     The fingers close along y and the shakes go along z and about x, all of which such a mirror leaves as
     they are; what it turns over are the meshes, which are not quite symmetric.
     """
-    replace = msgspec.structs.replace
     meshes = {name: mirrored_mesh(mesh) for name, mesh in scene.gripper.meshes.items()}
-    return replace(
-        scene,
-        gripper=replace(scene.gripper, meshes=meshes),
-        object=replace(scene.object, collision=mirrored_mesh(scene.object.collision)),
-    )
+    target = replace(scene.object, collision=mirrored_mesh(scene.object.collision))
+    return replace(with_gripper(scene, meshes=meshes), object=target)
 
 
-def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube, draw):
+def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube):
     poses, verdicts = touching(cube, poses_of(cube, draw(2000, near=400)))
     found = outcomes(World(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
     assert agreement(found, verdicts) >= AGREEMENT
@@ -123,7 +119,7 @@ def ball(make_scene):
 
 
 @pytest.fixture(scope="module")
-def on_ball(ball, draw):
+def on_ball(ball):
     """Poses on the sphere, with their outcomes."""
     return touching(ball, poses_of(ball, draw(1100, seed=7)))
 

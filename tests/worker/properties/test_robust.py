@@ -1,35 +1,17 @@
 """The protocol robust: trial 0 is the paper's evaluation, each trial a function of its own."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.common import PATIENCE
+from tests.worker.genomes import draw, elsewhere, evaluated, results
 
-from qdgrasp_assets.scene import pack_scene
-from qdgrasp_protocol.rows import RESULT, TRIALS, Outcome, pack
+from qdgrasp_protocol.rows import TRIALS, Outcome
 from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
-from qdgrasp_worker.evaluator import Evaluator
 
-GENOMES = 900
 FEW = {Outcome.DROPPED: 1, Outcome.SHAKEN: 1, Outcome.HELD: 1}
 MANY = {Outcome.DROPPED: 18, Outcome.SHAKEN: 14, Outcome.HELD: 10}
 """Number of successes of each outcome that are tried a hundred times."""
-ELSEWHERE = """
-import sys
-from pathlib import Path
-import numpy as np
-from qdgrasp_assets.scene import unpack_scene
-from qdgrasp_worker.evaluator import Evaluator
-folder = Path(sys.argv[1])
-with Evaluator(unpack_scene((folder / "scene").read_bytes())) as evaluator:
-    genomes, trials = np.load(folder / "genomes.npy"), np.load(folder / "trials.npy")
-    rows = evaluator.evaluate("approach", genomes, trials).rows
-np.save(folder / "rows.npy", rows)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +20,8 @@ def scene(make_scene):
 
 
 @pytest.fixture(scope="module")
-def genomes(draw):
-    return draw(GENOMES, seed=7)
-
-
-@pytest.fixture(scope="module")
-def nominal(scene, genomes):
-    return evaluated(scene, genomes, np.zeros(GENOMES))
+def nominal(scene):
+    return evaluated(scene, "approach", draw(900, seed=7))
 
 
 @pytest.fixture(scope="module")
@@ -57,24 +34,13 @@ def mixed(nominal):
 
 @pytest.fixture(scope="module")
 def rows(scene, mixed):
-    return evaluated(scene, *mixed)
-
-
-def evaluated(scene, genomes, trials, prior="approach"):
-    with Evaluator(scene) as evaluator:
-        evaluation = evaluator.evaluate(prior, genomes, np.asarray(trials, dtype=np.uint16))
-    assert not evaluation.failures
-    return evaluation.rows
-
-
-def results(rows, *but: str):
-    return pack(rows, [column for column in RESULT if column.name not in but])
+    return evaluated(scene, "approach", *mixed)
 
 
 def test_trial_zero_is_the_evaluation_of_paper_to_the_byte(make_scene, nominal):
     some = nominal[::3]
     paper = make_scene("panda", "tennis_ball", "paper")
-    assert results(evaluated(paper, some["genome"], some["trial"])) == results(some)
+    assert results(evaluated(paper, "approach", some["genome"])) == results(some)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +59,8 @@ def test_without_noise_a_hundred_trials_add_up_to_a_hundred_times_the_nominal_fi
     places = [np.flatnonzero(nominal["outcome"] == outcome)[:n] for outcome, n in successes.items()]
     chosen = nominal[np.concatenate(places)]
     assert [len(found) for found in places] == list(successes.values())
-    again = evaluated(scene, np.repeat(chosen["genome"], TRIALS, axis=0), np.tile(range(1, 101), len(chosen)))
+    genomes, trials = np.repeat(chosen["genome"], TRIALS, axis=0), np.tile(range(1, 101), len(chosen))
+    again = evaluated(scene, "approach", genomes, trials)
     sums = again["fitness"].reshape(len(chosen), TRIALS).sum(axis=1)
     np.testing.assert_array_equal(sums, TRIALS * chosen["fitness"])
     assert results(again) == results(np.repeat(chosen, TRIALS))
@@ -119,37 +86,26 @@ def test_an_overlap_that_the_noise_causes_counts_nothing(rows):
     assert not rows["fitness"][rows["outcome"] == Outcome.OVERLAP].any()
 
 
-def test_a_permutation_of_trials_changes_no_byte_of_any(scene, mixed, rows):
-    genomes, trials = mixed
-    place = np.random.default_rng(1).permutation(len(trials))
-    assert results(evaluated(scene, genomes[place], trials[place])) == results(rows[place])
+@pytest.mark.parametrize(
+    ("places", "batch"),
+    [
+        (np.random.default_rng(1).permutation(150), 1000),
+        (np.arange(0, 150, 5), 1000),  # the nominal rows alone, no trial before them
+        (np.arange(60), 1),
+    ],
+    ids=["permuted", "nominal", "one by one"],
+)
+def test_the_other_rows_of_a_batch_and_their_order_change_no_byte(scene, mixed, rows, places, batch):
+    genomes, trials = (column[places] for column in mixed)
+    assert results(evaluated(scene, "approach", genomes, trials, batch=batch)) == results(rows[places])
 
 
-def test_a_nominal_row_after_a_trial_is_as_if_there_had_been_none(scene, mixed, rows):
-    first = mixed[1] == 0
-    assert results(rows[first]) == results(evaluated(scene, mixed[0][first], np.zeros(first.sum())))
-
-
-def test_rows_one_by_one_are_the_same(scene, mixed, rows):
-    genomes, trials = mixed
-    with Evaluator(scene) as evaluator:
-        alone = [
-            evaluator.evaluate("approach", genomes[i : i + 1], trials[i : i + 1].astype(np.uint16)).rows
-            for i in range(60)
-        ]
-    assert results(np.concatenate(alone)) == results(rows[:60])
-
-
-def test_another_process_finds_the_same(scene, mixed, rows, tmp_path):
-    np.save(tmp_path / "genomes.npy", mixed[0])
-    np.save(tmp_path / "trials.npy", mixed[1].astype(np.uint16))
-    (tmp_path / "scene").write_bytes(pack_scene(scene).payload)
-    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path)], check=True, timeout=PATIENCE)
-    assert results(np.load(Path(tmp_path, "rows.npy"))) == results(rows)
+def test_another_process_finds_the_same(scene, mixed, rows):
+    assert results(elsewhere(evaluated, scene, "approach", *mixed)) == results(rows)
 
 
 def test_a_stored_pose_that_is_scored_as_given_meets_the_same_trials(scene, mixed, rows):
-    again = evaluated(scene, rows["base_to_object"], mixed[1], prior="given")
+    again = evaluated(scene, "given", rows["base_to_object"], mixed[1])
     assert results(again, "surface_point", "nu") == results(rows, "surface_point", "nu")
 
 

@@ -1,13 +1,14 @@
 """Hands without a gripper file: their URDF is read, their closing guessed, and they grasp."""
 
 import sys
-from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from tests.assets import example_hands
+from tests.worker.genomes import draw, evaluated, outcomes
 
 from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import build_scene
@@ -18,23 +19,18 @@ from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.world import World
 
 NU, DISTANCE = 3, 4
 """Genes of the prior contact: how far from the normal a hand looks, and from how far away."""
-ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
+ROBOTS = "cmeel.prefix/share/example-robot-data/robots/allegro_hand_description"
 MANI = "mani_skill/assets/robots"
 CASES = {
     "xarm": ("pybullet", "pybullet_data/xarm/xarm6_with_gripper.urdf", "rubiks_cube"),
     "pr2": ("pybullet", "pybullet_data/pr2_gripper.urdf", "tennis_ball"),
-    "allegro": (
-        "example-robot-data",
-        f"{ROBOTS}/allegro_hand_description/urdf/allegro_right_hand.urdf",
-        "mug",
-    ),
+    "allegro": ("example-robot-data", f"{ROBOTS}/urdf/allegro_right_hand.urdf", "mug"),
     "allegro_boxes": ("mani-skill", f"{MANI}/allegro/allegro_hand_right.urdf", "mug"),
     "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "mug"),
 }
@@ -57,21 +53,24 @@ def scene_of(urdf: Path, folder: Path, target: str, *, mends: bool = False) -> S
     if mends:
         copy = write_copy(robot, guess_base(robot)[0], file, lambda _: None, may_centre=True)
         robot, base = copy.robot, copy.base
-    file.write_text(
-        draft_toml(draft_gripper(robot, str(robot.path), DraftOverrides(base_link=base)), file.name)
-    )
+    draft = draft_gripper(robot, str(robot.path), DraftOverrides(base_link=base))
+    file.write_text(draft_toml(draft, file.name))
     assert examine(file, "own").faults == ()
     return build_scene(RunSpec(gripper=str(file), object=target))
 
 
-def grasps(scene: Scene, draw: Callable[..., np.ndarray], n: int) -> int:
+def grasps(scene: Scene, n: int) -> int:
     """Number of `n` poses that hold the object in a shake or two; half look at it from near by."""
     genomes = draw(n, genes=len(layout(scene, "contact")))
     genomes[:, DISTANCE] = (genomes[:, DISTANCE] - 1.0) / 2.0
     genomes[::2, NU], genomes[::2, DISTANCE] = -1.0, (genomes[::2, DISTANCE] - 1.0) / 2.0
-    with Evaluator(scene) as evaluator:
-        rows = evaluator.evaluate("contact", genomes, np.zeros(n, dtype=np.uint16)).rows
-    return sum(Outcome(outcome).is_grasp for outcome in rows["outcome"])
+    return sum(outcome.is_grasp for outcome in outcomes(evaluated(scene, "contact", genomes)))
+
+
+def closing_course(scene: Scene) -> np.ndarray:
+    """The joints (n, j) of a scene's hand while it closes on nothing [rad or m]."""
+    with closing(World(scene)) as world:
+        return np.array(world.closing(world.opened, NO_SYNERGY))
 
 
 @pytest.fixture
@@ -82,11 +81,7 @@ def mimicking(tmp_path: Path) -> Scene:
 
 
 def test_joints_that_mimic_another_close_with_it_as_it_does(mimicking: Scene) -> None:
-    world = World(mimicking)
-    try:
-        course = np.array(world.closing([joint.opened for joint in mimicking.gripper.joints], NO_SYNERGY))
-    finally:
-        world.close()
+    course = closing_course(mimicking)
     signs = {"knuckle": 1, "left_pad": -1, "other": -1, "right_pad": 1}
     names = [joint.name for joint in mimicking.gripper.joints]
     alike = course * [signs[name] for name in names]
@@ -95,41 +90,31 @@ def test_joints_that_mimic_another_close_with_it_as_it_does(mimicking: Scene) ->
     assert np.ptp(alike, axis=1).max() < 0.02
 
 
-def test_a_hand_that_mimics_grasps(mimicking: Scene, draw: Callable[..., np.ndarray]) -> None:
+def test_a_hand_that_mimics_grasps(mimicking: Scene) -> None:
     assert mimicking.gripper.jaw is not None
-    assert grasps(mimicking, draw, 60) > 0
+    assert grasps(mimicking, 60) > 0
 
 
 @pytest.mark.parametrize(("mass", "moved"), [("0.1", 0.04), ("0", 0.0)])
 def test_a_joint_that_carries_no_mass_stands_still(tmp_path: Path, mass: str, moved: float) -> None:
-    """Why such hands are refused (gripper_setup)."""
-    (tmp_path / "jaw.urdf").write_text(
-        example_hands.JAW_URDF.replace('mass value="0.1"', f'mass value="{mass}"')
-    )
+    """Such hands are refused for it (gripper_setup)."""
+    urdf = example_hands.JAW_URDF.replace('mass value="0.1"', f'mass value="{mass}"')
+    (tmp_path / "jaw.urdf").write_text(urdf)
     (tmp_path / "jaw.toml").write_text(example_hands.JAW_TOML)
     hand = read_gripper(tmp_path / "jaw.toml", "jaw", "jaw.toml").on_carrier("paper")
     scene = msgspec.structs.replace(build_scene(RunSpec(gripper="panda", object="mug")), gripper=hand)
-    world = World(scene)
-    try:
-        course = np.array(world.closing([joint.opened for joint in hand.joints], NO_SYNERGY))
-    finally:
-        world.close()
-    assert np.abs(course[-1]) == pytest.approx(moved, abs=1e-3)
+    assert np.abs(closing_course(scene)[-1]) == pytest.approx(moved, abs=1e-3)
 
 
 @pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro"], indirect=True)
-def test_a_hand_of_a_public_package_is_guessed_and_grasps(
-    packaged: tuple[Path, str], tmp_path: Path, draw: Callable[..., np.ndarray]
-) -> None:
+def test_a_hand_of_a_public_package_is_guessed_and_grasps(packaged: tuple[Path, str], tmp_path: Path) -> None:
     urdf, target = packaged
-    assert grasps(scene_of(urdf, tmp_path, target), draw, 120) > 0
+    assert grasps(scene_of(urdf, tmp_path, target), 120) > 0
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)  # CoACD takes minutes where others compute too
 @pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro_boxes", "ability"], indirect=True)
-def test_a_hand_of_a_public_package_is_mended_and_grasps(
-    packaged: tuple[Path, str], tmp_path: Path, draw: Callable[..., np.ndarray]
-) -> None:
+def test_a_hand_of_a_public_package_is_mended_and_grasps(packaged: tuple[Path, str], tmp_path: Path) -> None:
     urdf, target = packaged
-    assert grasps(scene_of(urdf, tmp_path, target, mends=True), draw, 300) > 0
+    assert grasps(scene_of(urdf, tmp_path, target, mends=True), 300) > 0

@@ -4,15 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.worker.genomes import NEAR, draw
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.replay_messages import ReplayPart, ReplayRequest
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_worker.evaluator import Evaluator
-
-NEAR = (-1.0, -0.5)
-"""Genes nu and d of genomes of the prior approach that look at the surface from near by."""
-SIZE = 320, 240
 
 
 @dataclass(frozen=True)
@@ -27,11 +24,10 @@ class RecordedEvaluation:
         return self.rows[np.flatnonzero(self.rows["outcome"] == outcome)[0]]
 
 
-def record_evaluation(scene: Scene, n: int, trial: int = 0, seed: int = 0) -> RecordedEvaluation:
+def record_evaluation(scene: Scene, n: int, trial: int = 0) -> RecordedEvaluation:
     """Evaluate poses of the prior approach, three of four near, each in its open posture."""
     with Evaluator(scene) as evaluator:
-        genes = evaluator.shape("approach").genes
-        genomes = np.random.default_rng(seed).uniform(-1, 1, (n, genes)).astype(np.float32)
+        genomes = draw(n, evaluator.shape("approach").genes)
         genomes[np.arange(n) % 4 > 0, 3:5] = NEAR
         found = evaluator.evaluate("approach", genomes, np.zeros(n, dtype=np.uint16)).rows
         posed = found[found["base_to_object"].any(axis=1)]
@@ -49,6 +45,5 @@ def given(scene: Scene, rows: Rows) -> NDArray[np.float32]:
 
 def request(row: np.void, what: ReplayPart | None = None, **settings: object) -> ReplayRequest:
     """Show a row."""
-    width, height = SIZE
     values = {"genome": tuple(row["genome"].tolist()), "trial": int(row["trial"]), "what": what}
-    return ReplayRequest(**{"width": width, "height": height} | values | settings)
+    return ReplayRequest(**{"width": 320, "height": 240} | values | settings)

@@ -32,19 +32,14 @@ class LeasingCoordinator:
         self.digest = hashlib.sha256(scene).hexdigest()
         self.joins: list[Join] = []
         self.results: list[Result] = []
-        self.signs = 0
-        """So many told that the simulator does something."""
-        self.sign: Heartbeat | None = None
-        """The latest."""
+        self.signs = 0  # So many told that the simulator does something
+        self.sign: Heartbeat | None = None  # The latest
         self.fetched = 0
         self.workers: set[str] = set()
         self.refusal = ""
-        self.drains = False
-        """The worker was asked to leave, and is so whenever it joins."""
-        self.faults = 0
-        """So many joins end in an error of the coordinator's own."""
-        self.garbled = 0
-        """So many chunks of the scene are not what they should be."""
+        self.drains = False  # The worker was asked to leave, and is so whenever it joins
+        self.faults = 0  # So many joins end in an error of the coordinator's own
+        self.garbled = 0  # So many chunks of the scene are not what they should be
         self._keys = Keys(job)
         self._tray: deque[Work] = deque()
         self._leased: dict[bytes, Work] = {}
@@ -78,10 +73,8 @@ class LeasingCoordinator:
             self._leased.pop(work.batch, None)
         self.drains |= drain
         message = Control(epoch=self.epoch, drop=[work.batch for work in drop], drain=drain)
-        wid, encoding = self.joins[-1].wid, messages.encoding(Control)
-        self.bus.put(
-            self._keys.ctl(wid), messages.encode(message), encoding=encoding, channel=Channel.CONTROL
-        )
+        key, encoding = self._keys.ctl(self.joins[-1].wid), messages.encoding(Control)
+        self.bus.put(key, messages.encode(message), encoding=encoding, channel=Channel.CONTROL)
 
     def wait(self, condition: Callable[[], object], what: str) -> None:
         """Wait until something holds that the worker makes true."""

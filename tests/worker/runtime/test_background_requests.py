@@ -4,6 +4,7 @@ import hashlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock, call
 
 import pytest
 from tests.worker.runtime.fake_coordinator import LeasingCoordinator
@@ -50,34 +51,24 @@ def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, m
     assert old != recent
 
 
-class NotedRequests:
-    """Requests that are noted only."""
-
-    def __init__(self) -> None:
-        self.fetched: list[str] = []
-
-    def fetch(self, job: str, scene: str) -> None:
-        self.fetched.append(scene)
-
-
 def test_a_scene_is_looked_for_once_and_again_only_where_it_was_not_found():
-    requests = NotedRequests()
+    requests = Mock()
     scenes = SceneCache(requests)
     assert not any(scenes.has_or_request("job", "a") for _ in range(2))
     scenes.on_answer(SceneAnswered("job", "a", NoReply("nobody")))
     assert not scenes.has_or_request("job", "a")
-    assert requests.fetched == ["a", "a"]
+    assert requests.fetch.call_args_list == [call("job", "a")] * 2
     scenes.on_answer(SceneAnswered("job", "a", b"a scene"))
     assert scenes.has_or_request("job", "a")
     assert scenes.pop("a") == b"a scene"
 
 
 def test_of_scenes_that_nobody_takes_the_last_are_kept_and_the_others_looked_for_again():
-    requests = NotedRequests()
+    requests = Mock()
     scenes = SceneCache(requests)
     names = [str(number) for number in range(100)]
     for name in names:
         scenes.has_or_request("job", name)
         scenes.on_answer(SceneAnswered("job", name, b"a scene"))
     assert [name for name in names if scenes.has_or_request("job", name)] == names[-MAX_SCENES:]
-    assert requests.fetched[100:] == names[:-MAX_SCENES]
+    assert requests.fetch.call_args_list[100:] == [call("job", name) for name in names[:-MAX_SCENES]]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.worker.genomes import draw
 from tests.worker.runtime import evaluators
 from tests.worker.runtime.evaluators import Height, Squeamish, Wrong
 
@@ -21,7 +22,6 @@ from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, FramedSocket
 
 HERE = Path(evaluators.__file__)
-Draw = Callable[..., np.ndarray]
 
 
 @pytest.fixture(autouse=True)
@@ -42,9 +42,7 @@ def hands(n: int) -> Hands:
     )
 
 
-def test_hands_stand_where_the_simulator_would_put_them(
-    cube: Scene, evaluator: Evaluator, draw: Draw
-) -> None:
+def test_hands_stand_where_the_simulator_would_put_them(cube: Scene, evaluator: Evaluator) -> None:
     genomes, trials = draw(40), np.zeros(40, np.uint16)
     ours = evaluator.evaluate("approach", genomes, trials).rows
     found = CustomEvaluator(cube, Height).evaluate("approach", genomes, trials)
@@ -54,7 +52,7 @@ def test_hands_stand_where_the_simulator_would_put_them(
     assert (found.rows["proposals"] == 1).all()
 
 
-def test_verdicts_fill_the_rows(cube: Scene, draw: Draw) -> None:
+def test_verdicts_fill_the_rows(cube: Scene) -> None:
     rows = CustomEvaluator(cube, Height).evaluate("approach", draw(40), np.zeros(40, np.uint16)).rows
     above = rows["base_to_object"][:, 2] > cube.object_high[2]
     assert 0 < above.sum() < 40
@@ -64,7 +62,7 @@ def test_verdicts_fill_the_rows(cube: Scene, draw: Draw) -> None:
     assert rows["joints"] == pytest.approx(np.tile(opened, (40, 1)))
 
 
-def test_a_hand_that_cannot_be_judged_fails_alone(cube: Scene, draw: Draw) -> None:
+def test_a_hand_that_cannot_be_judged_fails_alone(cube: Scene) -> None:
     found = CustomEvaluator(cube, Squeamish).evaluate("approach", draw(20), np.zeros(20, np.uint16))
     sure = CustomEvaluator(cube, Height).evaluate("approach", draw(20), np.zeros(20, np.uint16)).rows
     bad = np.flatnonzero(sure["base_to_object"][:, 0] > 0)
@@ -77,7 +75,7 @@ def test_a_hand_that_cannot_be_judged_fails_alone(cube: Scene, draw: Draw) -> No
 
 
 def test_trials_show_the_hand_as_the_object_is_disturbed(
-    make_scene: Callable[[str, str, str], Scene], draw: Draw
+    make_scene: Callable[[str, str, str], Scene],
 ) -> None:
     own = CustomEvaluator(make_scene("panda", "rubiks_cube", "robust"), Height)
     genomes = np.repeat(draw(1), 3, axis=0)
@@ -90,7 +88,7 @@ def test_trials_show_the_hand_as_the_object_is_disturbed(
 
 
 def test_a_genome_without_a_pose_is_not_shown_to_anybody(
-    make_scene: Callable[[str, str, str], Scene], draw: Draw
+    make_scene: Callable[[str, str, str], Scene],
 ) -> None:
     genomes = draw(30, genes=4)
     rows = (
@@ -124,18 +122,12 @@ def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -
         verdicts.columns(hands(2))
 
 
-def test_a_judge_says_how_many_hands_it_wants_to_see_at_once(cube: Scene) -> None:
-    class Wide(Height):
-        at_once = 512
-
-    assert CustomEvaluator(cube, Height).at_once == ROWS_AT_ONCE
-    assert CustomEvaluator(cube, Wide).at_once == 512
-
-
-def test_a_batch_is_shown_in_such_pieces(cube: Scene, draw: Draw) -> None:
-    class Wide(Height):
-        at_once = 25
-
+@pytest.mark.parametrize(("at_once", "pieces"), [(25, [25, 25, 10]), (ROWS_AT_ONCE, [16, 16, 16, 12])])
+def test_a_judge_is_shown_as_many_hands_at_once_as_it_wants(
+    cube: Scene, at_once: int, pieces: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if at_once != ROWS_AT_ONCE:  # where it says nothing
+        monkeypatch.setattr(Height, "at_once", at_once, raising=False)
     ours, its = socket.socketpair()
     genomes = draw(60)
     rows = RowShape(7, 2).empty(len(genomes))
@@ -150,11 +142,11 @@ def test_a_batch_is_shown_in_such_pieces(cube: Scene, draw: Draw) -> None:
         is_careful=False,
     )
     with ours, its:
-        SimulatorMain(FramedSocket(its), 60.0, lambda _: CustomEvaluator(cube, Wide)).evaluate(request)
-    assert [len(hands) for hands in evaluators.ASKED] == [25, 25, 10]
+        SimulatorMain(FramedSocket(its), 60.0, lambda _: CustomEvaluator(cube, Height)).evaluate(request)
+    assert [len(hands) for hands in evaluators.ASKED] == pieces
 
 
-def test_every_row_of_a_bad_verdict_fails_with_the_reason(cube: Scene, draw: Draw) -> None:
+def test_every_row_of_a_bad_verdict_fails_with_the_reason(cube: Scene) -> None:
     wrong = CustomEvaluator(cube, lambda _: Wrong(Verdicts(np.full(3, 7))))
     found = wrong.evaluate("approach", draw(4), np.zeros(4, np.uint16))
     assert [place for place, _ in found.failures] == [0, 1, 2, 3]

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from math import inf
+from unittest.mock import Mock
 
 import pytest
 from tests.worker.runtime.scripted_simulator import work
 
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Control, Join, Joined
+from qdgrasp_protocol.messages import Control, Joined
 from qdgrasp_worker.runtime.background_requests import JoinAnswered
 from qdgrasp_worker.runtime.job_registry import ABANDON_SECONDS, JobRegistry, JobSession
 
@@ -91,29 +92,16 @@ def test_a_batch_can_be_taken_back_at_any_time_but_only_by_its_own_epoch(session
     assert session.held == []
 
 
-WID = "a" * 32
-
-
-class NotedRequests:
-    """Requests that are noted only."""
-
-    def __init__(self) -> None:
-        self.joins: list[tuple[str, Join]] = []
-
-    def join(self, job: str, join: Join) -> None:
-        self.joins.append((job, join))
-
-
 class Membership:
     """A worker's jobs, and the tokens that others see of it."""
 
     def __init__(self) -> None:
         network = MemoryNetwork()
-        self.requests = NotedRequests()
+        self.requests = Mock()
         self.tokens: set[str] = set()
         self.bus = network.session()
         network.session().watch("qdgrasp/v1/*/live/worker/*", self._see)
-        self.jobs = JobRegistry(self.bus, self.requests, WID, None)
+        self.jobs = JobRegistry(self.bus, self.requests, "a" * 32, None)
 
     def meet(self, job: str, epoch: int, now: float, *, is_alive: bool = True) -> None:
         self.jobs.on_coordinator(Keys(job).coordinator_token(epoch), is_alive, now)
@@ -167,7 +155,7 @@ def test_the_numbers_of_joins_go_on_where_a_job_comes_back_after_its_end(member)
     member.jobs.end_abandoned(3.0 + ABANDON_SECONDS)
     member.meet("job", 1, 100.0)
     member.join("job", 1, 100.0)
-    numbers = [join.number for _, join in member.requests.joins]
+    numbers = [asked.args[1].number for asked in member.requests.join.call_args_list]
     assert numbers == sorted(set(numbers))
 
 

@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 from tests.worker.runtime import scripted_simulator
 from tests.worker.runtime.fake_coordinator import LeasingCoordinator
 from tests.worker.runtime.running_worker import GRACE, RunningWorker
-from tests.worker.runtime.scripted_simulator import work
+from tests.worker.runtime.scripted_simulator import ABORT, DAWDLE, HANG, WAIT, work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys
@@ -55,14 +55,20 @@ def hire(network: MemoryNetwork, log: Path) -> Iterator[Callable[..., RunningWor
 @pytest.fixture
 def open_office(network: MemoryNetwork) -> Iterator[Callable[..., LeasingCoordinator]]:
     with ExitStack() as stack:
-        yield lambda *arguments, **named: stack.enter_context(
-            LeasingCoordinator(network, *arguments, **named)
-        )
+        yield lambda *given, **named: stack.enter_context(LeasingCoordinator(network, *given, **named))
 
 
-def test_a_worker_fetches_a_scene_once_and_answers_every_batch(hire, open_office):
-    office = open_office()
-    hire()
+@pytest.fixture
+def office(open_office: Callable[..., LeasingCoordinator]) -> LeasingCoordinator:
+    return open_office()
+
+
+@pytest.fixture
+def worker(office: LeasingCoordinator, hire: Callable[..., RunningWorker]) -> RunningWorker:
+    return hire()
+
+
+def test_a_worker_fetches_a_scene_once_and_answers_every_batch(office, worker):
     office.give(*(work(batch, n=20) for batch in range(5)))
     office.wait(lambda: len(office.results) == 5, "five results")
     assert office.answered() == [0, 1, 2, 3, 4]
@@ -104,7 +110,7 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     office, other = open_office("drained"), open_office("other")
     worker = hire()
     office.wait(lambda: office.joins and office.joins[-1].credit == 1, "a join")
-    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE))
+    office.give(work(1, n=2, row_0=DAWDLE))
     office.control(drain=True)
     office.wait(lambda: not office.workers, "the end of its token")
     assert office.answered() == [1]
@@ -133,38 +139,27 @@ def test_a_worker_that_was_drained_of_a_job_serves_a_new_one_of_the_same_name(hi
     assert anew.epoch == office.epoch
 
 
-def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office):
-    office = open_office()
+def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(office, hire):
     worker = hire(job="job")
     office.wait(lambda: office.joins, "a join")
     office.control(drain=True)
     assert worker.ended()
 
 
-def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(hire, open_office, go_on):
-    office = open_office()
-    worker = hire()
-    office.give(
-        work(0),
-        work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT),
-        work(2),
-        work(3),
-    )
+def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(office, worker, go_on):
+    office.give(work(0), work(1, n=2, row_0=DAWDLE, row_1=WAIT), work(2), work(3))
     office.wait(lambda: office.results, "a result")
     worker.leave()
     office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
     go_on()
     assert worker.ended()
-    last = office.joins[-1]
-    assert last.credit == 0
-    assert last.held == [work(1).batch]
+    assert (office.joins[-1].credit, office.joins[-1].held) == (0, [work(1).batch])
     assert office.answered() == [0, 1]
 
 
-def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(hire, open_office):
-    office = open_office()
+def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(office, hire):
     worker = hire(grace=1.0)
-    office.give(work(0), work(1, n=3, row_1=scripted_simulator.HANG))
+    office.give(work(0), work(1, n=3, row_1=HANG))
     office.wait(lambda: office.results, "a result")
     worker.leave()
     assert worker.ended()
@@ -173,10 +168,9 @@ def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(hire, open
 
 
 @pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT]])
-def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(hire, open_office, signals):
-    office = open_office()
+def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(office, hire, signals):
     worker = hire(grace=1000.0)
-    office.give(work(0), work(1, row_0=scripted_simulator.HANG))
+    office.give(work(0), work(1, row_0=HANG))
     office.wait(lambda: office.results, "a result")
     for number in signals:
         worker.leave(number)
@@ -184,10 +178,8 @@ def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(hire, open
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
 
 
-def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office, go_on):
-    office = open_office()
-    worker = hire()
-    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+def test_a_second_sigterm_takes_nothing_from_the_grace(office, worker, go_on):
+    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
     office.wait(lambda: office.signs, "a sign of progress")
     for _ in range(2):
         worker.leave(signal.SIGTERM)
@@ -200,16 +192,14 @@ def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office, go_on)
 def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_office, network):
     with LeasingCoordinator(network) as office:
         worker = hire(grace=1000.0)
-        office.give(work(1, row_0=scripted_simulator.HANG))
+        office.give(work(1, row_0=HANG))
         office.wait(lambda: office.signs, "a sign of progress")
     worker.leave()
     assert worker.ended()
 
 
-def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(hire, open_office, go_on):
-    office = open_office()
-    worker = hire()
-    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(office, worker, go_on):
+    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
     office.wait(lambda: office.signs, "a sign of progress")
     os.kill(worker.simulators[0].pid, signal.SIGKILL)
     go_on()
@@ -220,9 +210,7 @@ def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_
     assert len(worker.simulators) == 2
 
 
-def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_started_again(hire, open_office):
-    office = open_office()
-    worker = hire()
+def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_started_again(office, worker):
     office.wait(lambda: office.joins and office.joins[-1].credit, "a simulator")
     office.wait(lambda: office.sign, "a sign")
     office.wait(lambda: office.sign.memory > 1 << 20, "what it takes")
@@ -232,18 +220,14 @@ def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_star
     assert office.signs == 0
 
 
-def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(hire, open_office):
-    office = open_office()
-    hire()
-    office.give(work(1, n=4, row_2=scripted_simulator.ABORT), work(2))
+def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(office, worker):
+    office.give(work(1, n=4, row_2=ABORT), work(2))
     office.wait(lambda: len(office.results) == 2, "two results")
     assert [failure.row for failure in office.results[0].failures] == [2]
     assert all(work(1).batch in join.held for join in office.joins[1:3])
 
 
-def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(hire, open_office):
-    office = open_office()
-    worker = hire()
+def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(office, worker):
     office.wait(lambda: office.joins, "a join")
     wid, control = office.joins[-1].wid, Control(epoch=1, drop=[], drain=True)
     sent = [
@@ -262,10 +246,8 @@ def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(hire, op
     assert [entry["dropped"] for entry in logs if entry["event"] == "dropped a message"] == [1, 2]
 
 
-def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office, go_on):
-    office = open_office()
-    hire()
-    office.give(work(1, n=5, row_0=scripted_simulator.WAIT), work(2), work(3))
+def test_a_batch_that_is_taken_back_is_not_answered(office, worker, go_on):
+    office.give(work(1, n=5, row_0=WAIT), work(2), work(3))
     office.wait(lambda: office.fetched, "its beginning")
     office.control(work(1))
     go_on()
@@ -273,16 +255,14 @@ def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office, go_on):
     assert office.answered() == [2, 3]
 
 
-def test_a_worker_that_its_only_job_refuses_says_why(hire, open_office):
-    office = open_office()
+def test_a_worker_that_its_only_job_refuses_says_why(office, hire):
     office.refusal = "another numpy"
     worker = hire(job="job")
     assert worker.ended()
     assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
 
 
-def test_a_worker_whose_only_job_fails_by_a_fault_of_its_own_asks_again(hire, open_office):
-    office = open_office()
+def test_a_worker_whose_only_job_fails_by_a_fault_of_its_own_asks_again(office, hire):
     office.faults = 2
     worker = hire(job="job")
     office.wait(lambda: office.joins, "a join")
@@ -298,16 +278,7 @@ def test_a_worker_that_one_of_many_jobs_refuses_serves_the_others(hire, open_off
     other.wait(lambda: other.results, "a result")
 
 
-def test_a_scene_that_is_no_scene_fails_its_batches(hire, open_office):
-    office = open_office(scene=b"no scene")
-    hire()
-    office.give(work(1, n=2))
-    office.wait(lambda: office.results, "a result")
-    assert {failure.reason for failure in office.results[0].failures} == {"This is no scene."}
-
-
-def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(hire, open_office):
-    office = open_office()
+def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(office, hire):
     office.garbled = 2
     hire()
     office.give(work(1, n=2))
@@ -322,15 +293,12 @@ def test_a_scene_that_is_larger_than_one_can_be_fails_its_batches(hire, open_off
     hire()
     office.give(work(1, n=2))
     office.wait(lambda: office.results, "a result")
-    assert {failure.reason for failure in office.results[0].failures} == {
-        "the scene has 1 chunks, more than 0"
-    }
+    reasons = {failure.reason for failure in office.results[0].failures}
+    assert reasons == {"the scene has 1 chunks, more than 0"}
 
 
-def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office, go_on):
-    office = open_office()
-    worker = hire()
-    office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
+def test_a_link_that_was_cut_costs_no_batch_that_is_held(office, worker, go_on):
+    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
     office.wait(lambda: office.fetched, "its beginning")
     joins = len(office.joins)
     worker.bus.disconnect()
@@ -368,11 +336,8 @@ def shutdown() -> GracefulShutdown:
     return GracefulShutdown(SECONDS)
 
 
-def test_nobody_leaves_unasked(shutdown):
+def test_an_idle_worker_goes_at_once_and_nobody_unasked(shutdown):
     assert not shutdown.is_over(1e9)
-
-
-def test_an_idle_worker_goes_at_once(shutdown):
     shutdown.start(None, now=10.0)
     assert shutdown.is_over(10.0)
 

@@ -14,7 +14,18 @@ import numpy as np
 import pytest
 from tests.common import PATIENCE
 from tests.worker.runtime import scripted_simulator
-from tests.worker.runtime.scripted_simulator import work
+from tests.worker.runtime.scripted_simulator import (
+    ABORT,
+    BE_KILLED,
+    DAWDLE,
+    EXIT,
+    HANG,
+    LEAK,
+    RAISE,
+    SLEEP,
+    TAKE_EVERYTHING,
+    work,
+)
 
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.runtime import simulator_supervisor
@@ -137,13 +148,20 @@ class Supervision:
         known = self.supervisor.has_scene(task.work.scene)
         self.supervisor.submit(task, None if known else bundle, monotonic())
 
-    def evaluate(self, batch: Work, bundle: bytes = SCENE) -> Result:
-        """The result of one batch."""
+    def give(self, batch: Work, bundle: bytes = SCENE) -> None:
+        """Have a batch begun, as soon as there is room."""
         self.begin()
         self.submit(BatchProgress("job", batch), bundle)
+
+    def result(self) -> Result:
+        """Wait for the next result."""
         while not self.done:
             self.receive()
-        return self.done.pop()
+        return self.done.pop(0)
+
+    def evaluate(self, batch: Work, bundle: bytes = SCENE) -> Result:
+        self.give(batch, bundle)
+        return self.result()
 
 
 @pytest.fixture
@@ -173,10 +191,14 @@ def fitness(result: Result) -> list[float]:
     return np.frombuffer(result.columns["fitness"], "<f4").tolist()
 
 
+def failed(result: Result) -> list[tuple[int, str]]:
+    return [(failure.row, failure.reason) for failure in result.failures]
+
+
 def test_a_batch_comes_back_with_the_rows_in_order(supervision):
     result = supervision.evaluate(work(n=40))
     assert fitness(result) == list(range(40))
-    assert [(failure.row, failure.reason) for failure in result.failures] == [(13, "odd")]
+    assert failed(result) == [(13, "odd")]
     assert supervision.supervisor.platform == scripted_simulator.PLATFORM
     assert len(supervision.started) == 1
 
@@ -188,40 +210,33 @@ def test_a_simulator_that_stood_still_for_long_is_no_evidence_against_its_row(st
     os.kill(simulator.pid, signal.SIGSTOP)
     while not simulator.stats.is_stopped:
         pass
-    supervision.submit(BatchProgress("job", work()))
+    supervision.give(work())
     supervision.let_pass(10 * STALL_FACTOR * 10.0)
     os.kill(simulator.pid, signal.SIGCONT)
-    while not supervision.done:
-        supervision.receive()
-    assert (supervision.done[0].failures, supervision.started) == ([], [simulator])
+    assert (supervision.result().failures, supervision.started) == ([], [simulator])
 
 
 def test_a_worker_that_stood_still_for_long_ends_no_simulator_for_it(start):
     supervision = start(10.0)
     supervision.begin()
     (simulator,) = supervision.started
-    supervision.submit(BatchProgress("job", work(row_0=scripted_simulator.DAWDLE)))
+    supervision.give(work(row_0=DAWDLE))
     supervision.supervisor.step(monotonic() + 10 * STALL_FACTOR * 10.0)
-    while not supervision.done:
-        supervision.receive()
-    assert (supervision.done[0].failures, supervision.started) == ([], [simulator])
+    assert (supervision.result().failures, supervision.started) == ([], [simulator])
 
 
 def test_a_row_at_which_simulators_fall_silent_is_found(start, log):
     supervision = start(BRISK)
-    supervision.begin()
-    supervision.submit(BatchProgress("job", work(n=3, row_1=scripted_simulator.SLEEP)))
+    supervision.give(work(n=3, row_1=SLEEP))
     for silences in (1, 2):
         while not log.exists() or log.read_text().split().count("1") < silences:
             supervision.receive(0.01)
         supervision.let_pass(STALL_FACTOR * BRISK + 2)
         while len(supervision.started) == silences:
             supervision.receive()
-    while not supervision.done:
-        supervision.receive()
-    (result,) = supervision.done
+    result = supervision.result()
     reason = f"the simulator said nothing for {STALL_FACTOR * BRISK:g} s"
-    assert [(failure.row, failure.reason) for failure in result.failures] == [(1, reason)]
+    assert failed(result) == [(1, reason)]
     assert fitness(result) == [0, 0, 2]
 
 
@@ -236,51 +251,47 @@ def test_probes_that_never_end_end_the_simulator():
 @pytest.mark.parametrize(
     ("deed", "reason"),
     [
-        (scripted_simulator.ABORT, "the simulator was ended by SIGABRT"),
-        (scripted_simulator.HANG, f"the simulator took more than {BRISK} CPU seconds"),
-        (scripted_simulator.RAISE, "ValueError: as the genome wants it"),
-        (scripted_simulator.EXIT, "the simulator ended with exit code 3"),
-        (scripted_simulator.TAKE_EVERYTHING, "MemoryError: "),
+        (ABORT, "the simulator was ended by SIGABRT"),
+        (HANG, f"the simulator took more than {BRISK} CPU seconds"),
+        (RAISE, "ValueError: as the genome wants it"),
+        (EXIT, "the simulator ended with exit code 3"),
+        (TAKE_EVERYTHING, "MemoryError: "),
     ],
 )
 def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(
     start, deed, reason, monkeypatch
 ):
     monkeypatch.setattr(simulator_supervisor, "STALL_FACTOR", inf)  # CPU seconds may take long to come by
-    supervision = start(BRISK if deed == scripted_simulator.HANG else PATIENCE)
+    supervision = start(BRISK if deed == HANG else PATIENCE)
     result = supervision.evaluate(work(n=20, row_7=deed))
-    assert [(failure.row, failure.reason) for failure in result.failures] == [(7, reason), (13, "odd")]
+    assert failed(result) == [(7, reason), (13, "odd")]
     assert fitness(result) == [0 if row == 7 else row for row in range(20)]
     assert len(supervision.started) == 3
 
 
 def test_two_rows_that_end_simulators_are_both_found(supervision):
-    result = supervision.evaluate(work(n=8, row_0=scripted_simulator.ABORT, row_7=scripted_simulator.RAISE))
+    result = supervision.evaluate(work(n=8, row_0=ABORT, row_7=RAISE))
     assert [failure.row for failure in result.failures] == [0, 7]
     assert fitness(result) == [0, 1, 2, 3, 4, 5, 6, 0]
 
 
 def test_rows_that_are_known_are_not_evaluated_again(supervision, log):
-    supervision.evaluate(work(n=20, row_1=scripted_simulator.DAWDLE, row_18=scripted_simulator.ABORT))
+    supervision.evaluate(work(n=20, row_1=DAWDLE, row_18=ABORT))
     begun = [int(line) for line in log.read_text().split()]
     assert [begun.count(row) for row in (0, 15, 16, 17, 18, 19)] == [1, 1, 2, 2, 2, 1]
 
 
 def test_the_batch_that_waits_behind_goes_to_the_next_simulator(supervision):
-    supervision.begin()
-    supervision.submit(BatchProgress("job", work(1, n=3, row_1=scripted_simulator.ABORT)))
-    supervision.submit(BatchProgress("job", work(2, n=3)))
+    supervision.give(work(1, n=3, row_1=ABORT))
+    supervision.give(work(2, n=3))
     assert not supervision.supervisor.has_room
-    while len(supervision.done) < 2:
-        supervision.receive()
-    first, second = supervision.done
+    first, second = supervision.result(), supervision.result()
     assert [failure.row for failure in first.failures] == [1]
     assert (second.batch, second.failures, fitness(second)) == (work(2).batch, [], [0, 1, 2])
 
 
 def test_a_kill_from_outside_says_nothing_against_a_row(supervision):
-    supervision.begin()
-    supervision.submit(BatchProgress("job", work(n=3, row_1=scripted_simulator.BE_KILLED)))
+    supervision.give(work(n=3, row_1=BE_KILLED))
     while not supervision.lost:
         supervision.receive()
     assert supervision.done == []
@@ -298,16 +309,14 @@ def test_a_simulator_heeds_no_signal_that_is_meant_for_its_worker(supervision):
 
 def test_a_scene_that_cannot_be_used_fails_its_batch_and_no_simulator(supervision):
     result = supervision.evaluate(work(n=2), b"no scene")
-    assert {failure.reason for failure in result.failures} == {"This is no scene."}
+    assert failed(result) == [(0, "This is no scene."), (1, "This is no scene.")]
     assert fitness(supervision.evaluate(work(n=2, scene="1" * 64))) == [0, 1]
     assert len(supervision.started) == 1
 
 
 def test_a_scene_that_ends_the_simulator_fails_its_batch_at_once(supervision):
-    result = supervision.evaluate(work(n=20), b"abort")
-    reasons = {failure.reason for failure in result.failures}
-    assert reasons == {"the simulator was ended by SIGABRT while it loaded the scene"}
-    assert len(result.failures) == 20
+    reason = "the simulator was ended by SIGABRT while it loaded the scene"
+    assert failed(supervision.evaluate(work(n=20), b"abort")) == [(row, reason) for row in range(20)]
     assert len(supervision.started) == 1
 
 
@@ -319,12 +328,8 @@ def test_a_scene_that_a_simulator_no_longer_has_is_given_to_it_again(supervision
 
 
 def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(supervision):
-    leaks = {f"row_{row}": scripted_simulator.LEAK for row in range(3)}
-    supervision.begin()
-    supervision.submit(BatchProgress("job", work(1, n=4, **leaks)))
-    while not supervision.done:
-        supervision.receive()
-    assert fitness(supervision.done.pop()) == [0, 1, 2, 3]
+    leaks = {f"row_{row}": LEAK for row in range(3)}
+    assert fitness(supervision.evaluate(work(1, n=4, **leaks))) == [0, 1, 2, 3]
     supervision.supervisor.measure()
     assert not supervision.supervisor.has_room
     supervision.supervisor.step(monotonic())

@@ -1,6 +1,7 @@
 """Workers of one command: their arguments, restarts and end."""
 
 import signal
+from unittest.mock import Mock, call
 
 import typer.main
 
@@ -22,11 +23,6 @@ def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_
     changed = {name for name, value in team.params.items() if member.params[name] != value}
     assert changed == set(POOL_OPTIONS)
     assert (member.params["workers"], member.params["pin"]) == (1, False)
-
-
-def test_nothing_is_made_of_what_was_not_given():
-    assert "--job" not in worker_arguments(parsed(["--workers", "2"]))
-    assert "--self-test" not in worker_arguments(parsed(["--workers", "2"]))
 
 
 def hopeless(*deaths: tuple[str, int, float]) -> list[bool]:
@@ -52,22 +48,12 @@ def test_a_worker_that_leaves_long_after_its_beginning_does_not_end_one_that_beg
     assert not any(hopeless(("a", 2, 1.0), ("b", 2, 5000.0)))
 
 
-class FakeProcesses:
-    """Processes, of which it is noted which ones are started again."""
-
-    def __init__(self) -> None:
-        self.restarted: list[str] = []
-
-    def restart_later(self, name: str, now: float) -> float:
-        self.restarted.append(name)
-        return 0.5
-
-
 def test_a_worker_that_is_turned_away_while_another_serves_is_started_again():
-    processes, pool = FakeProcesses(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
+    processes, pool = Mock(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
+    processes.restart_later.return_value = 0.5
     for _ in range(2):
         pool._on_exit(processes, ProcessExit("worker-0", 2), 0.0)
-    assert processes.restarted == ["worker-0", "worker-0"]
+    assert processes.restart_later.call_args_list == [call("worker-0", 0.0)] * 2
 
 
 MEMBER = """

@@ -7,14 +7,3 @@ from qdgrasp_worker.priors.surface_priors import ANTIPODAL, APPROACH, CONTACT
 PRIORS: dict[str, Prior] = {
     prior.name: prior for prior in (AIMED, ANTIPODAL, APPROACH, CONTACT, GIVEN, SPHERICAL)
 }
-
-__all__ = [
-    "AIMED",
-    "ANTIPODAL",
-    "APPROACH",
-    "CONTACT",
-    "GIVEN",
-    "PRIORS",
-    "SPHERICAL",
-    "Prior",
-]

@@ -69,8 +69,7 @@ class Prior(ABC):
         """The poses that the prior's own genes (n, k) stand for, one for each row."""
 
 
-ROUNDING = 1e-6
-"""Deviation of a unit quaternion's length in float32; poses within it are left as stored."""
+ROUNDING = 1e-6  # Deviation of a unit quaternion's length in float32; poses within it are left as stored
 
 
 class FixedPosePrior(Prior):

@@ -1,6 +1,6 @@
 """Records the snapshots of an evaluation, and chooses which are shown, and for how long."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,8 +16,7 @@ from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World
 
 STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
-FRAME_SECONDS = 0.08
-"""Seconds for which a frame is shown: 3.2 times slower than simulated."""
+FRAME_SECONDS = 0.08  # Seconds for which a frame is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
     "all": ("placed", "closing", "shake z", "shake x"),
@@ -39,20 +38,20 @@ def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
 
 
 def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
-    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen."""
+    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
+
+    Every so many steps one, and the last of each phase.
+    """
     chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
     if not chosen:
         raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
-    return list(_timed_snapshots(chosen))
-
-
-def _timed_snapshots(snapshots: Sequence[Snapshot]) -> Iterator[TimedSnapshot]:
-    """Every so many steps one, and the last of each phase."""
-    for snapshot, following in zip(snapshots, [*snapshots[1:], None], strict=True):
+    shown = []
+    for snapshot, following in zip(chosen, [*chosen[1:], None], strict=True):
         is_last = following is None or following.phase != snapshot.phase
         rests = following is None or (is_last and snapshot.phase in PARTS["closing"])
         if is_last or snapshot.step % STEPS_PER_FRAME == 0:
-            yield TimedSnapshot(snapshot, REST_SECONDS if rests else FRAME_SECONDS)
+            shown.append(TimedSnapshot(snapshot, REST_SECONDS if rests else FRAME_SECONDS))
+    return shown
 
 
 PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
@@ -114,7 +113,6 @@ class RecordingWorld(World):
         self.snapshots.append(self._now())
 
     def _now(self) -> Snapshot:
-        """The present state."""
         hand, target = self._hand.body, self._target.body
         return Snapshot(
             self._phase,

@@ -40,8 +40,7 @@ class Snapshot:
 
 FIELD_OF_VIEW = np.radians(28.0)  # Of view, from the lower to the upper edge
 FILLED_SHARE = 0.94  # How much of the picture is filled, to the farthest point
-NEAR, FAR = 0.1, 10.0
-"""Bounds of the drawn depth, as shares of the distance [-]."""
+NEAR, FAR = 0.1, 10.0  # Bounds of the drawn depth, as shares of the distance [-]
 
 
 @dataclass(frozen=True)
@@ -219,7 +218,6 @@ class Renderer:
     def _see(
         self, camera: CameraMatrices, width: int, height: int, flags: int
     ) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
-        """The colours and the mask of a picture."""
         _, _, colours, _, mask = pb.getCameraImage(
             width,
             height,
@@ -246,8 +244,7 @@ def surface_obj(target: SceneObject) -> bytes:
     return "\n".join(["o surface", *vertices, *faces, ""]).encode()
 
 
-AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)
-"""The sides that are tried [deg]."""
+AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The sides that are tried [deg]
 OBJECT_CORNERS = -8  # Where in the corners of all that is there those of the object begin
 PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
 

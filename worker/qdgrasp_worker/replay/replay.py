@@ -29,7 +29,6 @@ from qdgrasp_protocol.replay_messages import (
     REQUEST,
     SCENE,
     ReplayAnswer,
-    ReplayCamera,
     ReplayFrame,
     ReplayRequest,
 )
@@ -48,10 +47,8 @@ from qdgrasp_worker.replay.episode_recorder import (
 from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
 
 OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
-Frames = NDArray[np.uint8]
-"""(n, rows, columns, 3)."""
-MakeFrames = Callable[[int, int, int], Frames]
-"""Makes room for so many frames of so many rows and columns."""
+Frames = NDArray[np.uint8]  # (n, rows, columns, 3)
+MakeFrames = Callable[[int, int, int], Frames]  # Makes room for so many frames of so many rows and columns
 
 
 class EpisodeReplay:
@@ -86,7 +83,16 @@ class EpisodeReplay:
             for frame, timed in zip(frames, shown, strict=True):
                 renderer.place(timed.snapshot)
                 frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
-        return self._answer(shown, camera.camera(width, height))
+        found = self.verdict
+        return ReplayAnswer(
+            outcome=found.outcome,
+            fitness=found.fitness,
+            joints=tuple(found.joints),
+            contacts=found.contacts,
+            penetration=found.penetration,
+            camera=camera.camera(width, height),
+            shots=tuple(self._frame(timed) for timed in shown),
+        )
 
     def hand(self, snapshot: Snapshot) -> replay_messages.Pose:
         """The pose of the hand's base link."""
@@ -96,18 +102,6 @@ class EpisodeReplay:
         positions = dict(zip(self._joints, snapshot.joints, strict=True))
         frame = self._robot.forward(positions, root)[self._scene.gripper.base_link]
         return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
-
-    def _answer(self, shown: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
-        found = self.verdict
-        return ReplayAnswer(
-            outcome=found.outcome,
-            fitness=found.fitness,
-            joints=tuple(found.joints),
-            contacts=found.contacts,
-            penetration=found.penetration,
-            camera=camera,
-            shots=tuple(self._frame(timed) for timed in shown),
-        )
 
     def _frame(self, timed: TimedSnapshot) -> ReplayFrame:
         snapshot = timed.snapshot

@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -91,7 +92,6 @@ class JoinAnswered:
 
     job: str
     number: int
-    """The join's."""
     answer: Joined | QdgraspError
 
 
@@ -122,18 +122,18 @@ class BackgroundRequests:
             payload = self._bus.ask(Keys(job).join, messages.encode(join), timeout=JOIN_SECONDS)
             return messages.decode(payload, Joined)
 
-        self._start(lambda: JoinAnswered(job, join.number, _result_or_error(ask)))
+        self._start(ask, lambda answer: JoinAnswered(job, join.number, answer))
 
     def fetch(self, job: str, scene: str) -> None:
         """Get a scene, from disk or from a coordinator."""
+        bundle = partial(self._store.bundle, self._bus, job, scene)
+        self._start(bundle, lambda answer: SceneAnswered(job, scene, answer))
 
-        def fetch() -> bytes:
-            return self._store.bundle(self._bus, job, scene)
+    def _start(self, act: Callable[[], T], answered: Callable[[T | QdgraspError], RequestAnswered]) -> None:
+        def request() -> None:
+            self._report(answered(_result_or_error(act)))
 
-        self._start(lambda: SceneAnswered(job, scene, _result_or_error(fetch)))
-
-    def _start(self, request: Callable[[], RequestAnswered]) -> None:
-        threading.Thread(target=lambda: self._report(request()), name="request", daemon=True).start()
+        threading.Thread(target=request, name="request", daemon=True).start()
 
 
 def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
@@ -146,8 +146,7 @@ def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
         return NoReply(f"{type(error).__name__}: {error}")
 
 
-MAX_SCENES = 8
-"""Scenes kept in memory; the oldest goes first, and is requested again if need be."""
+MAX_SCENES = 8  # Scenes kept in memory; the oldest goes first, and is requested again if need be
 
 
 class SceneCache:

@@ -73,7 +73,6 @@ class CustomEvaluator(BatchEvaluator):
         grasps: DecodedGrasps,
         places: NDArray[np.intp],
     ) -> Hands:
-        """The hands to be judged, each as its trial disturbs it."""
         disturbed = [self._protocol.trial(grasps[i], int(trials[i])) for i in places]
         usual = (self.scene.object.rolling_friction, self.scene.object.spinning_friction)
         poses = [[*trial.pose.position, *trial.pose.quaternion] for trial in disturbed]
@@ -105,7 +104,6 @@ class CustomEvaluator(BatchEvaluator):
 
 
 def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) -> None:
-    """Write where the hands are; a genome without a pose ends here."""
     rows["outcome"][is_posed] = Outcome.DEAD_END
     columns = {
         "base_to_object": np.concatenate([grasps.positions, grasps.quaternions], axis=1),
@@ -144,10 +142,7 @@ def _module_from_file(path: Path) -> ModuleType:
 
 def custom_platform(what: str, file: Path) -> dict[str, str]:
     """All that decides the bits of results: the evaluator's file, and the decoding code."""
-    return {
-        "qdgrasp": version("qdgrasp"),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
+    return {name: version(name) for name in ("qdgrasp", "numpy", "scipy")} | {
         "machine": machine.machine(),
         "code": code_digest(),
         "evaluator": what.rpartition(":")[2],

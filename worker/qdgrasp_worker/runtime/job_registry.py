@@ -22,8 +22,7 @@ from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Work
 from qdgrasp_worker.runtime.background_requests import BackgroundRequests, JoinAnswered
 
 ABANDON_SECONDS = 60.0  # Seconds without a coordinator after which a job of which nothing is held is closed
-RETRY_FIRST, RETRY_LAST = 0.05, 2.0
-"""Seconds between tries to join, before jitter."""
+RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # Seconds between tries to join, before jitter
 
 
 class JobSession:
@@ -50,12 +49,11 @@ class JobSession:
         """Batches of another epoch or of an older join."""
         self._held: OrderedDict[bytes, Work] = OrderedDict()
         self._begun: set[bytes] = set()
-        self._coordinators: set[int] = set()
-        """Epochs of the coordinators that are there."""
+        self._coordinators: set[int] = set()  # Epochs of the coordinators that are there
         self._left_at = 0.0
         self._is_refused = False
         self._retry_pause = RETRY_FIRST
-        self._join_at: float | None = None
+        self._join_at = inf
         self._deferred: list[Sample] = []
 
     @property
@@ -74,9 +72,9 @@ class JobSession:
         return inf if self._coordinators or self._held else self._left_at + ABANDON_SECONDS
 
     @property
-    def join_at(self) -> float | None:
-        """The time to ask to join; None: there is no need, or no coordinator to ask."""
-        return self._join_at if self.has_coordinator and not self.is_asking else None
+    def join_at(self) -> float:
+        """The time to ask to join; infinite: there is no need, or no coordinator to ask."""
+        return self._join_at if self.has_coordinator and not self.is_asking else inf
 
     @property
     def has_share(self) -> bool:
@@ -119,15 +117,11 @@ class JobSession:
         if has_joined and not self._is_refused and credit != self.credit:
             self.join_soon(now)
 
-    def is_due(self, now: float) -> bool:
-        """Return whether it is time to ask."""
-        return self.join_at is not None and self.join_at <= now
-
     def ask(self, credit: int) -> int:
         """Begin another join; returns its number."""
         self.is_asking = True
         self.credit = credit
-        self._join_at = None
+        self._join_at = inf
         self.number += 1
         return self.number
 
@@ -212,8 +206,7 @@ class JobSession:
             self._held.pop(batch, None)
 
 
-CREDIT = 2
-"""Batches outstanding at a worker, split among its jobs, at least one each: one waits."""
+CREDIT = 2  # Batches outstanding at a worker, split among its jobs, at least one each: one waits
 log = structlog.get_logger()
 
 
@@ -234,8 +227,7 @@ class JobRegistry:
         self._requests = requests
         self._wid = wid
         self._only = only
-        self._sessions: dict[str, JobSession] = {}
-        """By job; the one that was served last stands last."""
+        self._sessions: dict[str, JobSession] = {}  # By job; the one that was served last stands last
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
         """The epochs of coordinators that drained this worker, and are there, by job."""
@@ -268,8 +260,7 @@ class JobRegistry:
     @property
     def next_join(self) -> float:
         """The time of the next try to join; infinite: nothing is to be tried."""
-        times = (session.join_at for session in self)
-        return min((time for time in times if time is not None), default=inf)
+        return min((session.join_at for session in self), default=inf)
 
     @property
     def next_end(self) -> float:
@@ -308,7 +299,7 @@ class JobRegistry:
         for session in self:
             credit = self.share if is_open and not session.is_draining else 0
             session.set_credit(credit, now)
-            if session.is_due(now):
+            if session.join_at <= now:
                 request = Join(
                     versions=[VERSION],
                     wid=self._wid,

@@ -14,8 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-STALL_FACTOR = 10
-"""Multiple of its limit of CPU seconds for which a simulator may be silent."""
+STALL_FACTOR = 10  # Multiple of its limit of CPU seconds for which a simulator may be silent
 PROBE_SECONDS = 60.0  # CPU seconds that the probes may take; they take one or two
 CPU_LIMIT_SIGNAL, STALL_SIGNAL = signal.SIGPROF, signal.SIGALRM
 """Signals that end a simulator past its limit: of CPU, by the kernel; of silence, by us."""

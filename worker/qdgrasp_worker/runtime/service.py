@@ -184,7 +184,6 @@ class WorkerService:
                 self._step(time.monotonic())
 
     def _step(self, now: float) -> None:
-        """Do what is due."""
         self._simulator.step(now)
         self._submit_batches(now)
         if self._shutdown.is_late(now):
@@ -209,7 +208,6 @@ class WorkerService:
         return None if first == inf else max(0.0, first - now)
 
     def _receive(self, seconds: float | None) -> None:
-        """Take everything out of the inbox, waiting at most so long for the first."""
         try:
             self._take(self._inbox.get(timeout=seconds), time.monotonic())
             while True:
@@ -288,7 +286,6 @@ class WorkerService:
             self._hand_back_all(now)
 
     def _submit_batches(self, now: float) -> None:
-        """Let the simulator have what it has room for."""
         while self._simulator.has_room and (task := self._next_batch()) is not None:
             scene = task.work.scene
             if self._simulator.is_fatal(scene):
@@ -318,12 +315,10 @@ class WorkerService:
         return known or self._scenes.has_or_request(job, scene)
 
     def _is_wanted(self, task: BatchProgress) -> bool:
-        """Return whether the result of a batch is waited for."""
         session = self._jobs.get(task.job)
         return session is not None and task.work.batch in session.held
 
     def _finish(self, task: BatchProgress) -> None:
-        """Send the result of a batch if it is waited for, and let it go."""
         if self._is_wanted(task):
             result = task.result(self.wid)
             key = Keys(task.job).result(self.wid)
@@ -337,7 +332,6 @@ class WorkerService:
             session.join_later(now, jitter())
 
     def _hand_back_all(self, now: float) -> None:
-        """Hand all batches back but the one that is to be finished in time."""
         if self._shutdown.is_late(now):
             self._shutdown.last_batch = None
         last = self._shutdown.last_batch

@@ -36,10 +36,8 @@ from qdgrasp_worker.runtime.simulator_messages import (
 REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 M = TypeVar("M", bound=SimulatorMessage)
-LoadEvaluator = Callable[[bytes], BatchEvaluator]
-"""Makes an evaluator of a scene's bundle."""
-ProbePlatform = Callable[[], dict[str, str]]
-"""Returns the platform: what decides the bits of results."""
+LoadEvaluator = Callable[[bytes], BatchEvaluator]  # Makes an evaluator of a scene's bundle
+ProbePlatform = Callable[[], dict[str, str]]  # Returns the platform: what decides the bits of results
 
 
 class SimulatorMain:
@@ -75,7 +73,6 @@ class SimulatorMain:
         return evaluator
 
     def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
-        """Evaluate rows, slice by slice, and send their results at intervals."""
         shape = evaluator.shape(request.prior)
         if request.genes != shape.genes:
             raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")

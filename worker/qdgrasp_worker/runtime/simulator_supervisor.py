@@ -138,12 +138,6 @@ class SimulatorClient:
         self._process.wait()
         self._outbox.put(None)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _read(self) -> None:
         try:
             while (message := self._socket.receive()) is not None:
@@ -180,8 +174,7 @@ log = structlog.get_logger()
 RESTART_PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Seconds before the next simulator, by the number that failed since a row was evaluated."""
 LAST_RESTART_PAUSE = 8.0  # Seconds before each one after those
-MAX_IN_FLIGHT = 2
-"""Batches at the simulator: the one in work, and one that waits, so that it is never idle."""
+MAX_IN_FLIGHT = 2  # Batches at the simulator: the one in work, and one that waits, so that it is never idle
 MEMORY_HEADROOM = 1.4  # So many times the memory that a simulator may keep it may ask for within a batch
 MAX_LOAD_CRASHES = 3  # A scene that ended so many simulators while it was loaded is not tried again
 SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
@@ -229,17 +222,14 @@ class SimulatorSupervisor:
         self._start = start
         self._row_seconds = row_seconds
         self._memory = memory
-        self._sent: deque[BatchProgress] = deque()
-        """Batches at the simulator, in their order; it works on the first."""
-        self._requeued: deque[BatchProgress] = deque()
-        """Batches that are to be sent again, before any other."""
+        self._sent: deque[BatchProgress] = deque()  # Batches at the simulator, which works on the first
+        self._requeued: deque[BatchProgress] = deque()  # Batches to be sent again, before any other
         self._scenes: set[str] = set()
         self._load_crashes: Counter[str] = Counter()
         self._pauses = restart_pauses()
         self._stall = StallDetector()
         self._is_retiring = False
-        self._raised = ""
-        """The error that the simulator raised, as it said; empty: none."""
+        self._raised = ""  # The error that the simulator raised, as it said; empty: none
         self._stats = NO_STATS
         self.restarts = 0
         """Number of simulators that were started after the first."""
