@@ -1,4 +1,4 @@
-"""What travels on the bus: every message with the bytes of an example, and every key.
+"""Golden texts of the bus: every message with the bytes of an example, and every key.
 
 Examples are made from the schema, and stand under the name that travels, not under that of the class.
 """
@@ -39,9 +39,9 @@ SHOWN = {
     "meta": JobMeta,
     "rec/runs": RunListings,
 }
-"""What is JSON, by the key that it travels on."""
+"""Structs that travel as JSON, by their key."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
-"""What stands in fields that are text: the first that the field's pattern takes."""
+"""Values of fields that are text: the first that the field's pattern takes is used."""
 CHUNK = "0123456789abcdef" * 2
 
 
@@ -58,7 +58,7 @@ def shown_text() -> str:
 
 
 def key_text() -> str:
-    """The keys of a job, and the patterns over those of all jobs; each with and without what is left out."""
+    """The keys of a job, and the patterns over all jobs; with and without optional arguments."""
     return "\n".join(sorted({*_keys(Keys("mugs")), *_keys(AnyJob())})) + "\n"
 
 
