@@ -317,12 +317,13 @@ def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
     Raises `AssetError` if there is no such file, or it is no URDF.
     """
     element = read_robot_element(urdf)
-    if faults := structure_faults(element):
-        return None, (*faults, *motion_faults(element), *weight_faults(element))
-    try:
-        return parse_robot(urdf, element), ()
-    except AssetError as error:
-        return None, (str(error).rstrip("."), *motion_faults(element), *weight_faults(element))
+    faults = structure_faults(element)
+    if not faults:
+        try:
+            return parse_robot(urdf, element), ()
+        except AssetError as error:
+            faults = (str(error).rstrip("."),)
+    return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 
 def hand_faults(robot: Urdf, base: str) -> tuple[str, ...]:
