@@ -39,9 +39,9 @@ SHOWN = {
     "meta": JobMeta,
     "rec/runs": RunListings,
 }
-"""Structs that travel as JSON, by their key."""
+"""What is JSON, by the key that it travels on."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
-"""Values of fields that are text: the first that the field's pattern takes is used."""
+"""What stands in fields that are text: the first that the field's pattern takes."""
 CHUNK = "0123456789abcdef" * 2
 
 
