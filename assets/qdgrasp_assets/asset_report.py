@@ -4,7 +4,6 @@ An object's report comes from its mesh file, a gripper's from its TOML file and 
 file that would be guessed of it. Whatever is wrong is listed in the report, in words.
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -199,7 +198,7 @@ def inspect_object(
     try:
         source, convex = collision_parts(mesh, name, time_limit, tell)
     except AssetError as error:
-        return msgspec.structs.replace(found, faults=(_one_line(error),))
+        return msgspec.structs.replace(found, faults=(str(error).rstrip("."),))
     fit = FingerClearance(mesh).fit(convex)
     fitted = ConvexPartsReport(count=len(convex), source=source, filled=fit.filled, bare=fit.bare)
     return msgspec.structs.replace(found, convex=fitted)
@@ -286,10 +285,9 @@ def examine(path: Path, name: str) -> GripperReport:
     """Examine a gripper's TOML file and its URDF; all faults are in the result."""
     try:
         file = read_gripper_file(path)
-        urdf = urdf_path(path, file)
-        robot, faults = read_robot(urdf, read_robot_element(urdf))
+        robot, faults = read_robot(urdf_path(path, file))
     except QdgraspError as error:
-        return GripperReport(name=name, faults=(_one_line(error),))
+        return GripperReport(name=name, faults=(str(error).rstrip("."),))
     return GripperReport(name=name, faults=faults) if robot is None else examine_hand(robot, file, name)
 
 
@@ -301,7 +299,7 @@ def examine_urdf(
     None where they do not make a usable gripper.
     """
     try:
-        robot, faults = read_robot(urdf, read_robot_element(urdf))
+        robot, faults = read_robot(urdf)
         if robot is not None:
             base = overrides.base_link or guess_base(robot)[0]
             faults = hand_faults(robot, base)
@@ -309,19 +307,23 @@ def examine_urdf(
                 file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
                 return examine_hand(robot, file, name), Gripper(name, urdf.name, file, robot)
     except QdgraspError as error:
-        faults = (_one_line(error),)
+        faults = (str(error).rstrip("."),)
     return GripperReport(name=name, faults=faults), None
 
 
-def read_robot(urdf: Path, element: ET.Element) -> tuple[Urdf | None, tuple[str, ...]]:
-    """Return the links and joints of a `<robot>`, and its faults; None if they are not a tree."""
+def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
+    """Return the robot of a URDF, and its faults; None if it is not a tree.
+
+    Raises `AssetError` if there is no such file, or it is no URDF.
+    """
+    element = read_robot_element(urdf)
     faults = structure_faults(element)
-    if faults:
-        return None, (*faults, *motion_faults(element), *weight_faults(element))
-    try:
-        return parse_robot(urdf, element), ()
-    except AssetError as error:
-        return None, (_one_line(error), *motion_faults(element), *weight_faults(element))
+    if not faults:
+        try:
+            return parse_robot(urdf, element), ()
+        except AssetError as error:
+            faults = (str(error).rstrip("."),)
+    return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 
 def hand_faults(robot: Urdf, base: str) -> tuple[str, ...]:
@@ -340,8 +342,8 @@ def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
     body = read_hand_model(robot, file.base_link)
     hand = HandPostures(file, body)
     corners = body.corners(body.parts, hand.posture(0.0))
-    faults = posture_faults(file, body)
-    notes = () if faults else (*posture_notes(file, body), *_hollow_notes(body.robot))
+    faults = posture_faults(hand)
+    notes = () if faults else (*posture_notes(hand), *_hollow_notes(body.robot))
     return GripperReport(
         name=name,
         urdf=str(body.robot.path),
@@ -367,7 +369,3 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
             f"much of the surface of {hollow}: "
             "`qdgrasp gripper new --mend` splits such meshes into convex parts"
         )
-
-
-def _one_line(error: Exception) -> str:
-    return str(error).rstrip(".")

@@ -83,15 +83,6 @@ def gripper_path(name: str) -> Path:
 
 def find_object(spec: RunSpec) -> ObjectModel:
     """Return the object of a spec, with its mass and friction; errors of `build_scene`."""
-    target = _find_target(spec)
-    if spec.mass is not None:
-        target = replace(target, mass=spec.mass)
-    if spec.friction is not None:
-        target = replace(target, lateral_friction=spec.friction)
-    return target
-
-
-def _find_target(spec: RunSpec) -> ObjectModel:
     name = spec.object
     if spec.scale is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
         raise AssetError(
@@ -99,11 +90,15 @@ def _find_target(spec: RunSpec) -> ObjectModel:
             "for mesh files."
         )
     if name in STAND_INS:
-        return stand_in(name)
-    if name in ycb.SCAN_NAMES:
-        return ycb.read_scan(name, spec.protocol)
-    check_object(name)
-    return read_object(named_path(name), spec.mass, spec.scale)
+        target = stand_in(name)
+    elif name in ycb.SCAN_NAMES:
+        target = ycb.read_scan(name, spec.protocol)
+    else:
+        check_object(name)
+        target = read_object(named_path(name), spec.mass, spec.scale)
+    mass = target.mass if spec.mass is None else spec.mass
+    friction = target.lateral_friction if spec.friction is None else spec.friction
+    return replace(target, mass=mass, lateral_friction=friction)
 
 
 def check_object(name: str) -> None:

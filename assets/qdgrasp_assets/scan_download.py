@@ -191,7 +191,6 @@ def _read_chunk(response: Any) -> bytes:
 
 
 def _is_transient(error: Exception) -> bool:
-    """Return whether another attempt may succeed."""
     if isinstance(error, urllib.error.HTTPError):
         return error.code >= http.HTTPStatus.INTERNAL_SERVER_ERROR
     if isinstance(error, urllib.error.URLError):

@@ -113,11 +113,6 @@ BOWL_LOW, BOWL_BEND, BOWL_HIGH = (0.0478, BOWL_FLOOR), (0.0635, 0.021), (0.0740,
 BOWL_WALL = 0.0025  # thick; the scanned 1 mm is thickened to what a simulator holds apart
 BOWL_RIM, BOWL_RIM_EDGE, BOWL_HEIGHT = 0.0795, 0.0505, 0.053  # published: 159 mm wide, 53 mm high
 
-
-def _bowl_inside(place: tuple[float, float]) -> tuple[float, float]:
-    return place[0] - BOWL_WALL, place[1]
-
-
 BOWL_PROFILE = np.array(
     [
         (BOWL_BOTTOM, 0.0),
@@ -127,9 +122,7 @@ BOWL_PROFILE = np.array(
         (BOWL_RIM, BOWL_RIM_EDGE),
         (BOWL_RIM, BOWL_HEIGHT),
         (BOWL_HIGH[0] - BOWL_WALL, BOWL_HEIGHT),
-        _bowl_inside(BOWL_HIGH),
-        _bowl_inside(BOWL_BEND),
-        _bowl_inside(BOWL_LOW),
+        *((radius - BOWL_WALL, height) for radius, height in (BOWL_HIGH, BOWL_BEND, BOWL_LOW)),
     ]
 )
 """(10, 2): radius and height, upward outside and downward inside."""

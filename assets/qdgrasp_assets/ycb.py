@@ -228,7 +228,6 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
 
 
 def _reference_entry(folder: Path) -> ReferenceEntry:
-    """Read the entry of the scan in `folder` from the reference data's table."""
     index = folder.parent / "objects.json"
     try:
         return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], ReferenceEntry)

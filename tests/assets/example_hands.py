@@ -48,9 +48,9 @@ closed = -0.04
 """
 
 
-JAW_PAD = '<box size="0.02 0.01 0.06"/>'
+BOX = '<box size="0.02 0.01 0.06"/>'
 """The shape of a finger of the jaw."""
-ARCHED_URDF = JAW_URDF.replace(JAW_PAD, '<mesh filename="arch.stl"/>').replace(
+ARCHED_URDF = JAW_URDF.replace(BOX, '<mesh filename="arch.stl"/>').replace(
     f'<inertial><mass value="0.5"/>{INERTIA}</inertial>', ""
 )
 LEGS_AND_TOP = [

@@ -38,9 +38,19 @@ def bring(site, tmp_path):
     return call
 
 
-@pytest.mark.parametrize("good", [whole, trickle, without_length])
-def test_a_file_arrives_whole_and_nothing_else_is_left(site, bring, tmp_path, good):
-    site.behaviours = [good]
+@pytest.mark.parametrize(
+    "behaviours",
+    [
+        [whole],
+        [trickle],
+        [without_length],
+        pytest.param([cut(1000), without_ranges], id="a server without ranges is asked for all again"),
+        pytest.param([cut(1000), another_range], id="a range that was not asked for is not taken"),
+        pytest.param([fails(503), fails(500)], id="a passing fault of the server passes"),
+    ],
+)
+def test_a_file_arrives_whole_and_nothing_else_is_left(site, bring, tmp_path, behaviours):
+    site.behaviours = behaviours
     assert bring() == CONTENT
     assert [path.name for path in tmp_path.iterdir()] == ["thing"]
 
@@ -60,9 +70,8 @@ def test_an_interrupted_download_goes_on_where_it_broke_off(site, bring):
 
 def test_a_later_command_goes_on_with_what_an_earlier_one_left(site, bring, tmp_path):
     site.behaviours = [cut(1000), *[cut(0)] * ATTEMPTS]
-    with pytest.raises(
-        AssetError, match=r"ended after 1000 of 256000 bytes.*1000 bytes are kept; the same command"
-    ):
+    sentence = r"ended after 1000 of 256000 bytes.*1000 bytes are kept; the same command"
+    with pytest.raises(AssetError, match=sentence):
         bring()
     assert not (tmp_path / "thing").exists()
     assert bring() == CONTENT
@@ -75,16 +84,6 @@ def test_a_part_of_another_version_is_not_gone_on_with(site, bring):
         bring()
     site.content, site.etag = CONTENT[::-1], '"two"'
     assert bring() == CONTENT[::-1]
-
-
-def test_a_server_without_ranges_is_asked_for_everything_again(site, bring):
-    site.behaviours = [cut(1000), without_ranges]
-    assert bring() == CONTENT
-
-
-def test_a_range_that_was_not_asked_for_is_not_taken(site, bring):
-    site.behaviours = [cut(1000), another_range]
-    assert bring() == CONTENT
 
 
 def test_a_part_that_is_whole_already_needs_no_more_bytes(site, bring, tmp_path):
@@ -109,11 +108,6 @@ def test_a_server_that_always_stalls_is_given_up(site, bring):
     with pytest.raises(AssetError, match=r"cannot be fetched: .*timed out"):
         bring(patience=0.1)
     assert len(site.asked) == ATTEMPTS
-
-
-def test_a_passing_fault_of_the_server_passes(site, bring):
-    site.behaviours = [fails(503), fails(500)]
-    assert bring() == CONTENT
 
 
 def test_a_file_that_is_not_there_is_asked_for_once(site, bring):

@@ -1,4 +1,4 @@
-"""What the benchmarks measure with; their figures are not tested."""
+"""The tools that the benchmarks measure with; their figures are not tested."""
 
 import json
 

@@ -60,13 +60,11 @@ class TestIdentity:
 
 
 class TestText:
-    def test_a_table_comes_back_as_it_was(self, tmp_path) -> None:
+    def test_no_file_is_an_empty_table_and_a_table_comes_back_as_it_was(self, tmp_path) -> None:
         whole = table.merged({}, [*ROWS, row(object="mug", coverage=0.12345, set_size=7060)], {TODAY})
+        assert table.read(tmp_path / "runs.csv") == {}
         table.write(tmp_path / "runs.csv", whole)
         assert table.read(tmp_path / "runs.csv") == whole
-
-    def test_no_file_is_an_empty_table(self, tmp_path) -> None:
-        assert table.read(tmp_path / "runs.csv") == {}
 
     def test_the_order_in_which_rows_came_changes_nothing(self) -> None:
         shuffled = random.Random(0).sample(ROWS, len(ROWS))  # noqa: S311 - no secret
@@ -190,12 +188,10 @@ class TestCoverage:
     def text(self, *rows: Row, absent: tuple[Row, ...] = ()) -> str:
         return coverage_part(arms(*of(*rows, absent=absent)))
 
-    def test_it_has_median_range_and_what_is_aimed_at(self) -> None:
+    def test_it_has_median_range_and_by_how_much_the_aim_is_missed(self) -> None:
         line = cells(self.text(*self.found), "ref_panda_2f")
         assert "84.0 (80.0 to 86.0)" in line
         assert line[-2] == "50 at 5,000: met, 85 at 10,000: **short**"
-
-    def test_what_is_short_is_said_by_how_much(self) -> None:
         assert "1.0 points short of 85 % at 10,000" in self.text(*self.found)
 
     def test_runs_that_are_not_in_are_counted(self) -> None:
@@ -209,13 +205,15 @@ class TestCoverage:
         assert "short" not in text
 
 
+def compared(*rows: Row) -> str:
+    return comparison_part(arms(*of(*rows)))
+
+
 class TestDuels:
-    def text(self, ours: dict[int, float], theirs: dict[int, float], **figures: float) -> str:
+    def text(self, ours: dict[int, float], theirs: dict[int, float]) -> str:
         rows = [made_row(seed=seed, coverage=value, robust_coverage=0.3) for seed, value in ours.items()]
-        rows += [
-            made_row("me_scs", seed, coverage=value, robust_coverage=0.4) for seed, value in theirs.items()
-        ]
-        return comparison_part(arms(*of(*rows)))
+        others = ((seed, {"coverage": value, "robust_coverage": 0.4}) for seed, value in theirs.items())
+        return compared(*rows, *(made_row("me_scs", seed, **figures) for seed, figures in others))
 
     def test_differences_are_of_runs_with_one_seed(self) -> None:
         text = self.text({0: 0.2, 1: 0.3, 2: 0.9}, {0: 0.1, 1: 0.2})
@@ -242,15 +240,10 @@ class TestDuels:
         assert "| coverage, or cells | panda | ycb_mug |  | `me_scs` 5.0 |" in text
 
     def test_where_there_is_no_set_cells_are_compared(self) -> None:
-        rows = [made_row(seed=seed, cells=100) for seed in (0, 1)] + [
-            made_row("me_scs", seed, cells=60) for seed in (0, 1)
-        ]
-        assert cells(comparison_part(arms(*of(*rows))), "panda")[4:8] == [
-            "cells",
-            "100 (100 to 100)",
-            "60 (60 to 60)",
-            "+40",
-        ]
+        counts = {"aimed": 100, "me_scs": 60}
+        rows = [made_row(method, seed, cells=count) for method, count in counts.items() for seed in (0, 1)]
+        found = cells(compared(*rows), "panda")[4:8]
+        assert found == ["cells", "100 (100 to 100)", "60 (60 to 60)", "+40"]
 
     def test_several_objects_are_also_taken_together(self) -> None:
         rows = [
@@ -259,45 +252,31 @@ class TestDuels:
             for name in ("ycb_mug", "ycb_bowl")
             for seed in (0, 1)
         ]
-        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | win |" in comparison_part(
-            arms(*of(*rows))
-        )
+        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | win |" in compared(*rows)
 
     def test_countings_are_kept_apart(self) -> None:
-        rows = [
-            made_row(coverage=0.2),
-            made_row(coverage=0.5, overlaps="redraw"),
-            made_row("me_scs", coverage=0.1),
-        ]
-        headings = re.findall("^### .*", comparison_part(arms(*of(*rows))), re.MULTILINE)
-        assert headings == [
+        other = made_row("me_scs", coverage=0.1)
+        text = compared(made_row(coverage=0.2), made_row(coverage=0.5, overlaps="redraw"), other)
+        assert re.findall("^### .*", text, re.MULTILINE) == [
             "### 1,000 evaluations, every pose counted",
             "### 1,000 evaluations, every pose counted; default: overlaps redrawn",
         ]
 
-    def test_two_evaluation_codes_are_marked(self) -> None:
-        rows = [made_row(coverage=0.2, code=TODAY), made_row("me_scs", coverage=0.1, code=BEFORE)]
-        text = comparison_part(arms(*of(*rows)))
+    def test_two_evaluation_codes_are_marked_and_one_is_not(self) -> None:
+        text = compared(made_row(coverage=0.2), made_row("me_scs", coverage=0.1, code=BEFORE))
         assert cells(text, "panda")[-1] == f"`{TODAY[:6]}` / `{BEFORE[:6]}`"
         assert "Of two evaluation codes: 1 of 1" in text
-
-    def test_one_evaluation_code_is_not(self) -> None:
         text = self.text({0: 0.2}, {0: 0.1})
         assert cells(text, "panda")[-1] == f"`{TODAY[:6]}`"
         assert "Of two evaluation codes" not in text
 
     def test_the_default_with_other_settings_is_another_method(self) -> None:
-        rows = [
-            made_row(coverage=0.3),
-            made_row(coverage=0.2, settings="population=70"),
-            made_row("me_scs", coverage=0.1),
-        ]
-        text = comparison_part(arms(*of(*rows)))
+        other = made_row("me_scs", coverage=0.1)
+        text = compared(made_row(coverage=0.3), made_row(coverage=0.2, settings="population=70"), other)
         against = [line.split("|")[3].strip() for line in text.splitlines() if line.startswith("| panda")]
         assert against == ["`aimed` (population=70)", "`me_scs`"]
-        assert (
-            coverage_part(arms(*of(made_row(settings="population=70", budget=10_000)))).count("| panda") == 0
-        )
+        long = made_row(settings="population=70", budget=10_000)
+        assert "| panda" not in coverage_part(arms(*of(long)))
 
 
 BESIDE_THE_AUTHORS = {"object": "ycb_rubiks_cube", "budget": 10_000}

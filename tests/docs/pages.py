@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from tests.common import free_port, own_endpoint
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-SPAN = re.compile(r"`(qdgrasp[ -][^`\n]*)`")
+SPAN = re.compile(r"`(qdgrasp[ -][^`\n]*)`")  # A command that a page names in a sentence
 ASSIGNMENT = re.compile(r"[A-Z_]+=")
 
 
@@ -36,12 +35,12 @@ class Line:
 
     @property
     def program(self) -> str:
-        """What is started first."""
+        """The program that is started first."""
         return next(word for word in self.text.split() if not ASSIGNMENT.match(word))
 
     @property
     def is_ours(self) -> bool:
-        """Whether it starts a command of this package, or a script of examples/."""
+        """True if it starts a command of this package, or a script of examples/."""
         return bool(re.match(r"qdgrasp(-\w+)?$", self.program)) or self.text.startswith("python examples/")
 
 
@@ -87,11 +86,6 @@ def blocks(page: Path, *languages: str) -> list[Block]:
     ]
 
 
-def spans(page: Path) -> Iterator[str]:
-    """The commands that a page names in its sentences."""
-    yield from SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))
-
-
 def words(line: Line) -> list[str]:
     """The words of a line of ours, the program first, up to a pipe or a redirection."""
     found = [word for word in shlex.split(line.text) if not ASSIGNMENT.match(word)]
@@ -113,7 +107,7 @@ ELSEWHERE = {
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
     r"qdgrasp campaign deploy/campaigns/paper(-medium)?\.toml(?! --list)": "takes days",
 }
-"""What is not run, as a pattern of a line's beginning, and why. Lines of ours are parsed all the same."""
+"""Lines that are not run, by their beginning, with the reason; ours are parsed all the same."""
 
 LONG = re.compile(
     r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
@@ -123,7 +117,7 @@ LONG = re.compile(
     r"|python examples/own_"
     r"|curl "
 )
-"""What takes longer than the others: `make test-docs` and `make test-slow` run it, `make test` does not."""
+"""Lines that take long: `make test-docs` and `make test-slow` run them, `make test` does not."""
 
 SECONDS = 400.0
 """A command that takes longer fails."""
@@ -165,7 +159,7 @@ DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp view (?!.*--no-open)", "--no-open", ""),
     (r"qdgrasp render (?!.*--size)", "--size", "320x240"),
 )
-"""What is added to lines that a pattern matches: a budget, an endpoint of its own, a small size."""
+"""Flags added to lines that a pattern matches: a budget, an endpoint of its own, a small size."""
 
 SERVICES: dict[str, str] = {
     r"qdgrasp-router": "listening",
@@ -178,15 +172,14 @@ SERVICES: dict[str, str] = {
     r"qdgrasp (run|campaign) .*--workers 0": "listening on",
     r"python examples/own_evaluator\.py": "",
 }
-"""Lines that go on until they are stopped, and what they say when they are ready; nothing: they say nothing
-that is waited for."""
+"""Lines that go on until they are stopped, with the words to wait for; empty: none."""
 
 JOBS = r"qdgrasp-coordinator|qdgrasp (run|campaign)"
 """Of these the ones that end by themselves, when their job is done."""
 
 
 def reason(text: str) -> str:
-    """Why a line is not run here; empty: it is."""
+    """The reason for which a line is not run here; empty: it is run."""
     return next((why for pattern, why in ELSEWHERE.items() if re.match(pattern, text)), "")
 
 
@@ -213,7 +206,7 @@ def cut(text: str, places: dict[str, str]) -> str:
 
 
 def service(text: str) -> str | None:
-    """What a line that goes on until it is stopped says when it is ready; None: it ends by itself."""
+    """The words of `SERVICES` that a line is ready with; None: it ends by itself."""
     return next((ready for pattern, ready in SERVICES.items() if re.match(pattern, text)), None)
 
 
@@ -339,7 +332,7 @@ class PageRun:
         return jobs
 
     def _ready(self, ready: str, text: str, others: list[str]) -> str:
-        """What a service says when it is ready: a worker that finds a job has joined it."""
+        """The words of a service that is ready: a worker that finds a job has joined it."""
         if not re.match(r"qdgrasp-worker|python examples/own_evaluator", text):
             return ready
         place = next(word for word in text.split() if "/127.0.0.1:" in word)

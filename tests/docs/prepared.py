@@ -1,4 +1,4 @@
-"""What the pages take to be there: files, and folders of small real runs, made when they are first needed."""
+"""Files and folders of small real runs that pages assume, made when they are first needed."""
 
 import re
 import shutil
@@ -198,41 +198,32 @@ MAKERS: dict[str, Maker] = {
     "parts": parts,
     "poses.npz": poses,
     "runs/cube": run_of("rubiks_cube"),
-    "runs/demo": copy_of("runs/mug-s0"),
-    "runs/mug": copy_of("runs/mug-s0"),
-    "runs/mug-s0": run_of("mug"),
-    "runs/mug-s1": run_of("mug", seed=1),
-    "runs/mugs": copy_of("runs/mug-s0"),
+    **dict.fromkeys(("runs/demo", "runs/mug", "runs/mugs"), copy_of("runs/mug-s0")),
+    **{f"runs/mug-s{seed}": run_of("mug", seed) for seed in range(2)},
     "runs/paper-small": campaign,
     "runs/part": run_of("part"),
-    "runs/part-s0": run_of("part"),
-    "runs/part-s1": run_of("part", seed=1),
-    "runs/part-s2": run_of("part", seed=2),
+    **{f"runs/part-s{seed}": run_of("part", seed) for seed in range(3)},
     "scan.ply": scan,
     "security": certificates,
     "spec.toml": lambda _, path: path.write_text(SPEC) and None,
 }
 """By the name that the pages give it."""
-BESIDE = {
-    "arched.urdf": ("arch.stl",),
-    "my_hand.toml": ("my_hand.urdf",),
-    "runs/part": ("part.stl",),
-}
-"""What comes with it."""
+BESIDE = {"arched.urdf": ("arch.stl",), "my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
+"""Files that come with another one."""
 
 
 def mentions(text: str, name: str) -> bool:
-    """Whether a line, or a script, names a file or folder."""
+    """True if a line, or a script, names a file or folder."""
     return bool(re.search(rf"(?<![\w./-]){re.escape(name)}(?=$|[\s/,:\"'])", text))
 
 
 def makes(text: str, name: str) -> bool:
-    """Whether a line writes it."""
+    """True if a line writes it."""
     return bool(re.search(rf"(--out|-o|init|cp -r \S+|--picture|>>?) {re.escape(name)}(?=$|[\s/])", text))
 
 
 def assumed(texts: list[str]) -> list[str]:
-    """What lines, in their order, take to be there: what is named before one of them has made it."""
+    """The files that lines, in their order, name before one of them has made them."""
     found = []
     for name in MAKERS.keys() - {"all"}:
         first = next((text for text in texts if mentions(text, name)), None)

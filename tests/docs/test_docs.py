@@ -12,29 +12,12 @@ from pathlib import Path
 
 import pytest
 import typer
+from tests.deploy.commands import COMMANDS, understood
 from tests.docs import pages
-from tests.docs.pages import PAGES, ROOT, Line, PageRun, blocks, spans, words
+from tests.docs.pages import PAGES, ROOT, Line, PageRun, blocks, words
 from tests.docs.prepared import Prepared, assumed
-from typer.exceptions import TyperException
-
-from qdgrasp_coordinator.cli import (
-    coordinator_process,
-    main,
-    monitor_process,
-    recorder_process,
-    router_process,
-)
-from qdgrasp_worker import cli as worker
 
 SHELL = ("sh", "bash", "console")
-APPS = {
-    "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator_process.app,
-    "qdgrasp-monitor": monitor_process.app,
-    "qdgrasp-recorder": recorder_process.app,
-    "qdgrasp-router": router_process.app,
-    "qdgrasp-worker": worker.app,
-}
 IMPORT = re.compile(r"^(?:import|from) (\w+)", re.MULTILINE)
 OTHERS = r"(sqlite3|curl|jq|cp) "
 """Programs of others that lines are run with, where they are installed."""
@@ -47,7 +30,7 @@ def name_of(page: Path) -> str:
 
 
 def told(page: Path, *, whole: bool) -> list[list[Line]]:
-    """The lines of a page that are run, block by block; those that take long only if it is told whole."""
+    """The lines of a page that are run, block by block; long ones only if it is told whole."""
     found = [
         [line for line in block.lines if whole or not pages.LONG.match(line.text)]
         for block in blocks(page, *SHELL)
@@ -61,12 +44,8 @@ def scripts(page: Path) -> list[str]:
     return [text for text in found if all(map(find_spec, IMPORT.findall(text)))]
 
 
-def has_long(page: Path) -> bool:
-    return told(page, whole=True) != told(page, whole=False)
-
-
 SHORT_STORIES = [page for page in PAGES if any(told(page, whole=False)) or blocks(page, "python")]
-LONG_STORIES = [page for page in PAGES if has_long(page)]
+LONG_STORIES = [page for page in PAGES if told(page, whole=True) != told(page, whole=False)]
 
 
 @pytest.fixture(scope="session")
@@ -127,8 +106,7 @@ def test_a_line_of_another_program_is_run_or_listed(line: Line) -> None:
 @pytest.mark.parametrize("line", OURS, ids=str)
 def test_a_line_of_ours_is_one_that_the_commands_take(line: Line) -> None:
     if not line.text.startswith("python "):
-        program, *arguments = words(line)
-        parse(program, arguments)
+        understood(words(line))
 
 
 @pytest.mark.parametrize("pattern", pages.ELSEWHERE)
@@ -138,10 +116,10 @@ def test_a_reason_is_given_for_something(pattern: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_in_sentences_have_the_flags_that_they_are_given(page: Path) -> None:
-    for said in spans(page):
+    for said in pages.SPAN.findall(pages.FENCE.sub("", page.read_text(encoding="utf-8"))):
         program, *rest = said.replace("[", " ").replace("]", " ").split()
-        assert program in APPS, said
-        command = typer.main.get_command(APPS[program])
+        assert program in COMMANDS, said
+        command = typer.main.get_command(COMMANDS[program])
         for word in rest:
             if word in getattr(command, "commands", {}):
                 command = command.commands[word]  # type: ignore[attr-defined]
@@ -149,21 +127,7 @@ def test_commands_in_sentences_have_the_flags_that_they_are_given(page: Path) ->
         named = {word.partition("=")[0].rstrip(",.") for word in rest if word.startswith("-") and word != "-"}
         assert named <= flags | {"--help"}, said
         if program == "qdgrasp" and rest and re.fullmatch(r"[a-z]+", rest[0]):
-            assert rest[0] in typer.main.get_command(main.app).commands, said  # type: ignore[attr-defined]
-
-
-def parse(program: str, arguments: list[str]) -> None:
-    """Have a command read its arguments, and do nothing."""
-    command = typer.main.get_command(APPS[program])
-    try:
-        context = command.make_context(program, list(arguments))
-        while hasattr(command, "commands"):
-            name, command, arguments = command.resolve_command(
-                context, [*context._protected_args, *context.args]
-            )
-            context = command.make_context(name, list(arguments), parent=context)
-    except TyperException as error:
-        raise AssertionError(f"{program}: {error.format_message()}") from None
+            assert rest[0] in typer.main.get_command(COMMANDS[program]).commands, said  # type: ignore[attr-defined]
 
 
 WEBSITE = ROOT / "docs" / "website"

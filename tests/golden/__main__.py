@@ -1,4 +1,4 @@
-"""Say what is not any more as the golden files say: `python -m tests.golden`, with `--write` to have it so.
+"""Print what differs from the golden files: `python -m tests.golden`; `--write` accepts it.
 
 Names after that choose golden files; else it is all of them.
 """

@@ -1,4 +1,4 @@
-"""What lies in files, and what is told to Prometheus."""
+"""Golden texts of what lies in files, and of the metrics for Prometheus."""
 
 import sqlite3
 from contextlib import closing
@@ -52,7 +52,7 @@ def journal_text() -> str:
 
 
 def metric_text() -> str:
-    """What Prometheus is told of a job with two runs and a worker: names, types, help and labels."""
+    """The metrics of a job with two runs and a worker: names, types, help and labels."""
     (view,) = views(values(workers=1))
     runs = [run("a", outcomes={one.name.lower(): int(one) for one in Outcome}), run("b")]
     view.events[:] = [event(1), event(7)]

@@ -1,10 +1,11 @@
-"""What stays as it is: golden files, and what makes them anew."""
+"""The golden files, and the functions that make them anew."""
 
 from collections.abc import Callable
 from difflib import unified_diff
+from functools import partial
 from pathlib import Path
 
-from tests.golden import formats, interfaces, recorded, runs, wire
+from tests.golden import formats, interfaces, runs, wire
 
 FILES = Path(__file__).parent / "files"
 DIGESTS = "digests.toml"
@@ -19,19 +20,15 @@ MAKERS: dict[str, Callable[[], str]] = {
     "help.txt": interfaces.help_text,
     "names.txt": interfaces.name_text,
     "exit_codes.txt": interfaces.exit_code_text,
-    "exported.csv": recorded.csv_text,
-    "exported.yaml": recorded.isaac_text,
+    "exported.csv": partial(runs.exported, "csv"),
+    "exported.yaml": partial(runs.exported, "isaac"),
     DIGESTS: runs.digest_text,
 }
 
 
-def kept(name: str) -> str:
-    """What a golden file says; nothing where there is none yet."""
-    path = FILES / name
-    return path.read_text(encoding="utf-8") if path.exists() else ""
-
-
 def differences(name: str, now: str) -> str:
-    """How it is now, beside what the golden file says, line by line; empty: the same."""
-    lines = [text.splitlines(keepends=True) for text in (kept(name), now)]
+    """Differences from the golden file, line by line; empty: none. A missing file is empty."""
+    path = FILES / name
+    kept = path.read_text(encoding="utf-8") if path.exists() else ""
+    lines = [text.splitlines(keepends=True) for text in (kept, now)]
     return "".join(unified_diff(*lines, f"files/{name}", "now", n=1))

@@ -1,4 +1,4 @@
-"""What a person and a program meet: the help of commands, exit codes, and the names of the package."""
+"""Golden texts of the help of commands, exit codes, and the names of the package."""
 
 import enum
 import inspect
@@ -11,27 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import typer
+from tests.deploy.commands import COMMANDS
 
 import qdgrasp
-from qdgrasp_coordinator.cli import (
-    coordinator_process,
-    main,
-    monitor_process,
-    recorder_process,
-    router_process,
-)
 from qdgrasp_protocol.errors import Cancelled, EndedEarly, InputError, QdgraspError, TookOver
-from qdgrasp_worker import cli as worker
 
 COLUMNS = 100
-APPS = {
-    "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator_process.app,
-    "qdgrasp-monitor": monitor_process.app,
-    "qdgrasp-recorder": recorder_process.app,
-    "qdgrasp-router": router_process.app,
-    "qdgrasp-worker": worker.app,
-}
 FAMILY = {
     "anything that we refuse or that fails": QdgraspError,
     "bad input or environment": InputError,
@@ -54,13 +39,13 @@ LINES = (
 
 
 def help_text() -> str:
-    """What `--help` prints, of every command and its subcommands, on a screen of so many columns."""
-    pages = (page for name, app in APPS.items() for page in _pages(typer.main.get_command(app), name))
+    """The help of every command and its subcommands, on a screen of `COLUMNS` columns."""
+    pages = (page for name, app in COMMANDS.items() for page in _pages(typer.main.get_command(app), name))
     return "\n\n".join(pages) + "\n"
 
 
 def exit_code_text() -> str:
-    """The exit codes of what may happen, and what some command lines say on standard error as they end."""
+    """The exit codes of `FAMILY`, and codes and standard error of the command lines `LINES`."""
     codes = "".join(f"{error.exit_code}  {words}\n" for words, error in FAMILY.items())
     with ThreadPoolExecutor(2) as together:
         return codes + "".join(together.map(_ended, LINES))
@@ -105,7 +90,7 @@ def _told(name: str) -> Iterator[str]:
 
 
 def _arguments(found: Any) -> str:
-    """What is called with what; a default that is one of our values stands without its class."""
+    """The arguments of a callable; a default that is one of our values stands without its class."""
     if not inspect.isroutine(found) and not inspect.isclass(found):
         return ""
     if inspect.isclass(found) and issubclass(found, BaseException | enum.Enum):

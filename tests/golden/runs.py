@@ -24,7 +24,7 @@ from qdgrasp_worker.platform import probe_digest
 HERE = Path(__file__).parent
 CAMPAIGN = HERE / "campaign.toml"
 RECORDED = HERE / "recorded_0_1_0"
-"""Folders that version 0.1.0 wrote: a run that is `finished`, the same one `begun`, and `pruned`."""
+"""Folders of version 0.1.0: a run that is `finished`, the same one `begun`, and `pruned`."""
 DIGESTS = HERE / "files" / "digests.toml"
 RERANKED = "panda-tennis_ball-antipodal_me_scs-s0-population20"
 """The run of the campaign whose best grasps are scored again."""
@@ -34,7 +34,7 @@ PACKAGES = ("pybullet", "numpy", "scipy", "ribs")
 
 
 def platform() -> dict[str, str]:
-    """What digests depend on besides this package: they are the same on one platform."""
+    """The packages and the machine that digests depend on besides this package."""
     return {name: version(name) for name in PACKAGES} | {"machine": os.uname().machine}
 
 
@@ -51,7 +51,7 @@ def digest_text() -> str:
 
 
 def digests(home: Path) -> dict[str, dict[str, str]]:
-    """The digests of all runs by name: the campaign's, the reranking, the recording as it is and extended."""
+    """Digests of the campaign's runs, the reranking, the recording and its extension, by name."""
     carry_out(home, "campaign", CAMPAIGN, "--out", "campaign")
     carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--out", "reranked")
     for name in ("finished", "extended"):
@@ -63,7 +63,7 @@ def digests(home: Path) -> dict[str, dict[str, str]]:
 
 
 def digest(folder: Path) -> str:
-    """What `qdgrasp digest` prints: the sha256 over the rows of the journal in order."""
+    """The sha256 over the rows of the journal in order, which `qdgrasp digest` prints."""
     return hashlib.sha256(qdgrasp.open(folder).rows().tobytes()).hexdigest()
 
 
@@ -73,14 +73,23 @@ def scene(folder: Path) -> str:
 
 
 def carry_out(home: Path, *words: object) -> str:
-    """Run a command that evaluates, with two workers, on a port of its own; gives what it prints."""
+    """Run a command that evaluates, with two workers, on a port of its own; give its output."""
     return command(home, *words, "--workers", 2, "--listen", own_endpoint())
 
 
 def command(home: Path, *words: object) -> str:
-    """Run a command in a folder; gives what it prints."""
+    """Run a command in a folder; give its output."""
     line = [sys.executable, "-m", "qdgrasp", *map(str, words)]
     environment = os.environ | {"QDGRASP_CACHE": str(home / "cache")}
     ended = subprocess.run(line, cwd=home, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
+
+
+def exported(name: str) -> str:
+    """The grasps of the recorded run in a format, without the version of the package."""
+    with TemporaryDirectory() as folder:
+        home = Path(folder)
+        shutil.copytree(RECORDED / "finished", home / "finished")
+        command(home, "export", "finished", "--format", name, "--out", "grasps")
+        return (home / "grasps").read_text().replace(f"qdgrasp: {qdgrasp.__version__}", "qdgrasp: VERSION", 1)

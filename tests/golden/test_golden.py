@@ -1,4 +1,4 @@
-"""What is promised to the outside is what the golden files say: the wire, the files, the commands, the rows.
+"""Promises to the outside are as the golden files say: wire, files, commands, rows.
 
 `python -m tests.golden --write` has the golden files say how it is now.
 """

@@ -60,7 +60,7 @@ def test_every_row_is_verified_as_of_this_platform(name: str, rows: int, home: P
 
 
 def test_the_code_of_today_is_known_to_give_the_same_bits() -> None:
-    """Where the probes and the other tests here agree, its digest goes into `FIRST_RECORDED_AS`."""
+    """Its digest goes into `FIRST_RECORDED_AS` if the probes and the other tests here agree."""
     with sqlite3.connect(f"file:{RECORDED / 'begun' / 'run.sqlite'}?immutable=1", uri=True) as database:
         (told,) = database.execute("SELECT value FROM meta WHERE name = 'platform'").fetchone()
     assert json.loads(told)["code"] == code_digest()

@@ -1,4 +1,4 @@
-"""What travels on the bus: every message with the bytes of an example, and every key.
+"""Golden texts of the bus: every message with the bytes of an example, and every key.
 
 Examples are made from the schema, and stand under the name that travels, not under that of the class.
 """
@@ -58,7 +58,7 @@ def shown_text() -> str:
 
 
 def key_text() -> str:
-    """The keys of a job, and the patterns over those of all jobs; each with and without what is left out."""
+    """The keys of a job, and the patterns over all jobs; with and without optional arguments."""
     return "\n".join(sorted({*_keys(Keys("mugs")), *_keys(AnyJob())})) + "\n"
 
 

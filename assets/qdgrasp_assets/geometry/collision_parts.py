@@ -94,8 +94,7 @@ class FingerClearance:
         clear = ray_distance(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
         if self.inside:
             clear &= ~self._inside
-        free: Floats = self._points[clear] + AHEAD * self._normals[clear]
-        return free
+        return self._points[clear] + AHEAD * self._normals[clear]
 
 
 def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
@@ -309,7 +308,6 @@ def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tup
 
 @contextmanager
 def _keeping(folder: Path, name: str) -> Iterator[None]:
-    """Raise an `AssetError` where the parts of `name` cannot be written to the cache's folder."""
     try:
         yield
     except OSError as error:
@@ -325,7 +323,6 @@ def _digest_line(content: bytes) -> bytes:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether a cached file ends with the digest of what stands before."""
     try:
         content = file.read_bytes()
     except OSError:

@@ -24,7 +24,11 @@ ROUNDING = 1e-6  # Relative difference below which two scales are the same
 
 
 def scale_of(units: str | None, scale: float | None) -> float | None:
-    """Return the scale of --units or --scale, None without; an `InputError` for bad or both."""
+    """Return the metres to a unit that --units or --scale says; None where neither is given.
+
+    Raises `UnknownName` for a unit that does not exist, `ImpossibleValue` for a scale that no mesh has, and
+    `InputError` if both are given.
+    """
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
         unit = "metres to a unit of the mesh file: 0.001 for mm"
         raise ImpossibleValue(
@@ -135,7 +139,6 @@ def read_mesh_file(path: Path) -> MeshFile:
 
 
 def _load_scene(path: Path) -> Any:
-    """Load the file with trimesh, as an unprocessed scene of its geometries."""
     import trimesh
     from trimesh.exchange.load import mesh_formats
     from trimesh.resolvers import FilePathResolver
@@ -177,7 +180,10 @@ def _load_scene(path: Path) -> Any:
 
 
 def check_file(path: Path) -> None:
-    """Check that a file is there, ordinary, not empty and not too large; else `AssetError`."""
+    """Check that there is a mesh file with something in it.
+
+    Raises `AssetError` if it is a folder, a pipe or a device, is not there, or has no bytes or too many.
+    """
     if why := path_problem(path):
         if why == A_FOLDER:
             raise AssetError(

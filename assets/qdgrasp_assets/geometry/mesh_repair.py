@@ -115,8 +115,7 @@ def _connected(pairs: Numbers, count: int) -> Numbers:
     from scipy.sparse.csgraph import connected_components
 
     graph = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    labels: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
-    return labels
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def point_in_words(point: Floats) -> str:
@@ -367,5 +366,4 @@ class MeshBodies:
 
 def _box_distance(low: Floats, high: Floats, lowest: Floats, highest: Floats) -> Floats:
     """Return the gaps (n, 3) [m] between boxes and another box along each axis; 0: overlap."""
-    gaps: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
-    return gaps
+    return np.maximum(low - highest, lowest - high).clip(min=0.0)

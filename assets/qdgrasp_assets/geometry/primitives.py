@@ -69,8 +69,7 @@ def superellipse(
     angles = np.arange(corners) * 2 * np.pi / corners
     c, s = np.cos(angles).round(12), np.sin(angles).round(12)
     u, v = (np.sign(x) * np.abs(x) ** (2 / power) for x in (c, s))
-    points: Floats = centre + u[:, None] * across + v[:, None] * along
-    return points
+    return centre + u[:, None] * across + v[:, None] * along
 
 
 def stack(rows: Iterable[Sequence[float]]) -> list[Floats]:

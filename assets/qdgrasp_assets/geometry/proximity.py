@@ -123,8 +123,7 @@ def _away(points: Floats, others: Floats, slack: float, far: float) -> Floats:
     """Return the distances (n,) [m] from points to the nearest of others, infinite beyond `far`."""
     from scipy.spatial import KDTree
 
-    away: Floats = np.asarray(KDTree(others).query(points, eps=slack, distance_upper_bound=far)[0])
-    return away
+    return np.asarray(KDTree(others).query(points, eps=slack, distance_upper_bound=far)[0])
 
 
 def _piece_radius(pieces: Floats) -> float:
@@ -139,13 +138,8 @@ def _cut(triangles: Floats, size: float) -> Floats:
         edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
         is_small = edges.max(axis=1) <= size
         small.append(triangles[is_small])
-        triangles = _halved(triangles[~is_small], edges[~is_small].argmax(axis=1))
+        large, longest = triangles[~is_small], edges[~is_small].argmax(axis=1)
+        a, b, c = (large[np.arange(len(large)), (longest + turn) % 3] for turn in range(3))
+        middle = (a + b) / 2  # of the longest edge, where each is cut in two
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
     return np.concatenate(small)
-
-
-def _halved(triangles: Floats, longest: NDArray[np.int64]) -> Floats:
-    """Cut each triangle in two at the middle of the edge numbered in (n,); returns (2 n, 3, 3)."""
-    rows = np.arange(len(triangles))
-    a, b, c = (triangles[rows, (longest + turn) % 3] for turn in range(3))
-    middle = (a + b) / 2
-    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])

@@ -96,7 +96,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         urdf=urdf,
         licence=overrides.licence or "not stated",
         base_link=base,
-        approach_axis=_rounded(axis),
+        approach_axis=vector(axis.round(6) + 0.0),
         palm_offset=offset,
         standoff=standoff,
         finger_links=links,
@@ -122,7 +122,6 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
-    """Check that links and joints exist, and positions are within limits."""
     for link in overrides.finger_links or ():
         if link not in body.robot.links:
             raise UnknownName("link", link, body.robot.links)
@@ -138,7 +137,6 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
 
 
 def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
-    """Return the closing of the hand, with the user's statements applied."""
     found = find_closing(body)
     fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
@@ -179,12 +177,11 @@ def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[Jaw | None, str]:
     opening = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
     if across is None or opening <= 0:
         return None, ""
-    table = Jaw(axis=_rounded(across), opening=round(opening, 4))
+    table = Jaw(axis=vector(across.round(6) + 0.0), opening=round(opening, 4))
     return table, "two fingers that move toward each other, and the room between them when open"
 
 
 def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTable, str]:
-    """Return a joint's table, and the reason for its values."""
     body = closing.body
     opened, closed = (
         round(float(np.clip(closing.posture(share)[name], *body.range(name))), 6) for share in (0.0, 1.0)
@@ -203,10 +200,6 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
         notes = (closing.fixed_joints[name], *notes)
     target = None if closed == opened else closed
     return JointTable(open=opened, closed=target, effort=effort, velocity=velocity), "; ".join(notes)
-
-
-def _rounded(axis: Floats) -> Vector:
-    return vector(axis.round(6) + 0.0)
 
 
 LINE_WIDTH = 108
@@ -244,7 +237,6 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _table(table: Struct) -> Iterator[str]:
-    """Yield the lines of a table, without values that are the default."""
     for column in structs.fields(table):
         value = getattr(table, column.name)
         if column.default is UNSET or value != column.default:
@@ -265,6 +257,5 @@ def _value(value: Any) -> str:
 
 
 def _key(name: str) -> str:
-    """Return a key in TOML's notation."""
     is_bare = all(letter.isascii() and (letter.isalnum() or letter in "-_") for letter in name)
     return name if is_bare and name else json.dumps(name, ensure_ascii=False)

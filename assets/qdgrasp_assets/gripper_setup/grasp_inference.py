@@ -21,7 +21,6 @@ from qdgrasp_assets.grippers.hand_model import (
     ray_exit,
     with_followers,
 )
-from qdgrasp_assets.grippers.urdf import UrdfJoint
 
 PARALLEL = 0.9  # The cosine from which on two axes are parallel
 SHARE = 0.35  # A joint closes if its gain is at least this share of its finger's largest gain
@@ -65,17 +64,17 @@ class ClosingMotion:
 
     def tips(self, share: float) -> Floats:
         """Return the fingertips (f, 3) [m], base link's frame."""
-        frames = self.body.frames(self.posture(share))
+        frames = self.body.robot.forward(self.posture(share))
         return np.array([finger.tip(frames) for finger in self.fingers]).reshape(-1, 3)
 
     def spreads(self, axis: Floats) -> tuple[str, ...]:
         """Return the joints that turn fingers far about the approach axis (3,)."""
         first = [finger.joints[0] for finger in self.fingers]
-        frames = self.body.frames({})
+        frames = self.body.robot.forward({})
         found = []
         for joint in (self.body.joint(name) for name in first if name in self.fixed_joints):
             direction = frames[joint.child][:3, :3] @ joint.axis
-            is_parallel = _turns(joint) and abs(direction @ axis) > PARALLEL
+            is_parallel = joint.kind != "prismatic" and abs(direction @ axis) > PARALLEL
             if is_parallel and np.ptp(self.body.range(joint.name)) > WIDE_SPREAD:
                 found.append(joint.name)
         return tuple(found)
@@ -97,7 +96,7 @@ class ClosingSearch:
 
         Joints that are not `changed` are half-way.
         """
-        frames = self.body.frames(with_followers(self.body.robot, {**self.middle, **changed}))
+        frames = self.body.robot.forward(with_followers(self.body.robot, {**self.middle, **changed}))
         tips = [finger.tip(frames) for finger in self.fingers]
         pairs = [*combinations(tips, 2), *((tip, self._roots) for tip in tips)]
         return float(sum(np.linalg.norm(one - other) for one, other in pairs))
@@ -172,9 +171,9 @@ def _resting_position(search: ClosingSearch, name: str) -> tuple[float, str]:
 
 def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]) -> Iterable[JointGroup]:
     """Yield the groups of leading joints, finger by finger, outward."""
-    frames = body.frames({})
+    frames = body.robot.forward({})
     axes = {name: frames[body.joint(name).child][:3, :3] @ body.joint(name).axis for name in leaders}
-    turning = {name for name in axes if _turns(body.joint(name))}
+    turning = {name for name in axes if body.joint(name).kind != "prismatic"}
     for finger in fingers:
         left = [name for name in finger.joints if name in axes]
         while left:
@@ -184,10 +183,6 @@ def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]
             own = tuple(name for name in left if name in parallel | {first})
             yield JointGroup(finger, own, tuple(float(np.sign(cosines[name])) for name in own))
             left = [name for name in left if name not in own]
-
-
-def _turns(joint: UrdfJoint) -> bool:
-    return joint.kind != "prismatic"
 
 
 FEWEST_FINGERS = 3  # Least number of fingers of a hand with a thumb
@@ -219,12 +214,11 @@ def _turning_axis(closing: ClosingMotion, finger: Finger) -> Floats:
     if joint is None or joint.kind == "prismatic":
         return np.zeros(3)
     sense = np.sign(closing.closed[joint.name] - closing.opened[joint.name])
-    turn: Floats = sense * (body.frames(closing.posture(0.0))[joint.child][:3, :3] @ joint.axis)
+    turn: Floats = sense * (body.robot.forward(closing.posture(0.0))[joint.child][:3, :3] @ joint.axis)
     return turn
 
 
 def _closing_joints(closing: ClosingMotion, finger: Finger) -> tuple[str, ...]:
-    """Return the joints of a finger that close, and their followers."""
     followers = closing.body.followers
     return tuple(
         name
@@ -310,8 +304,7 @@ def snap_to_axis(direction: Floats) -> Floats:
     largest = int(np.abs(unit).argmax())
     axis = np.zeros(3)
     axis[largest] = np.sign(unit[largest])
-    found: Floats = axis if abs(unit[largest]) >= SNAP_COSINE else unit.round(3)
-    return found
+    return axis if abs(unit[largest]) >= SNAP_COSINE else unit.round(3)
 
 
 def palm_links(body: HandModel) -> tuple[str, ...]:

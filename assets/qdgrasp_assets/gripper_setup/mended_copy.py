@@ -230,12 +230,6 @@ def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: b
             raise
 
 
-def write_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool) -> MendedCopy:
-    """Write a mended copy that stays; parameters and errors as of `mended_copy`."""
-    with mended_copy(robot, base, toml, tell, may_centre=may_centre) as copy:
-        return copy
-
-
 def _make_copy(
     robot: Urdf, base: str, urdf: Path, folder: str, tell: Tell, *, may_centre: bool
 ) -> MendedCopy:
@@ -259,7 +253,6 @@ def _write_urdf(element: ET.Element, path: Path) -> None:
 
 
 def _move_files(names: tuple[str, ...], source: Path, target: Path) -> None:
-    """Move those files and folders that exist."""
     for name in names:
         if (source / name).exists():
             (source / name).rename(target / name)

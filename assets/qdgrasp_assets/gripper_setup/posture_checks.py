@@ -51,12 +51,11 @@ class HandPostures:
         return interpolate_posture(self.closing.opened, self.closing.closed, share)
 
 
-def posture_faults(file: GripperFile, body: HandModel) -> tuple[str, ...]:
+def posture_faults(hand: HandPostures) -> tuple[str, ...]:
     """Return the impossible postures, palm and axis of a file in words."""
-    hand = HandPostures(file, body)
-    touching = [link for link in file.finger_links if link in body.parts]
-    if not touching:
-        links = ", ".join(sorted(set(body.parts) - set(grasp_inference.palm_links(body)))) or "none"
+    parts = hand.body.parts
+    if not any(link in parts for link in hand.file.finger_links):
+        links = ", ".join(sorted(set(parts) - set(grasp_inference.palm_links(hand.body)))) or "none"
         return (
             "no finger link has a collision shape, so that none could touch; those that move and have: "
             f"{links}",
@@ -65,7 +64,6 @@ def posture_faults(file: GripperFile, body: HandModel) -> tuple[str, ...]:
 
 
 def _mimic_faults(hand: HandPostures) -> Iterator[str]:
-    """Yield faults of followers that the file sends elsewhere than their leaders do."""
     joints = hand.file.joints
     for name, follower in hand.body.followers.items():
         for label, share in (("open", 0.0), ("closed", 1.0)):
@@ -81,7 +79,6 @@ def _mimic_faults(hand: HandPostures) -> Iterator[str]:
 
 
 def _open_overlaps(hand: HandPostures) -> Iterator[str]:
-    """Yield faults of links that overlap in the open posture but not when closing."""
     for one, other, deep in deep_pairs(hand, 0.0):
         if not is_always_deep(hand, one, other):
             yield (
@@ -114,7 +111,6 @@ def depth_at(hand: HandPostures, one: str, other: str, share: float) -> float:
 
 
 def _closing_faults(hand: HandPostures) -> Iterator[str]:
-    """Yield the fault of a closed posture that brings no fingertips together."""
     closing = hand.closing
     if not closing.closed:
         yield "no joint closes: give those of the fingers a closed position that is not the open one"
@@ -135,7 +131,6 @@ def _closing_faults(hand: HandPostures) -> Iterator[str]:
 
 
 def _approach_faults(hand: HandPostures) -> Iterator[str]:
-    """Yield faults of an approach axis that points away, and a palm beyond the fingers."""
     if approach_angle(hand) > LOOKS_AWAY:
         axis = join_numbers(grasp_inference.approach_direction(hand.closing))
         yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
@@ -152,7 +147,7 @@ def _approach_faults(hand: HandPostures) -> Iterator[str]:
 
 def _tip_distance(hand: HandPostures, share: float) -> float:
     """Return the mean distance of fingertips [m]; of a single one, to the approach line."""
-    frames = hand.body.frames(hand.posture(share))
+    frames = hand.body.robot.forward(hand.posture(share))
     tips = [finger.tip(frames) for finger in hand.closing.fingers]
     if len(tips) == 1:
         return float(np.linalg.norm(tips[0] - (tips[0] @ hand.axis) * hand.axis))
@@ -174,14 +169,12 @@ CLOSING_COURSE = np.linspace(0.0, 1.0, 21)  # Shares of the way at which fingers
 SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the closing time
 
 
-def posture_notes(file: GripperFile, body: HandModel) -> tuple[str, ...]:
+def posture_notes(hand: HandPostures) -> tuple[str, ...]:
     """Return the notes on a gripper's file."""
-    hand = HandPostures(file, body)
     return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
 
 
 def _approach_notes(hand: HandPostures) -> Iterator[str]:
-    """Yield notes on finger links, approach axis, palm and stand-off."""
     file, closing, angle = hand.file, hand.closing, approach_angle(hand)
     if bare := ", ".join(link for link in file.finger_links if link not in hand.body.parts):
         yield f"finger links without a collision shape, which touch nothing: {bare}"
@@ -222,7 +215,6 @@ def _jaw_notes(hand: HandPostures) -> Iterator[str]:
 
 
 def _closing_notes(hand: HandPostures) -> Iterator[str]:
-    """Yield notes on crossing and slow fingers, driven genes and linkages."""
     file, touching = hand.file, set(hand.file.finger_links)
     crossed = []  # finger links that overlap when closed and not when open
     for finger, another in combinations(hand.closing.fingers, 2):

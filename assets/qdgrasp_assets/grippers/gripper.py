@@ -213,7 +213,11 @@ class Gripper:
 
 
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
-    """Read a gripper's TOML and its URDF; `UnknownKey` or `AssetError` where either has a fault."""
+    """Read a gripper's TOML and the URDF that it names.
+
+    Raises `UnknownKey` for a key of the TOML that no field has, and `AssetError` if a file is missing or
+    cannot be read, a value is impossible, or the two do not fit each other.
+    """
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)
     robot = parse_robot(urdf, read_robot_element(urdf))

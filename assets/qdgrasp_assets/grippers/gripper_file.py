@@ -58,7 +58,6 @@ REQUIRED_KEYS = {
 
 
 def _inner_tables(values: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield the inner tables with their kind and name."""
     for table in TABLES:
         match values.get(table):
             case dict() as entry if table == "jaw":
@@ -76,7 +75,12 @@ def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -
     for name, value in values.items():
         if name not in fields:
             raise UnknownKey(f"{path}: {label}" if label else str(path), name, fields)
-        _check_kind(path, f"{label}.{name}" if label else name, value, fields[name].type)
+        try:
+            msgspec.convert(value, fields[name].type)
+        except msgspec.ValidationError:
+            expected = KINDS.get(fields[name].type) or TABLE_KINDS[name]
+            full = f"{label}.{name}" if label else name
+            raise AssetError(f"'{path}': {full} must be {expected}, got {value!r}.") from None
     place = f" in {label}" if label else ""
     missing = [
         f"no {name}{place}: {REQUIRED_KEYS[f'{table}.{name}' if table else name]}"
@@ -85,14 +89,6 @@ def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -
     ]
     if missing:
         raise AssetError(f"'{path}' says {'; '.join(missing)}.")
-
-
-def _check_kind(path: Path, name: str, value: Any, kind: Any) -> None:
-    try:
-        msgspec.convert(value, kind)
-    except msgspec.ValidationError:
-        expected = KINDS.get(kind) or TABLE_KINDS[name]
-        raise AssetError(f"'{path}': {name} must be {expected}, got {value!r}.") from None
 
 
 ON_ASSET_PATH = "asset://"
@@ -168,7 +164,11 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 
 
 def read_gripper_file(path: Path) -> GripperFile:
-    """Read a gripper's TOML alone; `UnknownKey`, or `AssetError` for another mistake or no file."""
+    """Read a gripper's TOML alone.
+
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if the file is not there or no TOML, or
+    a field is left out or of another kind.
+    """
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:
@@ -293,7 +293,6 @@ def _synergy_faults(file: GripperFile) -> Iterator[str]:
 
 
 def _duplicates(names: Iterable[str]) -> list[str]:
-    """Return the names that occur more than once."""
     return sorted(name for name, times in Counter(names).items() if times > 1)
 
 

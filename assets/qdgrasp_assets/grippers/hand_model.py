@@ -172,15 +172,11 @@ class HandModel:
             pieces[joint.child] = joint.child if joint.moves else pieces[joint.parent]
         return pieces
 
-    def frames(self, posture: Mapping[str, float]) -> dict[str, Floats]:
-        """Return each link's frame (4, 4) in the base link's; `posture` names followers too."""
-        return self.robot.forward(posture)
-
     def parts_at(
         self, posture: Mapping[str, float], links: Iterable[str] | None = None
     ) -> dict[str, tuple[ConvexSolid, ...]]:
-        """Return the convex parts of some links, or of all, in the base link's frame."""
-        frames = self.frames(posture)
+        """Return the parts of some links, or of all, base link's frame; `posture` names followers."""
+        frames = self.robot.forward(posture)
         return {
             link: tuple(part.moved(frames[link]) for part in self.parts[link])
             for link in (self.parts if links is None else links)
@@ -188,7 +184,7 @@ class HandModel:
 
     def corners(self, links: Iterable[str], posture: Mapping[str, float]) -> Floats:
         """Return all corners (n, 3) [m] of some links, base link's frame."""
-        frames = self.frames(posture)
+        frames = self.robot.forward(posture)
         found = [
             part.corners @ frames[link][:3, :3].T + frames[link][:3, 3]
             for link in links
@@ -268,7 +264,9 @@ def guess_base(robot: Urdf) -> tuple[str, str]:
     limbs = {link: moving_limbs(robot, link) for link in links}
     found = [link for link in links if len(limbs[link]) > 1 and _spread(robot, link) < LARGEST_HAND]
     if not found:
-        link = _single_limb_base(robot)
+        parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
+        near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
+        link = _rigid_root(robot, near[0]) if near else robot.root
         return link, "no link has several moving limbs; beyond this one all joints are near each other"
     first = found[0]
     others = [other for other in found if other not in robot.subtree(first).links]
@@ -294,13 +292,6 @@ def _spread(robot: Urdf, base: str) -> float:
     hand = robot.subtree(base)
     places = np.array([frame[:3, 3] for frame in hand.forward({}).values()])
     return float(np.ptp(places, axis=0).max())
-
-
-def _single_limb_base(robot: Urdf) -> str:
-    """Return the first link that carries a moving joint and beyond which all is near."""
-    parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
-    near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
-    return _rigid_root(robot, near[0]) if near else robot.root
 
 
 def _rigid_root(robot: Urdf, link: str) -> str:
@@ -374,7 +365,7 @@ def fixed_limbs(body: HandModel) -> tuple[str, ...]:
 
 def _joined(body: HandModel, limbs: list[Finger]) -> Finger:
     """Join limbs to one finger, with the tip of the one that reaches farthest."""
-    frames = body.frames({})
+    frames = body.robot.forward({})
     longest = max(limbs, key=lambda limb: float(np.linalg.norm(limb.tip(frames) - finger_root(body, limb))))
     return replace(
         longest,
@@ -386,8 +377,7 @@ def _joined(body: HandModel, limbs: list[Finger]) -> Finger:
 def finger_root(body: HandModel, finger: Finger) -> Floats:
     """Return the position of a finger's first joint (3,) [m], base link's frame."""
     joint = body.joint(finger.joints[0])
-    place: Floats = (body.frames({})[joint.parent] @ joint.origin)[:3, 3]
-    return place
+    return (body.robot.forward({})[joint.parent] @ joint.origin)[:3, 3]
 
 
 def _limb(body: HandModel, name: str) -> Finger:
@@ -400,7 +390,7 @@ def _limb(body: HandModel, name: str) -> Finger:
 
 def _tips(body: HandModel, first: str, links: tuple[str, ...]) -> Iterable[tuple[str, Floats]]:
     """Yield the corners farthest from a limb's root, link by link, joints at zero."""
-    frames = body.frames({})
+    frames = body.robot.forward({})
     origin = frames[first][:3, 3]
     corners = {link: np.concatenate([part.corners for part in body.parts[link]]) for link in links}
     away = {

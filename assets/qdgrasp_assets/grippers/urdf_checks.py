@@ -43,7 +43,6 @@ def _name_faults(element: ET.Element) -> Iterator[str]:
 
 
 def _missing_links(element: ET.Element) -> Iterator[str]:
-    """Yield faults of joints between links that do not exist."""
     links = {link.get("name", "") for link in element.findall("link")}
     for joint in element.findall("joint"):
         for tag in ("parent", "child"):
@@ -55,7 +54,6 @@ def _missing_links(element: ET.Element) -> Iterator[str]:
 
 
 def _tree_faults(element: ET.Element) -> Iterator[str]:
-    """Yield faults of links that hang on two joints, on no joint, or on each other."""
     links = [link.get("name", "") for link in element.findall("link")]
     hanging = Counter(child for _, child in edges(element))
     if twice := [name for name, times in hanging.items() if times > 1]:
@@ -191,7 +189,6 @@ def unweighed(element: ET.Element) -> frozenset[str]:
 
 
 def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
-    """Yield links by the fault in their masses."""
     inertials, masses = _inertials(element), _masses(element)
     stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
     lacking = [
@@ -267,7 +264,6 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
 
 
 def _kind_faults(hand: Urdf) -> Iterator[str]:
-    """Yield a sentence for each kind of mesh file that the simulator does not read."""
     kinds: dict[str, list[str]] = {}
     for name in _references(hand):
         kinds.setdefault(_suffix(name), []).append(name)
@@ -281,7 +277,6 @@ def _kind_faults(hand: Urdf) -> Iterator[str]:
 
 
 def _suffix(name: str) -> str:
-    """Return the suffix of a mesh file's name, with its dot."""
     return PurePosixPath(name).suffix.lower()
 
 

@@ -20,7 +20,7 @@ from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.grippers.hand_model import guess_base
-from qdgrasp_assets.grippers.urdf import Urdf, read_robot_element
+from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
@@ -246,7 +246,7 @@ def is_asked() -> bool:
 
 
 def _single_tree(urdf: Path) -> Urdf:
-    robot, found = read_robot(urdf, read_robot_element(urdf))
+    robot, found = read_robot(urdf)
     if robot is None:
         raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
     return robot

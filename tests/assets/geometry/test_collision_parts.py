@@ -184,26 +184,15 @@ def test_where_none_fit_the_finest_are_taken_with_a_warning(found, caplog):
     assert "finer ones are not tried" in caplog.text
 
 
-def test_where_time_runs_out_the_finest_found_are_taken_with_a_warning(found, caplog):
-    surface, _ = mug()
-    found.update(
-        {
-            COACD_THRESHOLDS[0]: (hull(surface.vertices),),
-            COACD_THRESHOLDS[1]: DecompositionTimeout("mug", 1.0),
-        }
-    )
-    with caplog.at_level(logging.WARNING):
-        assert len(convex_parts(surface, "mug", time_limit=0.0)) == 1
-    assert "no time for finer ones" in caplog.text
-
-
-def test_parts_for_which_time_ran_out_serve_this_process_and_are_tried_again_by_the_next(
-    found, cache, monkeypatch
+def test_where_time_runs_out_the_finest_found_serve_this_process_and_the_next_one_tries_again(
+    found, cache, caplog, monkeypatch
 ):
     surface, own = mug()
     coarse = hull(surface.vertices)
     found.update({COACD_THRESHOLDS[0]: (coarse,), COACD_THRESHOLDS[1]: DecompositionTimeout("mug", 1.0)})
-    assert convex_parts(surface, "mug") == (coarse,)
+    with caplog.at_level(logging.WARNING):
+        assert convex_parts(surface, "mug", time_limit=0.0) == (coarse,)
+    assert "no time for finer ones" in caplog.text
     assert not list((cache / "convex").iterdir())
     found.clear()
     assert convex_parts(surface, "mug") == (coarse,)

@@ -87,13 +87,9 @@ def test_a_hollow_within_a_body_stays_a_hollow():
     assert done == ()
 
 
-def pricked(*faces: int) -> Mesh:
-    ball = geodesic(0.03, 8)
-    return Mesh(ball.vertices, np.delete(ball.faces, faces, axis=0))
-
-
 def test_small_holes_are_filled_only_where_that_is_asked_for():
-    whole, holed = geodesic(0.03, 8), pricked(5, 100)
+    whole = geodesic(0.03, 8)
+    holed = Mesh(whole.vertices, np.delete(whole.faces, (5, 100), axis=0))
     mesh, done = repair_mesh(holed)
     assert (len(mesh.faces), done) == (len(holed.faces), ())
     assert "around 2 holes, the largest" in surface_faults(mesh)[0]
@@ -159,39 +155,27 @@ def air(*bodies: trimesh.Trimesh) -> float:
     return found[0]
 
 
-@pytest.mark.parametrize(
-    ("shifts", "room"),
-    [((0.0,), 0.0), ((0.0, 0.02), 0.0), ((0.0, 0.05, 0.0705), 0.03), ((0.0, 0.04, 0.02), 0.0)],
-)
-def test_blocks_in_a_row_meet_face_to_face(shifts, room):
-    assert air(*map(block, shifts)) == pytest.approx(room, rel=0.05)
+GAPS = {
+    "a block alone": ([block(0.0)], 0.0),
+    "two blocks that overlap": ([block(0.0), block(0.02)], 0.0),
+    "one of three blocks apart": ([block(0.0), block(0.05), block(0.0705)], 0.03),
+    "blocks in a row meet face to face": ([block(0.0), block(0.04), block(0.02)], 0.0),
+    "a thin rod within a ring": ([rod(0.01), RING], 0.005),
+    "a rod as thick as the hole of a ring": ([rod(0.0145), RING], 0.0),
+    "a rod thicker than the hole of a ring": ([rod(0.02), RING], 0.0),
+    "links of a chain": ([link(0.0, np.eye(4)), link(0.03, TURN)], 0.02),
+    "links of a chain that is pulled": ([link(0.0, np.eye(4)), link(0.05, TURN)], 0.0),
+    "a hollow is of the body that it is in": ([ball(0.05), hollow(0.04)], 0.0),
+    "a ball in a hollow": ([ball(0.05), hollow(0.04), ball(0.02)], 0.02),
+    "a ball in a hollow that touches the wall": ([ball(0.05), hollow(0.04), ball(0.0395)], 0.0),
+    "a ball in the material of another body": ([ball(0.05), ball(0.02)], 0.0),
+    "a shell in a shell": ([ball(0.05), hollow(0.045), ball(0.035), hollow(0.03)], 0.01),
+}
 
 
-@pytest.mark.parametrize(("radius", "room"), [(0.01, 0.005), (0.0145, 0.0), (0.02, 0.0)])
-def test_a_rod_within_a_ring_meets_it_if_it_is_as_thick(radius, room):
-    assert air(rod(radius), RING) == pytest.approx(room, rel=0.05)
-
-
-def test_links_of_a_chain_are_apart():
-    assert air(link(0.0, np.eye(4)), link(0.03, TURN)) == pytest.approx(0.02, rel=0.05)
-    assert air(link(0.0, np.eye(4)), link(0.05, TURN)) == 0.0
-
-
-def test_a_hollow_is_of_the_body_that_it_is_in():
-    assert air(ball(0.05), hollow(0.04)) == 0.0
-
-
-def test_what_lies_in_a_hollow_is_apart_unless_it_touches_the_wall():
-    assert air(ball(0.05), hollow(0.04), ball(0.02)) == pytest.approx(0.02, rel=0.05)
-    assert air(ball(0.05), hollow(0.04), ball(0.0395)) == 0.0
-
-
-def test_what_lies_in_the_material_of_another_body_is_not_apart():
-    assert air(ball(0.05), ball(0.02)) == 0.0
-
-
-def test_a_shell_in_a_shell_is_apart_with_its_hollow():
-    assert air(ball(0.05), hollow(0.045), ball(0.035), hollow(0.03)) == pytest.approx(0.01, rel=0.05)
+@pytest.mark.parametrize(("bodies", "room"), GAPS.values(), ids=GAPS)
+def test_bodies_are_as_far_apart_as_the_air_between_them(bodies, room):
+    assert air(*bodies) == pytest.approx(room, rel=0.05)
 
 
 def test_dust_is_told_apart_by_boxes_alone(monkeypatch):

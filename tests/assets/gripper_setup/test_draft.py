@@ -4,18 +4,18 @@ import tomllib
 
 import numpy as np
 import pytest
-from tests.assets import example_hands
+from tests.assets.example_hands import BOX, INERTIA
 
 from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import GRIPPERS, find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
 from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 
 BUILT_IN = ("allegro", "barrett", "panda", "robotiq_2f", "shadow")
-THUMB = "a thumb has its own way"
 ARM = """<link name="world"/><joint name="j0" type="revolute"><parent link="world"/><child link="arm"/>
 <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="1"/></joint>
 <link name="arm"/><joint name="j1" type="revolute"><parent link="arm"/><child link="flange"/>
@@ -28,21 +28,27 @@ def guessed(urdf, **told):
     return draft_gripper(read_urdf(urdf), urdf.name, DraftOverrides(**told))
 
 
-@pytest.fixture(params=BUILT_IN)
-def pair(request):
+def own_file(urdf):
+    """The path of the file that is written of what is guessed."""
+    target = urdf.parent / "own.toml"
+    target.write_text(draft_toml(guessed(urdf), target.name))
+    return target
+
+
+def built_in(name):
     """A built-in hand's file as it was written, and as it is guessed of its URDF."""
-    gripper = find_gripper(request.param)
+    gripper = find_gripper(name)
     return gripper.file, draft_gripper(gripper.robot, gripper.file.urdf, DraftOverrides()).file
 
 
-def test_the_base_link_of_a_built_in_hand_is_guessed(pair):
-    known, found = pair
-    assert found.base_link == known.base_link
+@pytest.fixture(params=BUILT_IN)
+def pair(request):
+    return built_in(request.param)
 
 
-def test_the_approach_axis_of_a_built_in_hand_is_guessed(pair):
+def test_base_link_and_approach_axis_of_a_built_in_hand_are_guessed(pair):
     known, found = pair
-    assert found.approach_axis == known.approach_axis
+    assert (found.base_link, found.approach_axis) == (known.base_link, known.approach_axis)
 
 
 def test_every_link_that_moves_and_collides_is_guessed_to_be_a_finger(pair):
@@ -52,9 +58,7 @@ def test_every_link_that_moves_and_collides_is_guessed_to_be_a_finger(pair):
 
 def test_fingers_are_guessed_to_close_as_they_were_told_to(pair):
     known, found = pair
-    fingers = [
-        name for name in known.joints if not name.startswith("THJ")
-    ]  # the Shadow's thumb turns and bends
+    fingers = [name for name in known.joints if not name.startswith("THJ")]  # a thumb turns and bends
     told = {name: known.joints[name].closed for name in fingers}
     assert {name: found.joints[name].closed for name in fingers} == pytest.approx(told)
 
@@ -68,34 +72,27 @@ def test_two_fingers_are_guessed_to_be_a_jaw_and_more_are_not(pair):
 
 
 def test_the_palm_of_the_panda_and_how_far_it_reaches_are_those_of_the_paper():
-    panda = find_gripper("panda")
-    found = draft_gripper(panda.robot, "panda.urdf", DraftOverrides()).file
-    assert found.palm_offset == pytest.approx(panda.file.palm_offset, abs=1e-3)
-    assert found.standoff == pytest.approx(panda.file.standoff, abs=1e-3)
+    known, found = built_in("panda")
+    assert found.palm_offset == pytest.approx(known.palm_offset, abs=1e-3)
+    assert found.standoff == pytest.approx(known.standoff, abs=1e-3)
 
 
 def test_the_spreads_of_the_barrett_are_guessed_to_be_genes():
-    known, found = (
-        find_gripper("barrett").file,
-        draft_gripper(find_gripper("barrett").robot, "barrett.urdf", DraftOverrides()).file,
-    )
+    known, found = built_in("barrett")
     assert set(found.free_joints) == set(known.free_joints)
     assert not any(found.joints[name].driven for name in found.free_joints)
 
 
 @pytest.mark.parametrize(("name", "thumb"), [("allegro", "joint_15"), ("shadow", "THJ1")])
 def test_a_thumb_is_guessed_to_close_with_each_finger(name, thumb):
-    synergies = draft_gripper(find_gripper(name).robot, "", DraftOverrides()).file.synergies
+    synergies = built_in(name)[1].synergies
     assert all(thumb in synergy.joints for synergy in synergies)
     assert synergies[-1].name == "all"
     assert len(synergies) == len({synergy.joints for synergy in synergies})
 
 
 def test_hands_without_a_thumb_have_no_synergies():
-    assert all(
-        not draft_gripper(find_gripper(name).robot, "", DraftOverrides()).file.synergies
-        for name in ("panda", "barrett")
-    )
+    assert not any(built_in(name)[1].synergies for name in ("panda", "barrett"))
 
 
 def test_a_hand_at_the_end_of_an_arm_begins_where_its_fingers_hang(jaw_urdf, edit):
@@ -104,7 +101,7 @@ def test_a_hand_at_the_end_of_an_arm_begins_where_its_fingers_hang(jaw_urdf, edi
 
 
 def test_a_palm_that_is_fixed_to_another_link_with_a_shape_begins_there(jaw_urdf, edit):
-    body = f'<link name="body"><inertial><mass value="1"/>{example_hands.INERTIA}</inertial>'
+    body = f'<link name="body"><inertial><mass value="1"/>{INERTIA}</inertial>'
     shape = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>'
     joint = '<joint name="mount" type="fixed"><parent link="body"/><child link="palm"/></joint></robot>'
     edit(jaw_urdf, "</robot>", body + shape + joint)
@@ -126,14 +123,7 @@ def test_limbs_of_one_linkage_are_one_finger(jaw_urdf, edit):
     for old, new in (('"other"', '"twin"'), ('"right"', '"inner"'), ("-0.045 0.041", "-0.043 0.041")):
         twin = twin.replace(old, new)
     jaw_urdf.write_text(text.replace("</robot>", twin + "</robot>"))
-    robot = read_urdf(jaw_urdf)
-    assert examine_fingers(robot) == 2
-
-
-def examine_fingers(robot):
-    from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
-
-    return len(find_closing(read_hand_model(robot, "palm")).fingers)
+    assert len(find_closing(read_hand_model(read_urdf(jaw_urdf), "palm")).fingers) == 2
 
 
 def test_a_motor_that_is_too_slow_or_too_strong_is_given_another(jaw_urdf, edit):
@@ -175,30 +165,21 @@ def test_what_is_told_and_cannot_be_is_refused_in_a_sentence(jaw_urdf, told, err
 
 
 def test_fingers_without_shapes_are_told(jaw_urdf, edit):
-    edit(
-        jaw_urdf,
-        '<collision><origin xyz="0 0 0.03"/><geometry><box size="0.02 0.01 0.06"/></geometry></collision>',
-        "",
-    )
+    edit(jaw_urdf, f'<collision><origin xyz="0 0 0.03"/><geometry>{BOX}</geometry></collision>', "")
     with pytest.raises(AssetError, match=r"its moving links \(left, right\) have no <collision>"):
         guessed(jaw_urdf)
 
 
 def test_the_file_that_is_written_says_what_was_guessed_and_can_be_used(jaw_urdf):
-    found = guessed(jaw_urdf)
-    target = jaw_urdf.parent / "own.toml"
-    target.write_text(draft_toml(found, target.name))
-    assert read_gripper(target, "own", "own.toml").file == found.file
+    target = own_file(jaw_urdf)
+    assert read_gripper(target, "own", "own.toml").file == guessed(jaw_urdf).file
     assert examine(target, "own").faults == ()
 
 
 def test_each_line_of_the_file_stands_under_its_reason(jaw_urdf):
     lines = draft_toml(guessed(jaw_urdf), "own.toml").splitlines()
-    keys = [
-        number
-        for number, line in enumerate(lines)
-        if line.startswith(("base_link", "approach_axis", "[jaw]"))
-    ]
+    heads = ("base_link", "approach_axis", "[jaw]")
+    keys = [number for number, line in enumerate(lines) if line.startswith(heads)]
     assert len(keys) == 3
     assert all(lines[number - 1].startswith("# ") for number in keys)
 
@@ -221,7 +202,7 @@ def test_the_same_urdf_gives_the_same_file(jaw_urdf):
 @pytest.mark.parametrize("turn", ["1.5707963 0 0", "0 1.5707963 0", "3.1415927 0 0"])
 def test_a_hand_that_is_turned_is_guessed_alike(jaw_urdf, edit, turn):
     still = guessed(jaw_urdf).file
-    base = f'<link name="root"><inertial><mass value="1"/>{example_hands.INERTIA}</inertial>'
+    base = f'<link name="root"><inertial><mass value="1"/>{INERTIA}</inertial>'
     shape = '<collision><geometry><box size="0.01 0.01 0.01"/></geometry></collision></link>'
     ends = '<parent link="root"/><child link="palm"/>'
     joint = f'<joint name="j" type="fixed">{ends}<origin rpy="{turn}"/></joint>'
@@ -237,9 +218,7 @@ def test_a_hand_that_is_turned_is_guessed_alike(jaw_urdf, edit, turn):
 
 def test_a_limit_is_written_to_the_last_digit_that_counts(jaw_urdf, edit):
     edit(jaw_urdf, 'lower="-0.04"', 'lower="-0.0394395102393"')
-    target = jaw_urdf.parent / "own.toml"
-    target.write_text(draft_toml(guessed(jaw_urdf), target.name))
-    assert examine(target, "own").faults == ()
+    assert examine(own_file(jaw_urdf), "own").faults == ()
 
 
 def test_fingers_whose_joints_lie_in_their_middle_are_approached_from_the_palm(jaw_urdf, edit):
@@ -259,18 +238,14 @@ def test_a_finger_that_is_fixed_opposite_to_the_one_that_moves_is_a_finger(jaw_u
     assert found.file.finger_links == ("left", "right")
     assert (found.file.joints["slide"].open, found.file.joints["slide"].closed) == (0.0, -0.04)
     assert "from the middle of the palm" in found.reasons["approach_axis"]
-    target = jaw_urdf.parent / "own.toml"
-    target.write_text(draft_toml(found, target.name))
-    assert examine(target, "own").faults == ()
+    assert examine(own_file(jaw_urdf), "own").faults == ()
 
 
 def test_a_cup_that_moves_alone_is_told_that_suction_is_not_simulated(jaw_urdf, edit):
     text = jaw_urdf.read_text().replace('xyz="0 0.045 0.041"', 'xyz="0 0 0.041"')
     text = text.replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"')
     jaw_urdf.write_text(text[: text.index('<joint name="other"')] + "</robot>")
-    target = jaw_urdf.parent / "own.toml"
-    target.write_text(draft_toml(guessed(jaw_urdf), target.name))
-    assert any("suction is not simulated" in fault for fault in examine(target, "own").faults)
+    assert any("suction is not simulated" in fault for fault in examine(own_file(jaw_urdf), "own").faults)
 
 
 def test_a_hand_that_is_in_its_palm_is_not_guessed_by_rounding(jaw_urdf, edit):

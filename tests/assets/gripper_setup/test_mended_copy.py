@@ -5,18 +5,17 @@ import os
 import numpy as np
 import pytest
 import trimesh
-from tests.assets import example_hands
+from tests.assets.example_hands import BOX, INERTIA, write_arch
 
 from qdgrasp_assets.asset_report import examine, hand_faults
-from qdgrasp_assets.geometry.mesh import Mesh, join, parts_to_obj
+from qdgrasp_assets.geometry.mesh import join, parts_to_obj
 from qdgrasp_assets.geometry.primitives import hull
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf, write_copy
+from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_protocol.errors import AssetError
 
-BOX = '<box size="0.02 0.01 0.06"/>'
 EYE = (
     '<link name="eye"/><joint name="j" type="floating">'
     '<parent link="palm"/><child link="eye"/></joint></robot>'
@@ -28,8 +27,8 @@ SOLID = trimesh.creation.box((0.02, 0.01, 0.06))
 def mended(urdf, *, may_centre=True):
     """The copy of the jaw from its palm on, after it was seen to be usable."""
     target = urdf.parent / "own.toml"
-    copy = write_copy(read_urdf(urdf), "palm", target, lambda _: None, may_centre=may_centre)
-    assert hand_faults(copy.robot, copy.base) == ()
+    with mended_copy(read_urdf(urdf), "palm", target, lambda _: None, may_centre=may_centre) as copy:
+        assert hand_faults(copy.robot, copy.base) == ()
     file = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
     target.write_text(draft_toml(file, target.name))
     assert examine(target, "own").faults == ()
@@ -47,17 +46,9 @@ def test_a_hand_that_needs_no_mending_is_left_as_it_is(jaw_urdf):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        (
-            f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>',
-            "",
-            "the link 'palm' is given a mass,",
-        ),
+        (f'<inertial><mass value="0.5"/>{INERTIA}</inertial>', "", "the link 'palm' is given a mass,"),
         ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are given a mass"),
-        (
-            f'<mass value="0.1"/>{example_hands.INERTIA}',
-            '<mass value="0.1"/>',
-            "the links 'left', 'right' are given",
-        ),
+        (f'<mass value="0.1"/>{INERTIA}', '<mass value="0.1"/>', "the links 'left', 'right' are given"),
         ('lower="-0.04" upper="0"', 'lower="0" upper="-0.04"', "limited the right way round"),
         ("</robot>", EYE, "the joint 'j' is fixed, as no motor drives what floats"),
         (FINGER, FINGER.replace("collision", "visual"), "the links 'left', 'right' are given the visual"),
@@ -77,7 +68,7 @@ def test_a_link_gets_the_mass_of_its_shapes_in_water(jaw_urdf, edit):
 
 
 def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_stays_as_it_is(jaw_urdf, edit):
-    frame = f'<link name="tip"><inertial><mass value="0"/>{example_hands.INERTIA}</inertial></link>'
+    frame = f'<link name="tip"><inertial><mass value="0"/>{INERTIA}</inertial></link>'
     ends = '<parent link="left"/><child link="tip"/>'
     edit(jaw_urdf, "</robot>", f'{frame}<joint name="j" type="fixed">{ends}</joint></robot>')
     assert mended(jaw_urdf).changes == ()
@@ -107,7 +98,7 @@ def test_a_mesh_in_millimetres_is_written_in_metres(jaw_urdf, edit):
 
 
 def test_a_hollow_mesh_is_split_into_parts_that_leave_its_room(jaw_urdf, edit):
-    example_hands.write_arch(jaw_urdf.parent / "arch.stl")
+    write_arch(jaw_urdf.parent / "arch.stl")
     edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
     copy = mended(jaw_urdf)
     assert "was split into" in copy.changes[0]
@@ -200,14 +191,6 @@ SLAB_CORNERS = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.005, 0.00
 PRISM = np.array([[x, y, z] for y in (-0.005, 0.005) for x, z in ((-0.01, 0.0), (0.01, 0.0), (0.0, 0.06))])
 
 
-def slab(place: int) -> Mesh:
-    return hull(SLAB_CORNERS + np.array([0.0, 0.0, 0.01 * place]))
-
-
-def tooth(place: int) -> Mesh:
-    return hull(PRISM + np.array([0.02 * place, 0.0, 0.0]))
-
-
 def hollow_links(jaw_urdf, edit, parts):
     (jaw_urdf.parent / "pad.obj").write_bytes(parts_to_obj(parts))
     edit(jaw_urdf, BOX, '<mesh filename="pad.obj"/>')
@@ -215,8 +198,10 @@ def hollow_links(jaw_urdf, edit, parts):
 
 
 def test_grooves_between_the_teeth_of_one_part_are_filled(jaw_urdf, edit):
-    assert hollow_links(jaw_urdf, edit, [join(tooth(place) for place in range(5))]) == ["left", "right"]
+    teeth = join(hull(PRISM + np.array([0.02 * place, 0.0, 0.0])) for place in range(5))
+    assert hollow_links(jaw_urdf, edit, [teeth]) == ["left", "right"]
 
 
 def test_a_mesh_of_convex_parts_that_touch_has_no_room_that_they_fill(jaw_urdf, edit):
-    assert hollow_links(jaw_urdf, edit, [slab(place) for place in range(8)]) == []
+    slabs = [hull(SLAB_CORNERS + np.array([0.0, 0.0, 0.01 * place])) for place in range(8)]
+    assert hollow_links(jaw_urdf, edit, slabs) == []

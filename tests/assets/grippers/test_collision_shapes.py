@@ -1,11 +1,11 @@
 """Convex parts of collision shapes: never more than the shapes, and hardly less."""
 
-import struct
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 from qdgrasp_assets.catalog import build_scene
@@ -28,11 +28,6 @@ TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{0} one\nf 1 2 3\nf 1/1 2/2/2 4//4\nv
 def parts_of(geometry, files=None, origin="", attributes=""):
     robot = parse_robot(Path("one"), ElementTree.fromstring(LINK.format(attributes, origin, geometry)))  # noqa: S314 - written above
     return list(link_convex_parts(robot, files or {}))
-
-
-def binary_stl(triangles):
-    records = [struct.pack("<12fH", *np.zeros(3), *np.ravel(corners), 0) for corners in triangles]
-    return b"header".ljust(80) + struct.pack("<I", len(records)) + b"".join(records)
 
 
 @pytest.mark.parametrize("gripper", ["panda", "barrett", "allegro", "shadow", "robotiq_2f"])
@@ -63,7 +58,7 @@ def test_round_shapes_have_their_corners_on_them() -> None:
 
 
 def test_an_stl_is_one_part_with_its_scale() -> None:
-    files = {"thing.STL": binary_stl([np.array(TETRAHEDRON)[[0, 1, 2]], np.array(TETRAHEDRON)[[0, 1, 3]]])}
+    files = {"thing.STL": trimesh.Trimesh(TETRAHEDRON, [(0, 1, 2), (0, 1, 3)]).export(file_type="stl")}
     [part] = parts_of('<mesh filename="thing.STL" scale="1 2 3"/>', files)
     assert {tuple(corner) for corner in part.corners} == {(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)}
 

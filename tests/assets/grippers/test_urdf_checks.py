@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 import trimesh
-from tests.assets import example_hands
+from tests.assets.example_hands import BOX, INERTIA, JAW_URDF, LINKAGE_URDF, write_arch
 from tests.assets.special_files import PLACES, make_places
 
 from qdgrasp_assets.asset_report import examine, examine_urdf
@@ -14,7 +14,6 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import RunSpec
 
-BOX = '<box size="0.02 0.01 0.06"/>'
 LOOP = '<joint name="loop" type="fixed"><parent link="left"/><child link="right"/></joint></robot>'
 CIRCLE = (
     '<link name="a"/><link name="b"/>'
@@ -55,13 +54,9 @@ def faults(toml):
         ('mass value="0.1"', 'mass value="-1"', "are of a negative mass: give it in kg"),
         ('mass value="0.1"', 'mass value="100 g"', "are of a mass that is no number: give it in kg"),
         ('mass value="0.5"', 'mass value="500"', "it weighs 500.2 kg, which looks like grams"),
-        (
-            f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>',
-            "",
-            "'palm' is without <inertial>, for",
-        ),
+        (f'<inertial><mass value="0.5"/>{INERTIA}</inertial>', "", "'palm' is without <inertial>, for"),
         ('<mass value="0.1"/>', "", "with an <inertial> that lacks <mass> or <inertia>, which the simulator"),
-        (f'<mass value="0.1"/>{example_hands.INERTIA}', '<mass value="0.1"/>', "lacks <mass> or <inertia>"),
+        (f'<mass value="0.1"/>{INERTIA}', '<mass value="0.1"/>', "lacks <mass> or <inertia>"),
         (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' of the links 'left', 'right' does not"),
         (BOX, '<mesh filename="package://robotiq/pad.stl"/>', "put the ROS package 'robotiq' there, or"),
         (BOX, '<capsule radius="0.01" length="0.02"/>', "a collision shape <capsule>, and URDF knows mesh,"),
@@ -79,7 +74,7 @@ def test_what_is_wrong_with_a_urdf_is_one_sentence(jaw_toml, jaw_urdf, edit, old
 
 
 PAD = (
-    f'<link name="pad"><inertial><mass value="0"/>{example_hands.INERTIA}</inertial></link>'
+    f'<link name="pad"><inertial><mass value="0"/>{INERTIA}</inertial></link>'
     '<joint name="tip" type="fixed"><parent link="left"/><child link="pad"/></joint></robot>'
 )
 
@@ -92,12 +87,12 @@ def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_is_no_fault(jaw_tom
     assert fault.startswith("the links 'left', 'right', 'pad' are of mass 0")
 
 
-@pytest.mark.parametrize("inertial", ['<mass value="0"/>' + example_hands.INERTIA, '<mass value="0.1"/>', ""])
+@pytest.mark.parametrize("inertial", ['<mass value="0"/>' + INERTIA, '<mass value="0.1"/>', ""])
 def test_masses_that_a_check_refuses_are_refused_by_a_run_in_the_same_words(
     jaw_toml, jaw_urdf, edit, inertial
 ):
     whole = f"<inertial>{inertial}</inertial>" if inertial else ""
-    edit(jaw_urdf, f'<inertial><mass value="0.1"/>{example_hands.INERTIA}</inertial>', whole)
+    edit(jaw_urdf, f'<inertial><mass value="0.1"/>{INERTIA}</inertial>', whole)
     (fault,) = faults(jaw_toml)
     with pytest.raises(AssetError) as error:
         build_scene(RunSpec(gripper=str(jaw_toml), object="mug"))
@@ -231,7 +226,7 @@ def test_a_visual_mesh_is_neither_missed_nor_read_by_a_check_or_a_run(jaw_toml, 
 
 
 def test_a_hollow_mesh_is_noted(jaw_toml, jaw_urdf, edit):
-    example_hands.write_arch(jaw_urdf.parent / "arch.stl")
+    write_arch(jaw_urdf.parent / "arch.stl")
     edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
     (note,) = examine(jaw_toml, "jaw").notes
     assert "wraps each collision mesh in its convex hull" in note
@@ -257,27 +252,17 @@ def test_what_is_worth_a_thought_is_noted(jaw_toml, edit, old, new, sentence):
     assert any(sentence in note for note in found.notes)
 
 
-def wide(urdf, toml, edit, closed):
-    """Let the jaw go past its middle."""
-    edit(urdf, 'lower="-0.04"', 'lower="-0.06"')
-    edit(toml, "closed = -0.04", f"closed = {closed}")
-
-
-def crossing(toml):
-    found = examine(toml, "jaw")
-    assert found.faults == ()
-    return [note for note in found.notes if "close through each other" in note]
-
-
-def test_fingers_that_close_through_each_other_are_noted_with_where_they_meet(jaw_toml, jaw_urdf, edit):
-    wide(jaw_urdf, jaw_toml, edit, -0.045)
-    (note,) = crossing(jaw_toml)
-    assert "'left' and 'right', which are apart when open, meet at 95 % of the way and end 10 mm in" in note
-
-
-def test_fingers_that_touch_when_closed_do_not_close_through_each_other(jaw_toml, jaw_urdf, edit):
-    wide(jaw_urdf, jaw_toml, edit, -0.0415)
-    assert crossing(jaw_toml) == []
+@pytest.mark.parametrize(("closed", "count"), [(-0.045, 1), (-0.0415, 0)])
+def test_fingers_that_close_through_each_other_are_noted_and_those_that_touch_are_not(
+    jaw_toml, jaw_urdf, edit, closed, count
+):
+    edit(jaw_urdf, 'lower="-0.04"', 'lower="-0.06"')
+    edit(jaw_toml, "closed = -0.04", f"closed = {closed}")
+    found = examine(jaw_toml, "jaw")
+    notes = [note for note in found.notes if "close through each other" in note]
+    assert (found.faults, len(notes)) == ((), count)
+    where = "'left' and 'right', which are apart when open, meet at 95 % of the way and end 10 mm in"
+    assert all(where in note for note in notes)
 
 
 @pytest.mark.parametrize(("degrees", "is_away"), [(99, False), (101, True), (120, True)])
@@ -321,7 +306,7 @@ def damaged(text, seed):
 
 
 @pytest.mark.parametrize("seed", range(0, 240, 20))
-@pytest.mark.parametrize("text", [example_hands.JAW_URDF, example_hands.LINKAGE_URDF], ids=["jaw", "linkage"])
+@pytest.mark.parametrize("text", [JAW_URDF, LINKAGE_URDF], ids=["jaw", "linkage"])
 def test_damage_is_told_in_words_or_does_no_harm(tmp_path, text, seed):
     urdf = tmp_path / "hand.urdf"
     for turn in range(20):
