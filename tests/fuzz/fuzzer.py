@@ -36,15 +36,7 @@ DEEPER = 0.7
 
 
 class Mutator:
-    """Changes messages.
-
-    Parameters
-    ----------
-    seed
-        The same seed gives the same changes.
-    corpus
-        Whole messages to splice with.
-    """
+    """Changes messages, the same with the same seed; splices them with whole ones of the corpus."""
 
     def __init__(self, seed: int, corpus: Sequence[bytes]) -> None:
         self._chance = random.Random(seed)  # noqa: S311 - to be the same again, not to be secret

@@ -7,10 +7,11 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.leases import ANN, EPOCH, Dispatch, join_message, settle, with_work
+from tests.coordinator.scheduler.leases import EPOCH, Dispatch, settle, with_work
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Task, evaluate, reference
 from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
+from tests.fakes.messages import ANN, join_message
 from tests.simulation.mutations import MUTATIONS, Mutation, noticed
 from tests.simulation.network import LEASE, Clock, Network, Session, Terms, World
 from tests.simulation.plan import FAULTS, History, draw

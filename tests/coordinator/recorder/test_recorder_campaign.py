@@ -4,7 +4,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from tests.coordinator.recorder.fakes import (
+from tests.fakes.recorder import (
     BUNDLE,
     JOB,
     SCENE,

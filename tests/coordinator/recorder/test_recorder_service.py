@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.common import PATIENCE
-from tests.coordinator.recorder.fakes import (
+from tests.common import PATIENCE, wait_for
+from tests.fakes.recorder import (
     BUNDLE,
     JOB,
     SCENE,
@@ -15,7 +15,6 @@ from tests.coordinator.recorder.fakes import (
     make_rows,
     recording,
 )
-from tests.coordinator.scheduler.fakes import until
 
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
@@ -93,7 +92,7 @@ class TestOpening:
             )
             coordinator.open()
             folder = RunFolder.open(tmp_path / "new")
-            until(folder.has_bundle)
+            wait_for(folder.has_bundle)
         assert folder.bundle() == BUNDLE
         assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
 
@@ -112,7 +111,7 @@ class TestOpening:
                 Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
             )
             coordinator.send(make_rows(30), 0, 30)
-            until(RunFolder.open(tmp_path / "new").has_bundle)
+            wait_for(RunFolder.open(tmp_path / "new").has_bundle)
 
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self,
@@ -142,7 +141,7 @@ class TestOpening:
             assert not folder.has_bundle()
             with recording(network, tmp_path / "new"):
                 may_answer.set()
-                until(folder.has_bundle)
+                wait_for(folder.has_bundle)
 
 
 class TestRecording:

@@ -8,10 +8,7 @@ from math import inf
 import numpy as np
 import pytest
 from tests.coordinator.scheduler.leases import (
-    ANN,
-    BOB,
     EPOCH,
-    EVE,
     SCENE,
     SHAPE,
     Dispatch,
@@ -21,12 +18,13 @@ from tests.coordinator.scheduler.leases import (
     submit,
     with_work,
 )
+from tests.fakes.messages import ANN, BOB, EVE, result_message
 
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
 from qdgrasp_coordinator.scheduler.lease_dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Result, Work, decode, encode
+from qdgrasp_protocol.messages import Failure, Work, decode, encode
 from qdgrasp_protocol.rows import Outcome
 
 # 1. Credit.
@@ -304,20 +302,8 @@ def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(
 ) -> None:
     dispatch = with_work(n=2)
     (lease,) = dispatch.leases(0.0)
-    result = Result(
-        epoch=EPOCH,
-        run="run",
-        generation=0,
-        batch=lease.batch.id,
-        attempt=1,
-        wid=ANN,
-        n=n,
-        joints=1,
-        descriptors=3,
-        columns={},
-        cpu_seconds=0.0,
-        failures=[Failure(row=row, reason="") for row in failed],
-    )
+    failures = [Failure(row=row, reason="") for row in failed]
+    result = result_message(epoch=EPOCH, batch=lease.batch.id, wid=ANN, n=n, failures=failures)
     with pytest.raises(MessageError):
         dispatch.settle(ANN, result, SHAPE.empty(n), 0.1)
     assert dispatch.leases(0.1) == []

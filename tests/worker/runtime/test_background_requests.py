@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.worker.runtime.fake_coordinator import LeasingCoordinator
+from tests.fakes.leasing_coordinator import LeasingCoordinator
+from tests.fakes.worker import NotedRequests
 
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -48,16 +49,6 @@ def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, m
     cache.bundle(office.bus, "job", office.digest)
     assert {path.name for path in tmp_path.iterdir()} == {recent, reused, office.digest}
     assert old != recent
-
-
-class NotedRequests:
-    """Requests that are noted only."""
-
-    def __init__(self) -> None:
-        self.fetched: list[str] = []
-
-    def fetch(self, job: str, scene: str) -> None:
-        self.fetched.append(scene)
 
 
 def test_a_scene_is_looked_for_once_and_again_only_where_it_was_not_found():

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 from math import inf
 
 import pytest
+from tests.fakes.worker import NotedRequests
 from tests.worker.runtime.scripted_simulator import work
 
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Control, Join, Joined
+from qdgrasp_protocol.messages import Control, Joined
 from qdgrasp_worker.runtime.background_requests import JoinAnswered
 from qdgrasp_worker.runtime.job_registry import ABANDON_SECONDS, JobRegistry, JobSession
 
@@ -92,16 +93,6 @@ def test_a_batch_can_be_taken_back_at_any_time_but_only_by_its_own_epoch(session
 
 
 WID = "a" * 32
-
-
-class NotedRequests:
-    """Requests that are noted only."""
-
-    def __init__(self) -> None:
-        self.joins: list[tuple[str, Join]] = []
-
-    def join(self, job: str, join: Join) -> None:
-        self.joins.append((job, join))
 
 
 class Membership:
