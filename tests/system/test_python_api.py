@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import Commands, says
+from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.session import Role
 from qdgrasp_worker.evaluator import Evaluator
@@ -23,9 +22,8 @@ ONE, TWO = qdgrasp.Place(workers=1), qdgrasp.Place(workers=2, batch_size=7)
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Iterator[Commands]:
-    started = Commands(tmp_path)
-    yield started
-    started.end_all()
+    with Commands(tmp_path) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +60,6 @@ class Steps:
             raise ZeroDivisionError
         self.told.append(generation)
         self.best = rows["genome"][np.argsort(-rows["fitness"], kind="stable")[:5]]
-
-
-def digest_of(path: Path) -> str:
-    from qdgrasp_coordinator.storage.run_folder import RunFolder
-
-    with RunFolder.open(path).journal() as journal:
-        return journal_digest(journal)
 
 
 @pytest.fixture(scope="module")
@@ -162,9 +153,7 @@ def secure(commands: Commands) -> qdgrasp.Place:
     lab = SecurityFolder.create(commands.home / "lab", hosts=["127.0.0.1"], days=1)
     gate = lab.add(Role.ROUTER, "gate", hosts=["127.0.0.1"], days=1)
     endpoint = own_endpoint("tls")
-    router = commands.start(
-        "--listen", endpoint, "--security", gate, module="qdgrasp_coordinator.cli.router_process"
-    )
+    router = commands.start("--listen", endpoint, "--security", gate, module=ROUTER)
     says(router, "listening")
     return qdgrasp.Place(workers=1, connect=endpoint, security=lab.path)
 
@@ -191,8 +180,7 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert mine.summary.complete
     rows = mine.rows()
     assert np.unique(rows["generation"]).tolist() == [0, 1, 2, 3, 4]
-    shown = commands("info", mine.path)
-    assert shown.code == 0, shown.err
+    shown = commands.succeed("info", mine.path)
     assert "custom_approach" in shown.out
 
 
@@ -248,13 +236,7 @@ def test_a_folder_that_holds_a_run_is_not_written_over(mine: qdgrasp.Run) -> Non
         qdgrasp.optimise(Steps, mine.path, evaluations=140, prior="approach", place=ONE, **SCENE)
     with pytest.raises(FolderError, match="another object"):
         qdgrasp.optimise(
-            Steps,
-            mine.path,
-            evaluations=140,
-            prior="approach",
-            resume=True,
-            gripper="panda",
-            object="mug",
+            Steps, mine.path, evaluations=140, prior="approach", resume=True, gripper="panda", object="mug"
         )
 
 
