@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from tests.common import PATIENCE
 
+from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.process import Stop
 
 
@@ -33,6 +34,7 @@ class ServiceThread:
         self._stop.set(number)
 
     def ends(self) -> None:
-        """Wait for its end."""
+        """Wait for its end, with an error of ours or with none."""
         self._thread.join(PATIENCE)
         assert not self._thread.is_alive()
+        assert self.error is None or isinstance(self.error, QdgraspError), self.error
