@@ -59,7 +59,7 @@ simulate: $(VENV)/.ready
 
 simulate-curves: $(VENV)/.ready
 	@rm -f docs/simulation/curves.csv
-	@$(BIN)/python -m tests.simulation --curves docs/simulation
+	@$(BIN)/python -m benchmarks.scale.utilisation docs/simulation
 
 bench: $(VENV)/.ready
 	@$(BIN)/python -m benchmarks --out runs/bench

@@ -1,12 +1,14 @@
-"""Shared by tests of all rooms: patience, ports of their own, and changed scenes."""
+"""Shared by tests of all rooms: patience, waiting, ports of their own, and changed scenes."""
 
 import fcntl
 import os
 import secrets
 import socket
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from msgspec.structs import replace
 
@@ -14,6 +16,18 @@ from qdgrasp_assets.scene import Scene
 
 PATIENCE = 120.0
 """Seconds after which a test that waits in vain fails; an event is seen at once."""
+
+Found = TypeVar("Found")
+
+
+def wait_for(look: Callable[[], Found], what: str = "something") -> Found:
+    """Look again and again until something is found, and give it; the test fails when it takes too long."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := look()):
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.01)  # between two looks; nothing depends on how long it is
+    return found
+
 
 HOST = "127.0.0.1"
 PORTS = range(10_000, 32_000)

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from tests.chaos.plan import Blow, Deed
 from tests.chaos.processes import ROOT, JobProcesses, Process
+from tests.system.commands import digest_of
 
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 ROOMS = ("assets", "coordinator", "protocol", "worker")
@@ -41,12 +42,6 @@ def agreeing_rows(run: Path, spec: RunSpec, store: Path) -> tuple[int, int]:
         )
 
 
-def recorded_digest(run: Path) -> str:
-    """What `qdgrasp digest` prints, without a process for it."""
-    with RunFolder.open(run).journal() as journal:
-        return journal_digest(journal)
-
-
 def _carried_out(spec: RunSpec, home: Path) -> str:
     file, run = home / "spec.toml", home / RUN
     file.write_text(to_toml(spec))
@@ -54,7 +49,7 @@ def _carried_out(spec: RunSpec, home: Path) -> str:
     process = Process("run", "qdgrasp", command, home / "log")
     process.start()
     assert process.wait() == 0, process.words
-    return recorded_digest(run)
+    return digest_of(run)
 
 
 def _key(spec: RunSpec) -> str:
@@ -101,16 +96,9 @@ class Story:
 
 
 class Play:
-    """Strikes the processes of a household by a plan.
+    """Strikes the processes of a household by a plan; once that is over, the run is left alone.
 
-    Parameters
-    ----------
-    plan
-        Blows; once they are over, the run is left alone.
-    limit
-        Seconds that the run may take.
-    say
-        Hears every event.
+    The run may take `limit` seconds; `say` hears every event.
     """
 
     def __init__(
@@ -221,7 +209,7 @@ class Play:
             if "Traceback" in member.words:
                 self._trouble(f"{member.log} holds a traceback")
         if self._household.rows:
-            self._story.digest = recorded_digest(self._household.run)
+            self._story.digest = digest_of(self._household.run)
 
     def _trouble(self, what: str) -> None:
         self._story.troubles.append(what)

@@ -15,7 +15,7 @@ from typing import Self
 from tests.chaos.plan import HEAD
 from tests.chaos.simulator import PACE
 from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import rows_recorded
+from tests.system.commands import COORDINATOR, RECORDER, ROUTER, rows_recorded
 
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -27,15 +27,7 @@ _LIBC = ctypes.CDLL(None)
 
 
 class Process:
-    """One process after another with the same command.
-
-    Parameters
-    ----------
-    module
-        What is run, as `python -m module`.
-    log
-        What it says is added here.
-    """
+    """One process after another with the same command, `python -m module`; what it says is added to `log`."""
 
     def __init__(
         self, name: str, module: str, arguments: Sequence[object], log: Path, **environment: str
@@ -124,16 +116,8 @@ JOB = "chaos"
 class JobProcesses:
     """A router, a coordinator, a recorder and workers of one run; a context manager that ends them all.
 
-    Parameters
-    ----------
-    home
-        A folder of their own; the run's is `home/run`, what they say is in `home/logs`.
-    pace
-        Seconds that an evaluation takes at least.
-    options
-        Of the workers.
-    environment
-        Of all.
+    The run is in `home/run`, what they say in `home/logs`. An evaluation takes `pace` seconds at least; the
+    options are those of the workers, the environment is that of all.
     """
 
     def __init__(
@@ -153,11 +137,9 @@ class JobProcesses:
         RunFolder.create(self.run, spec, prepare_scene(spec).bundle, job=JOB)
         there = ["--connect", self.endpoint]
         self._members: dict[str, Process] = {}
-        self.add("router", "qdgrasp_coordinator.cli.router_process", "--listen", self.endpoint)
-        self.add("coordinator", "qdgrasp_coordinator.cli.coordinator_process", self.run, *there)
-        self.add(
-            "recorder", "qdgrasp_coordinator.cli.recorder_process", "--job", JOB, "--out", self.run, *there
-        )
+        self.add("router", ROUTER, "--listen", self.endpoint)
+        self.add("coordinator", COORDINATOR, self.run, *there)
+        self.add("recorder", RECORDER, "--job", JOB, "--out", self.run, *there)
         for number in range(workers):
             self.add(f"worker-{number}", "tests.chaos.worker", "--job", JOB, *there, *options)
 

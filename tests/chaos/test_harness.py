@@ -12,8 +12,8 @@ from tests.chaos import play, processes
 from tests.chaos.plan import COURSES, DEAD, GAPS, HEAD, STILL, Course, Deed, blows, course, opening
 from tests.chaos.play import disturb, undisturbed_digest
 from tests.chaos.processes import ROOT, Process
-from tests.common import PATIENCE
-from tests.system.commands import is_alive, kill, wait_for
+from tests.common import PATIENCE, wait_for
+from tests.system.commands import is_alive, kill
 
 from qdgrasp_coordinator.scheduler.worker_registry import TOKEN_GRACE
 from qdgrasp_protocol.session import BASE_SETTINGS

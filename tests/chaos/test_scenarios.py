@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from tests.chaos.plan import Course
-from tests.chaos.play import recorded_digest, undisturbed_digest
+from tests.chaos.play import undisturbed_digest
 from tests.chaos.processes import JobProcesses
 from tests.chaos.simulator import DEEDS, WAYS
-from tests.system.commands import wait_for
+from tests.common import wait_for
+from tests.system.commands import digest_of
 
 from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -46,7 +47,7 @@ def ends_well(household: JobProcesses, coordinator: str = "coordinator") -> str:
     assert process.exit_code == 0, process.words
     assert household.end() == []
     assert not [member.name for member in household if "Traceback" in member.words]
-    return recorded_digest(household.run)
+    return digest_of(household.run)
 
 
 def cut(wal: Path) -> None:

@@ -1,8 +1,8 @@
 import threading
 
 import pytest
-from tests.coordinator.recorder.fakes import FakeCoordinator
 from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.fakes.recorder import FakeCoordinator
 
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter

@@ -263,15 +263,7 @@ class Started:
 
 
 class PageRun:
-    """Carries out the lines of a page.
-
-    Parameters
-    ----------
-    home
-        The folder in which they are carried out.
-    cache
-        Where convex parts and scenes are kept between pages.
-    """
+    """Carries out the lines of a page in a folder; the cache is kept between pages."""
 
     def __init__(self, home: Path, cache: Path) -> None:
         self.home = home

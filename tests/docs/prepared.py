@@ -80,8 +80,7 @@ class Prepared:
         return path
 
     def __call__(self, *arguments: object) -> None:
-        done = self.commands(*arguments, QDGRASP_ASSET_PATH="")
-        assert done.code == 0, done.err
+        self.commands.succeed(*arguments, QDGRASP_ASSET_PATH="")
 
 
 Maker = Callable[[Prepared, Path], None]

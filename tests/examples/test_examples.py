@@ -1,32 +1,25 @@
 """The scripts of examples/, as a user starts them, and the demo."""
 
 import ast
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from docs.demo import MARKER, clear
-from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import Commands, says, wait_for
+from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.system.commands import ROUTER, WORKER, Commands, end_of, says
 
 import qdgrasp
 from qdgrasp_protocol.errors import FolderError
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-ROUTER, WORKER = "qdgrasp_coordinator.cli.router_process", "qdgrasp_worker.cli"
 
 
-class Scripts:
+class Scripts(Commands):
     """Starts scripts in a folder of their own, with budgets that are cut."""
-
-    def __init__(self, home: Path) -> None:
-        self.home = home
-        self._started: list[subprocess.Popen[str]] = []
 
     def start(self, name: str, *arguments: object, **cuts: str) -> subprocess.Popen[str]:
         source = (EXAMPLES / name).read_text()
@@ -35,42 +28,22 @@ class Scripts:
             source = source.replace(f"{before}=400", f"{before}={after}")
         script = self.home / name
         script.write_text(source)
-        process = subprocess.Popen(
-            [sys.executable, script, *map(str, arguments)],
-            cwd=self.home,
-            env={**os.environ, "QDGRASP_CACHE": str(self.home / "cache")},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self._started.append(process)
-        return process
+        return self.begin(script, *arguments)
 
     def __call__(self, name: str, *arguments: object, **cuts: str) -> str:
-        process = self.start(name, *arguments, **cuts)
-        out, err = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, err
-        return out
-
-    def end_all(self) -> None:
-        for process in self._started:
-            if process.poll() is None:
-                process.terminate()
-                process.communicate(timeout=PATIENCE)
+        return end_of(self.start(name, *arguments, **cuts))[0]
 
 
 @pytest.fixture
 def scripts(tmp_path: Path) -> Iterator[Scripts]:
-    scripts = Scripts(tmp_path)
-    yield scripts
-    scripts.end_all()
+    with Scripts(tmp_path) as scripts:
+        yield scripts
 
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Iterator[Commands]:
-    commands = Commands(tmp_path)
-    yield commands
-    commands.end_all()
+    with Commands(tmp_path) as commands:
+        yield commands
 
 
 @pytest.mark.parametrize("script", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
@@ -124,8 +97,7 @@ def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
     wait_for(lambda: is_listening(commands.home / "aim"), "the run's endpoint")
     name = f"{EXAMPLES / 'own_evaluator.py'}:Aim"
     worker = commands.start("--evaluator", name, "--connect", endpoint, "--workers", 2, module=WORKER)
-    said, err = command.communicate(timeout=PATIENCE)
-    assert command.returncode == 0, err
+    said, _ = end_of(command)
     assert said.startswith("60 evaluations of approach_rand with panda on mug")
     worker.send_signal(signal.SIGTERM)
     assert worker.wait(PATIENCE) == 128 + signal.SIGTERM

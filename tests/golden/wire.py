@@ -5,13 +5,9 @@ Examples are made from the schema, and stand under the name that travels, not un
 
 import inspect
 from collections.abc import Iterator
-from datetime import UTC, datetime
-from itertools import count
-from re import fullmatch
 from typing import Any
 
-import msgspec
-from msgspec.inspect import type_info
+from tests.fakes.messages import KINDS, example
 
 from qdgrasp_coordinator.metrics.job_status import (
     JobEvent,
@@ -26,7 +22,7 @@ from qdgrasp_coordinator.metrics.job_status import (
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import AnyJob, Keys
-from qdgrasp_protocol.messages import Heartbeat, Message
+from qdgrasp_protocol.messages import Heartbeat
 
 SHOWN = {
     "stat/worker/<wid>": Heartbeat,
@@ -40,15 +36,13 @@ SHOWN = {
     "rec/runs": RunListings,
 }
 """What is JSON, by the key that it travels on."""
-WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
-"""What stands in fields that are text: the first that the field's pattern takes."""
 CHUNK = "0123456789abcdef" * 2
 
 
 def message_text() -> str:
     """Each message by its encoding, and its example in hexadecimal digits."""
     return "".join(
-        f'"{messages.encoding(kind)}" = "{messages.encode(example(kind)).hex()}"\n' for kind in kinds()
+        f'"{messages.encoding(kind)}" = "{messages.encode(example(kind)).hex()}"\n' for kind in KINDS
     )
 
 
@@ -60,52 +54,6 @@ def shown_text() -> str:
 def key_text() -> str:
     """The keys of a job, and the patterns over all jobs; with and without optional arguments."""
     return "\n".join(sorted({*_keys(Keys("mugs")), *_keys(AnyJob())})) + "\n"
-
-
-def kinds() -> list[type[Message]]:
-    """All messages in the order of their encodings."""
-    found = [kind for kind in vars(messages).values() if isinstance(kind, type)]
-    return sorted({kind for kind in found if issubclass(kind, Message)} - {Message}, key=messages.encoding)
-
-
-def example(kind: type[msgspec.Struct]) -> Any:
-    """A struct with a value in every field, none of them the default; the same every time."""
-    return _value(type_info(kind), count(1))
-
-
-def _value(kind: msgspec.inspect.Type, numbers: Iterator[int]) -> Any:
-    match kind:
-        case msgspec.inspect.Metadata(type=inner):
-            return _value(inner, numbers)
-        case msgspec.inspect.IntType(le=most):
-            return next(numbers) if most is None else min(next(numbers), most)
-        case msgspec.inspect.FloatType():
-            return next(numbers) + 0.5
-        case msgspec.inspect.BoolType():
-            return True
-        case msgspec.inspect.StrType(pattern=pattern):
-            return next(text for text in WORDS if pattern is None or fullmatch(pattern, text))
-        case msgspec.inspect.LiteralType(values=values):
-            return values[0]
-        case msgspec.inspect.BytesType(min_length=least):
-            return bytes(range(next(numbers), next(numbers) + (least or 3)))
-        case msgspec.inspect.DateTimeType():
-            return datetime(2026, 11, 22, 13, 2, next(numbers), tzinfo=UTC)
-        case msgspec.inspect.ListType(item_type=item):
-            return [_value(item, numbers), _value(item, numbers)]
-        case msgspec.inspect.DictType(value_type=item):
-            return {name: _value(item, numbers) for name in ("one", "two")}
-        case msgspec.inspect.UnionType(types=types):
-            return _value(next(one for one in types if one != msgspec.inspect.NoneType()), numbers)
-        case msgspec.inspect.StructType(cls=cls, fields=fields):
-            return cls(**{field.name: _field(field, numbers) for field in fields})
-    raise AssertionError(f"no example of {kind}")
-
-
-def _field(field: msgspec.inspect.Field, numbers: Iterator[int]) -> Any:
-    """A value of a field that is not its default."""
-    value = _value(field.type, numbers)
-    return not field.default if field.default is value is True else value
 
 
 def _keys(keys: Keys) -> Iterator[str]:

@@ -10,17 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.fakes.messages import KINDS
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Joined, Message, Recordable, Recorded, Result, shorten
 from qdgrasp_protocol.rows import Gene, Layout
-
-KINDS = [
-    kind
-    for kind in vars(messages).values()
-    if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
-]
 
 
 def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:

@@ -1,11 +1,10 @@
-"""`python -m tests.simulation`: histories, mutations and curves from the command line."""
+"""`python -m tests.simulation`: histories and mutations from the command line."""
 
 import argparse
 import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from tests.simulation.play import Verdict, play
 from tests.simulation.process import INVARIANTS
@@ -19,16 +18,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--history", type=int, help="only this one")
     parser.add_argument("--trace", action="store_true", help="show what happens in it")
     parser.add_argument("--mutations", action="store_true", help="try every mutation instead")
-    parser.add_argument("--curves", metavar="DIR", help="measure and draw the curves into a folder instead")
     asked = parser.parse_args(arguments)
     if asked.mutations:
         from tests.simulation.mutations import show
 
         return show()
-    if asked.curves:
-        from tests.simulation.utilisation import make
-
-        return make(Path(asked.curves))
     if asked.history is not None:
         return _show(play(asked.history, trace=asked.trace))
     return _play_all(range(asked.first, asked.first + asked.histories))

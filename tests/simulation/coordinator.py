@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
 
+from tests.fakes.messages import put
 from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
@@ -22,44 +22,23 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     RunRegistry,
 )
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
-from qdgrasp_protocol.messages import Join, Message
+from qdgrasp_protocol.messages import Join
 
 RETRY = 0.5
 """Seconds between two tries to open a run; longer than in the service, to save time."""
 
 
-class NotNow(Exception):
-    """No answer; there will be another try."""
-
-
 def not_now() -> None:
     """Wait for another try."""
-    raise NotNow
-
-
-@dataclass
-class Line:
-    """The part of a bus that the link to the recorder needs."""
-
-    host: "Coordinator"
-
-    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel) -> None:
-        self.host.network.put(self.host.session, key, payload, encoding, channel)
-
-    def ask(self, key: str, payload: bytes, *, timeout: float) -> bytes:
-        return self.host.network.ask_now(self.host.session, key, payload)
+    raise NoReply("not now")
 
 
 class SimulatedLoader:
     """Opens the runs of a job one at a time, without a thread; also the queue of the runs.
 
-    Parameters
-    ----------
-    seconds
-        The mean time that it takes to open a run [s].
+    It takes `seconds` on average to open one.
     """
 
     def __init__(
@@ -90,11 +69,10 @@ class SimulatedLoader:
             later(RETRY, lambda: self._try_to_open(run, epoch))
             return
         plan = self._plan(run)
-        bus: Bus = Line(host)  # type: ignore[assignment]
-        active = ActiveRun(plan, RecorderClient(bus, JOB, plan.shape))
+        active = ActiveRun(plan, RecorderClient(host.bus, JOB, plan.shape))
         try:
             opened = active.open(epoch, not_now)
-        except (NotNow, NoReply):
+        except NoReply:
             later(RETRY, lambda: self._try_to_open(run, epoch))
         except (InputError, TookOver) as refusal:
             host.hear(RunNotOpened(refusal))
@@ -106,16 +84,7 @@ class SimulatedLoader:
 class Coordinator(Process):
     """A coordinator process.
 
-    Parameters
-    ----------
-    runs
-        The runs of the job.
-    plan
-        Makes the plan of a run, with a new search.
-    on_epoch
-        Called when its epoch begins.
-    opening
-        The mean time that it takes to open a run [s].
+    `plan` makes the plan of a run, with a new search; `on_epoch` is called when its epoch begins.
     """
 
     def __init__(
@@ -135,7 +104,7 @@ class Coordinator(Process):
         self.scheduler = JobScheduler(
             JOB,
             RunRegistry(loader, loader),  # type: ignore[arg-type]
-            self._put,
+            lambda key, message, channel: put(self.bus, key, message, channel),
             batch_size=batch_size,
             events=EventLog(self._show),
             on_epoch=self._open_to_workers,
@@ -208,7 +177,3 @@ class Coordinator(Process):
         self.network.watch(self.session, KEYS.worker_token())
         self.network.watch(self.session, KEYS.coordinator_token())
         self.network.token(self.session, KEYS.coordinator_token(epoch))
-
-    def _put(self, key: str, message: Message, channel: Channel) -> None:
-        kind = messages.encoding(type(message))
-        self.network.put(self.session, key, messages.encode(message), kind, channel)

@@ -9,6 +9,7 @@ import random
 from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from typing import Protocol
 
@@ -166,13 +167,7 @@ class Network:
         return session
 
     def close(self, session: Session, *, flushed: bool = True) -> None:
-        """Take back all that a session declared.
-
-        Parameters
-        ----------
-        flushed
-            Whether what it has sent still arrives.
-        """
+        """Take back all that a session declared; what it has sent still arrives if it is flushed."""
         self.sessions.remove(session)
         for table in (self._subscribers, self._answerers):
             for sessions in table.values():
@@ -232,13 +227,7 @@ class Network:
         self._travel(session, "up", Channel.DATA, lambda: self._ask(session, query, reply))
 
     def ask_now(self, session: Session, key: str, payload: bytes) -> bytes:
-        """Put a question and have its answer at once, for those who can do nothing else meanwhile.
-
-        Raises
-        ------
-        NoReply
-            Nobody answers, or the answer was lost.
-        """
+        """Put a question and have its answer at once, or `NoReply`; nothing else is done meanwhile."""
         answers: list[bytes | Exception] = []
         chance, loss = self._world.chance, self.terms.loss
         if not session.is_up or self._world.now < session.cut_until or chance.random() < loss:
@@ -269,10 +258,7 @@ class Network:
 
     def _route(self, sample: Sample, channel: Channel) -> None:
         for session in self._reached(self._subscribers, sample.key):
-            self._deliver(session, sample, channel)
-
-    def _deliver(self, session: Session, sample: Sample, channel: Channel) -> None:
-        self._travel(session, "down", channel, lambda: session.host.hear(sample))
+            self._travel(session, "down", channel, partial(session.host.hear, sample))
 
     def _reached(self, table: dict[str, list[Session]], key: str) -> list[Session]:
         found = [*table.get(key, ()), *table.get(any_of(key), ())]
@@ -288,14 +274,19 @@ class Network:
             self._arrive(session, way, channel, call)
 
     def _arrive(self, session: Session, way: str, channel: Channel, call: Callable[[], None]) -> None:
-        world, connection = self._world, session.connection
+        world = self._world
         stalls = self.terms.stall and world.chance.random() < self.terms.stall
         delay = world.chance.uniform(0, 15) if stalls else world.exponential(self.terms.delay)
         time = max(world.now + delay, session.cut_until)
         if self.terms.in_order:
             time = max(time, session.arrivals[way, channel])
             session.arrivals[way, channel] = time
-        world.at(time, lambda: call() if session.connection == connection else None)
+        self._at(session, time, call)
+
+    def _at(self, session: Session, time: float, call: Callable[[], None]) -> None:
+        """Let something happen at a time, if the link still holds then."""
+        connection = session.connection
+        self._world.at(time, lambda: call() if session.connection == connection else None)
 
     # Tokens: kept by the router, told in order.
 
@@ -328,8 +319,7 @@ class Network:
             session.arrivals["tokens", Channel.CONTROL],
         )
         session.arrivals["tokens", Channel.CONTROL] = time
-        connection = session.connection
-        self._world.at(time, lambda: told() if session.connection == connection else None)
+        self._at(session, time, told)
 
     # Links break and mend.
 
@@ -338,24 +328,16 @@ class Network:
         world = self._world
         if not session.is_up or session.is_local:
             return
-        connection = session.connection
         session.cut_until = max(session.cut_until, world.now + seconds)
         world.note(session.host.name, f"link cut for {seconds:.1f} s")
+        self._at(session, world.now + LEASE, lambda: self._give_up(session))
 
-        def give_up() -> None:
-            if session.connection == connection and world.now < session.cut_until:
-                self.drop(session)
-
-        world.later(LEASE, give_up)
+    def _give_up(self, session: Session) -> None:
+        if self._world.now < session.cut_until:
+            self.drop(session)
 
     def drop(self, session: Session, *, known: bool = True) -> None:
-        """Break a link, which comes back soon.
-
-        Parameters
-        ----------
-        known
-            Whether its process can notice; it tries again only then.
-        """
+        """Break a link, which comes back soon; its process tries again only if that is known to it."""
         if not session.is_up or session.is_local:
             return
         session.is_up = False

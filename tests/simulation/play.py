@@ -3,7 +3,7 @@
 import logging
 import random
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
 from unittest.mock import patch
@@ -13,7 +13,7 @@ from tests.simulation.coordinator import Coordinator
 from tests.simulation.plan import History, draw
 from tests.simulation.process import InvariantViolated, Process
 from tests.simulation.recorder import SimulatedRecorder
-from tests.simulation.simulation import Simulation, SimulationChecker
+from tests.simulation.simulation import P, Simulation, SimulationChecker
 from tests.simulation.worker import Worker
 
 from qdgrasp_coordinator.recorder import run_writer
@@ -29,11 +29,11 @@ class Faults:
         self._chance = stage.world.chance
         self.table: dict[str, Callable[[], None]] = {
             "a worker is killed": lambda: self._kill(Worker),
-            "a worker's machine loses its power": self._cut_power,
-            "a worker is asked to leave": self._leave,
+            "a worker's machine loses its power": lambda: self._strike_some(Worker, Worker.lose_power),
+            "a worker is asked to leave": lambda: self._strike_some(Worker, Worker.leave),
             "a worker joins": stage.start_worker,
             "a worker is frozen": lambda: self._freeze(Worker),
-            "a simulator is killed": self._kill_simulator,
+            "a simulator is killed": lambda: self._strike_some(Worker, Worker.lose_simulator),
             "a link is cut": lambda: self._cut(0.0),
             "half of the links are cut": lambda: self._cut(0.5),
             "the router restarts": self._restart_router,
@@ -70,21 +70,12 @@ class Faults:
         self._stage.is_calm = True
         self._stage.calm_since = self._world.now
 
-    def _kill(self, kind: type[Process]) -> None:
+    def _strike_some(self, kind: type[P], act: Callable[[P], None]) -> None:
         if process := self._stage.some(kind):
-            process.end(flushed=self._chance.random() < 0.5)
+            act(process)
 
-    def _cut_power(self) -> None:
-        if worker := self._stage.some(Worker):
-            worker.lose_power()
-
-    def _leave(self) -> None:
-        if worker := self._stage.some(Worker):
-            worker.leave()
-
-    def _kill_simulator(self) -> None:
-        if worker := self._stage.some(Worker):
-            worker.lose_simulator()
+    def _kill(self, kind: type[Process]) -> None:
+        self._strike_some(kind, lambda process: process.end(flushed=self._chance.random() < 0.5))
 
     def _freeze(self, kind: type[Process]) -> None:
         if process := self._stage.some(kind):
@@ -175,14 +166,12 @@ def small_and_quiet() -> Iterator[None]:
     quiet = structlog.make_filtering_bound_logger(logging.CRITICAL)
     before = structlog.get_config()
     structlog.configure(wrapper_class=quiet, cache_logger_on_first_use=False)
-    patches = [patch.object(module, name, value) for module, name, value in SMALL]
     try:
-        for one in patches:
-            one.start()
-        yield
+        with ExitStack() as stack:
+            for module, name, value in SMALL:
+                stack.enter_context(patch.object(module, name, value))
+            yield
     finally:
-        for one in patches:
-            one.stop()
         structlog.configure(**before)
 
 

@@ -2,25 +2,19 @@
 
 from collections import deque
 from collections.abc import Generator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import inf
 
 from tests.simulation.network import Clock, Network, World
 
 from qdgrasp_coordinator.search.base import SearchAlgorithm
+from qdgrasp_protocol.bus import Bus, Channel, Declaration
 from qdgrasp_protocol.rows import Genomes, Rows
 
 
 class InvariantViolated(AssertionError):
-    """An invariant does not hold.
-
-    Parameters
-    ----------
-    invariant
-        Its name.
-    words
-        What was seen.
-    """
+    """An invariant, by its name, does not hold; `words` say what was seen."""
 
     def __init__(self, invariant: str, words: str) -> None:
         super().__init__(f"{invariant}: {words}")
@@ -28,15 +22,7 @@ class InvariantViolated(AssertionError):
 
 
 class CheckedSearch:
-    """A search that insists on the order in which it is asked and told.
-
-    Parameters
-    ----------
-    search
-        The search itself.
-    in_flight
-        How many generations may be asked and not told.
-    """
+    """A search that insists on the order in which it is asked and told, so many generations in flight."""
 
     def __init__(self, search: SearchAlgorithm, in_flight: int) -> None:
         self._search = search
@@ -85,13 +71,7 @@ INVARIANTS = {
 
 
 def require(holds: bool, invariant: str, *words: object) -> None:
-    """Check one thing.
-
-    Raises
-    ------
-    Violated
-        It does not hold.
-    """
+    """Check one thing, or raise `InvariantViolated`."""
     if not holds:
         raise InvariantViolated(invariant, " ".join(map(str, words)))
 
@@ -115,6 +95,23 @@ SHORT, MOST_SHORT = 1e-3, 20
 Life = Generator[Listen | Busy, None, None]
 
 
+@dataclass
+class SessionBus:
+    """The part of a bus that what runs in a process needs."""
+
+    host: "Process"
+
+    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
+        self.host.network.put(self.host.session, key, payload, encoding, channel)
+
+    def ask(self, key: str, payload: bytes, *, timeout: float) -> bytes:
+        return self.host.network.ask_now(self.host.session, key, payload)
+
+    def token(self, key: str) -> AbstractContextManager[None]:
+        self.host.network.token(self.host.session, key)
+        return Declaration(lambda: self.host.network.hand_in(self.host.session, key))
+
+
 class Process:
     """A process on a machine of its own, with a session on the bus."""
 
@@ -129,6 +126,7 @@ class Process:
         """It has ended or was killed."""
         self.is_frozen = False
         self.session = network.open(self)
+        self.bus: Bus = SessionBus(self)  # type: ignore[assignment]
         self._life = self.life()
         self._waits = 0  # what it waits for has a number: an older one wakes nobody
         self._is_listening = False

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
+from tests.fakes.messages import put
 from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
@@ -16,7 +17,6 @@ from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
-from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.messages import Recorded
@@ -218,18 +218,10 @@ PATIENCE = 60.0
 
 
 class SimulatedRecorder(Process):
-    """A recorder process.
+    """A recorder process on a disk, when nobody else writes on it.
 
-    Parameters
-    ----------
-    disk
-        What it writes on, when nobody else does.
-    latency
-        The mean time of a commit [s].
-    opened
-        Called with the recorder once it has the lock.
-    reports
-        Called with each report.
+    Its commits take `latency` seconds on average; `opened` is called once it has the lock, `reports` with
+    each report.
     """
 
     def __init__(
@@ -309,9 +301,5 @@ class SimulatedRecorder(Process):
             yield Busy(self.world.exponential(self._latency))
             self._before = None
         for report in reports:
-            self._put(report)
-
-    def _put(self, report: Recorded) -> None:
-        self._reports(report)
-        encoding = messages.encoding(Recorded)
-        self.network.put(self.session, KEYS.recorded, messages.encode(report), encoding, Channel.CONTROL)
+            self._reports(report)
+            put(self.bus, KEYS.recorded, report, Channel.CONTROL)

@@ -3,7 +3,6 @@
 import struct
 from collections import Counter, deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from math import inf
 from queue import SimpleQueue
@@ -14,12 +13,13 @@ from unittest.mock import patch
 import msgspec
 import numpy as np
 from tests.coordinator.scheduler.search_plans import Task
+from tests.fakes.messages import put
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.bus import Bus, Channel, Declaration, Sample
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Failure, Join, Joined, Result
@@ -79,17 +79,7 @@ class Speed:
 
 
 class Formula:
-    """A simulator process as a worker sees it.
-
-    Parameters
-    ----------
-    host
-        The worker's process.
-    task
-        What it evaluates.
-    hear
-        Takes its news.
-    """
+    """A simulator process as a worker sees it; `hear` takes its news."""
 
     def __init__(
         self,
@@ -214,20 +204,6 @@ CREDIT = 2
 
 
 @dataclass
-class Line:
-    """The part of a bus that a worker's service needs."""
-
-    host: "Worker"
-
-    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        self.host.network.put(self.host.session, key, payload, encoding, channel)
-
-    def token(self, key: str) -> AbstractContextManager[None]:
-        self.host.network.token(self.host.session, key)
-        return Declaration(lambda: self.host.network.hand_in(self.host.session, key))
-
-
-@dataclass
 class SimulatedErrands:
     """Questions, each on its own way; what comes back goes to the inbox."""
 
@@ -319,14 +295,12 @@ class Worker(Process):
         return Formula(self, self._task, self._speed, self._mishaps, self.hear)
 
     def _new_service(self) -> WorkerService:
-        bus: Bus = Line(self)  # type: ignore[assignment]
         with (
             patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
             patch.object(serving.secrets, "token_hex", lambda _: self.wid),
         ):
-            return WorkerService(
-                bus, self._stop, self.supervisor, SimpleQueue(), store=SceneStore(None), job=JOB, grace=GRACE
-            )  # type: ignore[arg-type]
+            how = {"store": SceneStore(None), "job": JOB, "grace": GRACE}
+            return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)
 
 
 def _event(event: object) -> Event:
@@ -364,6 +338,4 @@ class Forger(Process):
             batch = struct.pack(">QQ", epoch, count + ahead)
             columns = result.columns | {"outcome": outcomes}
             forged = {"batch": batch, "attempt": 0, "wid": self._wid, "columns": columns, "failures": []}
-            message = messages.encode(msgspec.structs.replace(result, **forged))
-            key, encoding = KEYS.result(self._wid), messages.encoding(Result)
-            self.network.put(self.session, key, message, encoding, Channel.DATA)
+            put(self.bus, KEYS.result(self._wid), msgspec.structs.replace(result, **forged))

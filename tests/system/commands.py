@@ -10,27 +10,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TypeVar
+from typing import Self
 
 import msgspec
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, own_endpoint, wait_for
 
 from qdgrasp import entry
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
 
-LOADED = [
-    "qdgrasp_coordinator.cli.main",
-    "qdgrasp_coordinator.cli.monitor_process",
-    "qdgrasp_coordinator.scheduler.run_plan",
-    "trimesh",
-]
+COORDINATOR, MONITOR, RECORDER, ROUTER = (
+    f"qdgrasp_coordinator.cli.{name}_process" for name in ("coordinator", "monitor", "recorder", "router")
+)
+WORKER = "qdgrasp_worker.cli"
+LOADED = ["qdgrasp_coordinator.cli.main", MONITOR, "qdgrasp_coordinator.scheduler.run_plan", "trimesh"]
 _FORKS = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload(LOADED)
 
@@ -38,12 +37,7 @@ _FORKS.set_forkserver_preload(LOADED)
 def run(words: Sequence[str], home: Path, environment: dict[str, str], said: Sequence[Path]) -> int:
     """Run a command in a folder; gives its exit code.
 
-    Parameters
-    ----------
-    words
-        The function of `qdgrasp.entry`, and the command's arguments.
-    said
-        Two files, for what it says on standard output and standard error.
+    The first word is the function of `qdgrasp.entry`; what it says goes to the two files of `said`.
     """
     process = _FORKS.Process(target=_enter, args=(words, home, environment, said))
     process.start()
@@ -65,7 +59,6 @@ def _enter(words: Sequence[str], home: Path, environment: dict[str, str], said: 
     getattr(entry, words[0])()
 
 
-Found = TypeVar("Found")
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
 BUDGET = 160
 """Evaluations of a run of which the last are aimed, and that takes long enough to disturb it."""
@@ -88,11 +81,17 @@ class Done:
 
 
 class Commands:
-    """Runs `qdgrasp` in a folder of its own."""
+    """Runs `qdgrasp` in a folder of its own; a context manager that ends what it started."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
         self._started: list[subprocess.Popen[str]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end_all()
 
     def __call__(self, *arguments: object, entry: str = "qdgrasp", **environment: str) -> Done:
         """Run one of the commands, named by its function in `qdgrasp.entry`, to its end."""
@@ -102,15 +101,25 @@ class Commands:
             code = run(words, self.home, self._environment(environment), said)
             return Done(code, out.read_text(), err.read_text())
 
+    def succeed(self, *arguments: object, **how: str) -> Done:
+        """Run one of the commands, which is to end well."""
+        done = self(*arguments, **how)
+        assert done.code == 0, done.err + done.out
+        return done
+
     def start(
         self, *arguments: object, module: str = "qdgrasp", file_size: int | None = None, **environment: str
     ) -> subprocess.Popen[str]:
         """Start a command; no file that it or its processes write may be longer than `file_size`."""
-        if module == "qdgrasp":
-            arguments = self._with_port(arguments)
-        command = [sys.executable, "-m", module, *map(str, arguments)]
+        words = self._with_port(arguments) if module == "qdgrasp" else arguments
+        return self.begin("-m", module, *words, file_size=file_size, **environment)
+
+    def begin(
+        self, *words: object, file_size: int | None = None, **environment: str
+    ) -> subprocess.Popen[str]:
+        """Start Python with these arguments."""
         process = subprocess.Popen(
-            command,
+            [sys.executable, *map(str, words)],
             cwd=self.home,
             env=self._environment(environment),
             stdin=subprocess.DEVNULL,
@@ -132,32 +141,52 @@ class Commands:
         return {**os.environ, "QDGRASP_CACHE": str(self.home / "cache"), **more}
 
     def digest(self, folder: str | Path) -> str:
-        """What `qdgrasp digest` prints, without a process for it."""
-        with RunFolder.open(self.home / folder).journal() as journal:
-            return journal_digest(journal)
+        return digest_of(self.home / folder)
 
     def info(self, folder: str | Path) -> dict:
         """What `qdgrasp info --json` prints, without a process for it."""
         return json.loads(msgspec.json.encode(run_summary(RunFolder.open(self.home / folder))))
 
     def end_all(self) -> None:
+        """End whatever is still there."""
         for process in self._started:
             if process.poll() is None:
                 process.terminate()
                 process.communicate(timeout=PATIENCE)
 
 
+def digest_of(run: Path) -> str:
+    """What `qdgrasp digest` prints, without a process for it."""
+    with RunFolder.open(run).journal() as journal:
+        return journal_digest(journal)
+
+
 def _limit_files(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
-def wait_for(look: Callable[[], Found], what: str) -> Found:
-    """Look again and again until something is found, and give it; the test fails when it takes too long."""
-    deadline = time.monotonic() + PATIENCE
-    while not (found := look()):
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
-        time.sleep(0.02)  # between two looks; nothing depends on how long it is
-    return found
+def end_of(process: subprocess.Popen[str], code: int = 0) -> tuple[str, str]:
+    """Wait for the end of a command, which is to be this one; gives what it said."""
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == code, err
+    return out, err
+
+
+def stop(process: subprocess.Popen[str], number: int) -> tuple[str, str, float]:
+    """Stop a command with all its processes; gives what it said, and the seconds until it ended."""
+    started, asked = list(processes_of(process.pid).values()), time.monotonic()
+    process.send_signal(number)
+    out, err = end_of(process, 128 + number)
+    took = time.monotonic() - asked
+    assert "Traceback" not in err
+    wait_for(lambda: not any(map(is_alive, started)), "the end of its processes")
+    return out, err, took
+
+
+def has_rows(process: subprocess.Popen[str], folder: Path, rows: int) -> None:
+    """Wait until a job that goes on has so many rows on disk."""
+    wait_for(lambda: rows_recorded(folder) >= rows or process.poll() is not None, f"{rows} rows")
+    assert process.poll() is None, process.communicate()
 
 
 def says(process: subprocess.Popen[str], words: str) -> None:
@@ -168,7 +197,9 @@ def says(process: subprocess.Popen[str], words: str) -> None:
 
 
 def rows_recorded(folder: Path) -> int:
-    """How many rows are on disk; 0 while there is no journal."""
+    """How many rows of a run or a campaign are on disk; 0 while there is no journal."""
+    if (folder / "runs").exists():
+        return sum(map(rows_recorded, (folder / "runs").glob("[!.]*")))
     if not (folder / "run.sqlite").exists():
         return 0
     try:
@@ -222,9 +253,6 @@ def _told(name: str) -> str:
         return ""
 
 
-MONITOR = "qdgrasp_coordinator.cli.monitor_process"
-
-
 class Watched:
     """A run with two workers on an endpoint of its own, and a page that shows it from some time on."""
 
@@ -251,8 +279,7 @@ class Watched:
         self._order("continue")
 
     def _order(self, command: str) -> None:
-        done = self.qdgrasp(command, self.job, *self.place[:2])
-        assert done.code == 0, done.err
+        self.qdgrasp.succeed(command, self.job, *self.place[:2])
 
     def kill(self, role: str) -> None:
         """End one process of a role, without a word."""

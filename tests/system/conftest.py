@@ -9,9 +9,8 @@ from tests.system.commands import LONG, Commands
 
 @pytest.fixture
 def qdgrasp(tmp_path: Path) -> Iterator[Commands]:
-    commands = Commands(tmp_path)
-    yield commands
-    commands.end_all()
+    with Commands(tmp_path) as commands:
+        yield commands
 
 
 @pytest.fixture(scope="session")
@@ -19,8 +18,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict
     """An undisturbed run: its folder, digest and figures."""
     home = tmp_path_factory.mktemp("reference")
     commands = Commands(home)
-    done = commands("run", *LONG, "--workers", 1, "--out", "run")
-    assert done.code == 0, done.err
+    commands.succeed("run", *LONG, "--workers", 1, "--out", "run")
     return home / "run", commands.digest("run"), commands.info("run")
 
 

@@ -1,6 +1,5 @@
 """Many runs from one file: each is the run it would be alone, whatever dies on the way."""
 
-import os
 import shutil
 import signal
 import sqlite3
@@ -10,13 +9,24 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.common import PATIENCE
-from tests.system.commands import Commands, is_alive, kill, processes_of, rows_recorded, wait_for
+from tests.common import PATIENCE, wait_for
+from tests.system.commands import (
+    WORKER,
+    Commands,
+    digest_of,
+    end_of,
+    has_rows,
+    is_alive,
+    kill,
+    pids,
+    processes_of,
+    rows_recorded,
+)
 from tests.system.test_bad_input import sentence
 
 from qdgrasp_coordinator.campaign.campaign_file import read_campaign
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 
 EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
 SMALL = """
@@ -57,11 +67,6 @@ def runs(qdgrasp: Commands, folder: str) -> list[tuple[str, Path]]:
     return [(path.name, path) for path in JobFolder.open(qdgrasp.home / folder).run_paths]
 
 
-def digest_of(path: Path) -> str:
-    with RunFolder.open(path).journal() as journal:
-        return journal_digest(journal)
-
-
 def cost(path: Path) -> float:
     with RunFolder.open(path).journal() as journal:
         return journal.cpu_seconds
@@ -71,8 +76,7 @@ def cost(path: Path) -> float:
 def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
     """An undisturbed campaign in `out`, which tests leave as it is."""
     commands = Commands(tmp_path_factory.mktemp("campaign"))
-    ended = commands("campaign", write(commands.home), "--workers", 2, "--out", "out")
-    assert ended.code == 0, ended.err
+    ended = commands.succeed("campaign", write(commands.home), "--workers", 2, "--out", "out")
     assert "3 of 3 runs with 320 evaluations" in ended.out
     return commands
 
@@ -80,15 +84,13 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, name):
     flags = ("--gripper", "panda", "--object", name.split("-")[1], "--population", 40, *RUNS[name])
-    ended = qdgrasp("run", *flags, "--workers", 1, "--out", "alone")
-    assert ended.code == 0, ended.err
+    qdgrasp.succeed("run", *flags, "--workers", 1, "--out", "alone")
     assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
 
 
 def test_a_finished_campaign_is_not_carried_out_again(done):
     before = digests(done)
-    ended = done("campaign", "out")
-    assert ended.code == 0
+    ended = done.succeed("campaign", "out")
     assert "3 of 3 runs are finished already" in ended.err
     assert "listening" not in ended.err
     assert digests(done) == before
@@ -100,8 +102,7 @@ def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgr
     grown = longer.replace(
         '"contact_rand", "contact_me_scs"]', '"contact_rand", "contact_me_scs"]\nseed = [0, 1]'
     )
-    ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
-    assert ended.code == 0, ended.err
+    ended = qdgrasp.succeed("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
     assert "2 of 5 runs are finished already" in ended.err
     assert "5 of 5 runs with 520 evaluations" in ended.out
     extended = "panda-rubiks_cube-aimed-s0-population40"
@@ -179,8 +180,7 @@ def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done
     assert "pair" in ended.err
     assert not list((qdgrasp.home / "out" / "runs").glob("*pair*"))
     assert digests(qdgrasp) == digests(done)
-    mended = qdgrasp("campaign", "out", "--workers", 2)
-    assert mended.code == 0, mended.err
+    mended = qdgrasp.succeed("campaign", "out", "--workers", 2)
     assert "4 of 4 runs" in mended.out
 
 
@@ -205,8 +205,7 @@ def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large one.stl")
     (parts / "masses.csv").write_text("file,mass\nlarge one.stl,0.3\n")
     asked = ("campaign", "--gripper", "panda", "--objects", parts, "--units", "mm", "--evaluations", 20)
-    ended = qdgrasp(*asked, "--workers", 1, "--out", "out")
-    assert ended.code == 0, ended.err
+    qdgrasp.succeed(*asked, "--workers", 1, "--out", "out")
     found = qdgrasp.info("out/runs/panda-large-one-aimed-s0")
     assert (found["complete"], found["scale"]) == (True, 0.001)
     assert "1 of 1 run with" in qdgrasp("campaign", "out").out
@@ -235,25 +234,15 @@ def start(qdgrasp: Commands, rows: int) -> subprocess.Popen[str]:
     """A campaign of which some rows are on disk already."""
     command = ("campaign", write(qdgrasp.home), "--workers", 2, "--batch-size", 10, "--out", "out")
     process = qdgrasp.start(*command)
-    wait_for(lambda: recorded(qdgrasp) >= rows or process.poll() is not None, f"{rows} rows")
-    assert process.poll() is None, process.communicate()
+    has_rows(process, qdgrasp.home / "out", rows)
     return process
-
-
-def recorded(qdgrasp: Commands) -> int:
-    return sum(map(rows_recorded, (qdgrasp.home / "out" / "runs").glob("[!.]*")))
-
-
-def pid_of(process: subprocess.Popen[str], role: str) -> int:
-    return next(pid for name, pid in processes_of(process.pid).items() if name.startswith(f"qdgrasp-{role}"))
 
 
 def go_on(qdgrasp: Commands, done: Commands) -> None:
     """Go on with a campaign: it ends as an undisturbed one, and no finished run is evaluated again."""
     before, whole = cpu_seconds(qdgrasp), digests(done)
     finished = [name for name, found in digests(qdgrasp).items() if found == whole[name]]
-    ended = qdgrasp("campaign", "out", "--workers", 2)
-    assert ended.code == 0, ended.err
+    qdgrasp.succeed("campaign", "out", "--workers", 2)
     assert digests(qdgrasp) == whole
     after = cpu_seconds(qdgrasp)
     assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
@@ -262,9 +251,8 @@ def go_on(qdgrasp: Commands, done: Commands) -> None:
 def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
     process = start(qdgrasp, 60)
     started = list(processes_of(process.pid).values())
-    os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
+    process.send_signal(signal.SIGINT)
+    _, err = end_of(process, 130)
     assert "`qdgrasp campaign out` goes on" in err
     assert not any(map(is_alive, started))
     go_on(qdgrasp, done)
@@ -274,9 +262,8 @@ def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
 @pytest.mark.parametrize("rows", [1, 150])
 def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, done, rows):
     process = start(qdgrasp, rows)
-    kill(pid_of(process, "coordinator"))
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1
+    kill(pids(process, "coordinator")[0])
+    _, err = end_of(process, 1)
     assert "was killed by SIGKILL" in err
     assert "`qdgrasp campaign out` goes on" in err
     go_on(qdgrasp, done)
@@ -286,11 +273,9 @@ def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, do
 def test_a_killed_recorder_is_started_again_and_no_run_loses_anything(qdgrasp, done):
     process = start(qdgrasp, 30)
     for rows in (30, 150):
-        wait_for(lambda rows=rows: recorded(qdgrasp) >= rows, f"{rows} rows")
-        wait_for(lambda: any("recorder" in name for name in processes_of(process.pid)), "a recorder")
-        kill(pid_of(process, "recorder"))
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+        has_rows(process, qdgrasp.home / "out", rows)
+        kill(wait_for(lambda: pids(process, "recorder"), "a recorder")[0])
+    end_of(process)
     assert digests(qdgrasp) == digests(done)
 
 
@@ -313,13 +298,12 @@ def test_a_campaign_in_use_is_left_alone(qdgrasp):
 
 @pytest.mark.slow
 def test_a_worker_started_by_hand_helps(qdgrasp, done):
-    ended = qdgrasp.start("campaign", write(qdgrasp.home), "--workers", 0, "--out", "out")
+    job = qdgrasp.start("campaign", write(qdgrasp.home), "--workers", 0, "--out", "out")
     endpoint = qdgrasp.home / "out" / "endpoint"
     wait_for(endpoint.is_file, "the router")
     options = ("--connect", endpoint.read_text().strip(), "--job", "out")
-    worker = qdgrasp.start(*options, module="qdgrasp_worker.cli")
-    out, err = ended.communicate(timeout=PATIENCE)
-    assert ended.returncode == 0, err
+    worker = qdgrasp.start(*options, module=WORKER)
+    out, _ = end_of(job)
     assert "3 of 3 runs" in out
     worker.terminate()
     assert worker.wait(PATIENCE) == 143
@@ -334,8 +318,7 @@ def test_every_method_works_with_a_hand_of_three_fingers(qdgrasp):
     begin, end = first.index("object = ["), first.index("]\n", first.index("object = [")) + 2
     slice_ = first[:begin] + 'object = "mug"\n' + first[end:]
     slice_ = slice_.replace('["panda", "barrett", "allegro", "shadow"]', '"barrett"')
-    ended = qdgrasp("campaign", write(qdgrasp.home, slice_), "--out", "out", "--workers", 2)
-    assert ended.code == 0, ended.err
+    ended = qdgrasp.succeed("campaign", write(qdgrasp.home, slice_), "--out", "out", "--workers", 2)
     assert "12 of 12 runs with 720 evaluations" in ended.out
     for folder in (qdgrasp.home / "out" / "runs").iterdir():
         assert qdgrasp.info(folder)["errors"] == 0

@@ -6,18 +6,23 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import (
     BUDGET,
+    COORDINATOR,
     LONG,
+    RECORDER,
+    WORKER,
     Commands,
+    end_of,
+    has_rows,
     held,
     is_alive,
     kill,
     pids,
     processes_of,
     rows_recorded,
-    wait_for,
+    stop,
 )
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -28,8 +33,7 @@ def start(qdgrasp: Commands, rows: int) -> tuple[subprocess.Popen[str], Path]:
     """A run of which some rows are on disk already."""
     process = qdgrasp.start("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run")
     folder = qdgrasp.home / "run"
-    wait_for(lambda: rows_recorded(folder) >= rows or process.poll() is not None, f"{rows} rows")
-    assert process.poll() is None, process.communicate()
+    has_rows(process, folder, rows)
     return process, folder
 
 
@@ -38,8 +42,7 @@ def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
     for rows in (10, 40, 80):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         kill(wait_for(lambda: pids(process, "worker"), "a worker")[0])
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    _, err = end_of(process)
     assert "was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
 
@@ -47,8 +50,7 @@ def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
 def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_digest):
     process, _ = start(qdgrasp, 20)
     kill(pids(process, "recorder")[0])
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    _, err = end_of(process)
     assert "recorder was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
 
@@ -58,8 +60,7 @@ def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, lo
     process, _ = start(qdgrasp, 20)
     for role in roles:
         kill(pids(process, role)[0])
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    _, err = end_of(process)
     assert "coordinator was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
 
@@ -71,36 +72,27 @@ def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp
     kill(process.pid)
     process.communicate()
     wait_for(lambda: not any(map(is_alive, started)), "the orphans' end")
-    done = qdgrasp("resume", "run", "--workers", 1)
-    assert done.code == 0, done.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, number, code):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, number):
     process, _ = start(qdgrasp, 20)
-    started = list(processes_of(process.pid).values())
-    os.kill(process.pid, number)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == code
-    assert "qdgrasp resume" in err
-    wait_for(lambda: not any(map(is_alive, started)), "the end of its processes")
-    done = qdgrasp("resume", "run", "--workers", 1)
-    assert done.code == 0, done.err
+    assert "qdgrasp resume" in stop(process, number)[1]
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
 def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
     command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
     process = qdgrasp.start(*command, file_size=110_000)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2, err
+    _, err = end_of(process, 2)
     assert "paused: " in err
     assert "has had no room for 2 s" in err
     assert "qdgrasp resume run" in err
     assert 0 < rows_recorded(qdgrasp.home / "run") < BUDGET
-    done = qdgrasp("resume", "run", "--workers", 1)
-    assert done.code == 0, done.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
@@ -122,8 +114,7 @@ def test_a_run_that_was_killed_before_its_journal_began_is_gone_on_with(qdgrasp,
     kill(process.pid)
     process.communicate()
     assert not (folder / "run.sqlite").exists()
-    done = qdgrasp("resume", "run", "--workers", 1)  # while the processes of the first may just be starting
-    assert done.code == 0, done.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)  # while the processes of the first may just be starting
     assert qdgrasp.digest("run") == long_digest
 
 
@@ -135,12 +126,10 @@ def test_a_run_is_not_lost_to_a_disk_that_is_full_when_it_is_resumed(qdgrasp, lo
     before = rows_recorded(folder)
     for limit in (20_000, 50_000):  # without room to look at the journal, and to write in it
         full = qdgrasp.start("resume", "run", "--workers", 1, "--disk-wait", 1, file_size=limit)
-        _, err = full.communicate(timeout=PATIENCE)
-        assert full.returncode == 2, err
+        _, err = end_of(full, 2)
         assert "no room" in err
         assert rows_recorded(folder) >= before
-    done = qdgrasp("resume", "run", "--workers", 1)
-    assert done.code == 0, done.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
@@ -157,21 +146,18 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
     place = ("--connect", endpoint, "--job", "mugs")
     (qdgrasp.home / "mugs.toml").write_text(SPEC)
     with ZenohBus.router(endpoint):
-        qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder_process")
-        old = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator_process")
-        worker = qdgrasp.start(*place, module="qdgrasp_worker.cli")
+        qdgrasp.start(*place, "--out", "run", module=RECORDER)
+        old = qdgrasp.start("mugs.toml", *place, module=COORDINATOR)
+        worker = qdgrasp.start(*place, module=WORKER)
         wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20, "rows")
         with held(worker.pid):
-            other = qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder_process")
-            assert "is in use by process" in other.communicate(timeout=PATIENCE)[1]
-            assert other.returncode == 2
+            other = qdgrasp.start(*place, "--out", "run", module=RECORDER)
+            assert "is in use by process" in end_of(other, 2)[1]
             os.kill(old.pid, signal.SIGSTOP)
-        new = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator_process")
+        new = qdgrasp.start("mugs.toml", *place, module=COORDINATOR)
         wait_for(lambda: JobFolder(qdgrasp.home / "run").epoch == 2, "another turn")
         os.kill(old.pid, signal.SIGCONT)
-        assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=PATIENCE)[1]
-        assert old.returncode == 3
-        _, err = new.communicate(timeout=PATIENCE)
-        assert new.returncode == 0, err
+        assert "Another coordinator of job 'mugs' took over (epoch 2)" in end_of(old, 3)[1]
+        end_of(new)
         qdgrasp.end_all()
     assert qdgrasp.digest("run") == long_digest

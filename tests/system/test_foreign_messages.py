@@ -6,10 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.fuzz.consumers import CONSUMERS, KINDS, seeds
 from tests.fuzz.fuzzer import Mutator, corpus
-from tests.system.commands import LONG, Commands, held, pids, processes_of, wait_for
+from tests.system.commands import LONG, Commands, end_of, held, pids, processes_of
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus
@@ -34,15 +34,7 @@ def refused(kind: str) -> Iterator[bytes]:
 
 
 class Stranger:
-    """Somebody on a bus without access list.
-
-    Parameters
-    ----------
-    bus
-        A session.
-    wid
-        A worker of the job.
-    """
+    """Somebody on a bus without access list, who knows a worker of the job."""
 
     def __init__(self, bus: Bus, wid: str) -> None:
         self._bus = bus
@@ -71,19 +63,11 @@ class Stranger:
                 with suppress(Refused, NoReply):
                     self._bus.ask(key, payload, timeout=1.0)
                 count += 1
-        for parameters in ("", "i=", "i=-1", "i=²", "i=" + "9" * 5000, "i=1;i=2", "j=0"):
-            with suppress(Refused, NoReply):
-                self._bus.ask(KEYS.asset("ab" * 32), parameters=parameters, timeout=1.0)
-            with suppress(Refused, NoReply):
-                self._bus.ask(KEYS.recorded_asset("ab" * 32), parameters=parameters, timeout=1.0)
-        for parameters in (
-            "run=..",
-            "run=run&from=²",
-            "run=run&from=" + "9" * 5000,
-            "&;=;&",
-            "run=run" * 5000,
-        ):
-            for key in (KEYS.finds, KEYS.entries):
+        pieces = ("", "i=", "i=-1", "i=²", "i=" + "9" * 5000, "i=1;i=2", "j=0")
+        pages = ("run=..", "run=run&from=²", "run=run&from=" + "9" * 5000, "&;=;&", "run=run" * 5000)
+        bad = [(KEYS.asset("ab" * 32), pieces), (KEYS.recorded_asset("ab" * 32), pieces)]
+        for key, selectors in (*bad, (KEYS.finds, pages), (KEYS.entries, pages)):
+            for parameters in selectors:
                 with suppress(Refused, NoReply):
                     self._bus.ask(key, parameters=parameters, timeout=1.0)
         for key in (
@@ -123,8 +107,7 @@ def test_a_stranger_changes_nothing_and_takes_nothing_down(
             assert processes_of(running.pid) == before
             for name, pid in before.items():
                 assert memory(pid) < sizes[name] + GROWTH
-    out, said = running.communicate(timeout=PATIENCE)
-    assert running.returncode == 0, said
+    out, said = end_of(running)
     assert "started again" not in out + said
     logs = qdgrasp.home / "run" / "logs"
     for name in ("coordinator", "recorder", "worker-0"):

@@ -9,11 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE, own_endpoint
+from tests.common import own_endpoint, wait_for
 from tests.system.commands import (
+    COORDINATOR,
     LONG,
     SMALL,
+    WORKER,
     Commands,
+    end_of,
+    has_rows,
     held,
     is_alive,
     kill,
@@ -21,7 +25,7 @@ from tests.system.commands import (
     processes_of,
     rows_recorded,
     says,
-    wait_for,
+    stop,
 )
 from tests.system.test_bad_input import sentence
 
@@ -35,8 +39,7 @@ class Running:
         self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "run"
         command = ("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
         self.process = qdgrasp.start(*command, "--listen", self.endpoint, *flags)
-        wait_for(lambda: rows_recorded(self.folder) >= 20 or self.process.poll() is not None, "rows")
-        assert self.process.poll() is None, self.process.communicate()
+        has_rows(self.process, self.folder, 20)
 
     def __call__(self, command: str, *arguments: str):
         return self.qdgrasp(command, *arguments, "--connect", self.endpoint)
@@ -54,10 +57,6 @@ class Running:
     def shown(self) -> dict:
         (job,) = self.jobs()
         return job
-
-    def ends(self) -> tuple[int, str]:
-        _, err = self.process.communicate(timeout=PATIENCE)
-        return self.process.returncode, err
 
 
 def two(found: list[int]) -> list[int]:
@@ -84,8 +83,7 @@ def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, l
     wait_for(lambda: [job["meta"]["epoch"] for job in run.jobs()] == [2], "the next coordinator's turn")
     assert run.shown()["figures"]["state"] == "paused"
     assert run("continue", "mugs").out == "Job 'mugs' goes on.\n"
-    code, err = run.ends()
-    assert code == 0, err
+    end_of(run.process)
     assert qdgrasp.digest("run") == long_digest
 
 
@@ -93,50 +91,40 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
     run = Running(qdgrasp)
     with run.at_rest():
         assert "Job 'mugs' ends" in run("cancel", "mugs").out
-    code, err = run.ends()
-    assert code == 1
+    _, err = end_of(run.process, 1)
     assert "Job 'mugs' was cancelled. `qdgrasp resume run` goes on" in err
     assert rows_recorded(run.folder) >= 20
-    done = qdgrasp("resume", "run", "--workers", 1)
-    assert done.code == 0, done.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
 def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
     (qdgrasp.home / "mugs.toml").write_text('gripper = "panda"\nobject = "tennis_ball"\n')
     endpoint = own_endpoint()
-    process = qdgrasp.start(
-        "mugs.toml", "--listen", endpoint, module="qdgrasp_coordinator.cli.coordinator_process"
-    )
+    process = qdgrasp.start("mugs.toml", "--listen", endpoint, module=COORDINATOR)
     says(process, "listening")
     wait_for(lambda: qdgrasp("cancel", "mugs", "--connect", endpoint).code == 0, "somebody to cancel it")
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    _, err = end_of(process)
     assert err.endswith("qdgrasp-coordinator: Job 'mugs' was cancelled.\n")
 
 
 def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
-    done = qdgrasp("run", *LONG, "--workers", 1, "--out", "run", "--seconds", 1.5)
-    assert done.code == 0, done.err
+    done = qdgrasp.succeed("run", *LONG, "--workers", 1, "--out", "run", "--seconds", 1.5)
     assert "It is not finished; `qdgrasp resume run` goes on" in done.out
-    again = qdgrasp("resume", "run", "--workers", 1)
-    assert again.code == 0, again.err
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
-    done = qdgrasp(*goal, "--successes", 12, "--out", "run")
-    assert done.code == 0, done.err
+    done = qdgrasp.succeed(*goal, "--successes", 12, "--out", "run")
     assert "12 successes in" in done.out
     assert "It ended early: 12 successes are found." in done.out
     assert "is finished" in qdgrasp("resume", "run").out
     assert "successes must be at least 12" in sentence(qdgrasp("resume", "run", "--successes", 11))
-    again = qdgrasp("resume", "run", "--successes", 30, "--no-new-cell", 150, "--workers", 1)
-    assert again.code == 0, again.err
+    again = qdgrasp.succeed("resume", "run", "--successes", 30, "--no-new-cell", 150, "--workers", 1)
     assert "30 successes in" in again.out
-    whole = qdgrasp(*goal, "--successes", 30, "--out", "whole")
-    assert whole.code == 0, whole.err
+    qdgrasp.succeed(*goal, "--successes", 30, "--out", "whole")
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
 
 
@@ -179,7 +167,7 @@ def endpoint(tmp_path: Path) -> str:
 
 
 def start(qdgrasp: Commands, endpoint: str, *options: object) -> subprocess.Popen[str]:
-    return qdgrasp.start("--connect", endpoint, *options, module="qdgrasp_worker.cli")
+    return qdgrasp.start("--connect", endpoint, *options, module=WORKER)
 
 
 def simulators(worker: int) -> list[int]:
@@ -190,16 +178,6 @@ def simulators(worker: int) -> list[int]:
 
 def simulator(worker: subprocess.Popen[str]) -> int:
     return wait_for(lambda: simulators(worker.pid), "a simulator")[0]
-
-
-def stop(worker: subprocess.Popen[str], number: int) -> None:
-    """Stop a worker: it ends by itself, without a trace, and so does its simulator."""
-    started = list(processes_of(worker.pid).values())
-    os.kill(worker.pid, number)
-    _, err = worker.communicate(timeout=PATIENCE)
-    assert worker.returncode == 128 + number
-    assert "Traceback" not in err
-    wait_for(lambda: not any(map(is_alive, started)), "the end of its simulator")
 
 
 STOPS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
@@ -274,8 +252,7 @@ def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job,
     for rows, victims in ((20, workers), (50, first_simulators), (90, workers)):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         kill(wait_for(victims, "somebody to kill")[0])
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    end_of(process)
     assert qdgrasp.digest("run") == long_digest
     stop(team, signal.SIGTERM)
 
@@ -287,22 +264,19 @@ def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_dige
     for rows in (1, 40, 80):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         os.kill(simulator(worker), signal.SIGSEGV)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    end_of(process)
     assert qdgrasp.digest("run") == long_digest
     assert qdgrasp.info("run")["errors"] == 0
     stop(worker, signal.SIGTERM)
 
 
 def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoint):
-    done = qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module="qdgrasp_worker.cli")
-    _, err = done.communicate(timeout=PATIENCE)
-    assert done.returncode == 2
+    done = qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module=WORKER)
+    _, err = end_of(done, 2)
     assert "Nothing answers at" in err
     assert "Traceback" not in err
 
 
 def test_the_doctor_sees_that_a_simulator_works_here(qdgrasp):
-    done = qdgrasp("doctor")
-    assert done.code == 0, done.err + done.out
+    done = qdgrasp.succeed("doctor")
     assert "ok      simulator  probe set" in done.out

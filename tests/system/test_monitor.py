@@ -27,8 +27,19 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from tests import browser
 from tests.browser import figure, number
-from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import MONITOR, SMALL, Commands, Watched, held, kill, pids, rows_recorded, wait_for
+from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.system.commands import (
+    MONITOR,
+    SMALL,
+    Commands,
+    Watched,
+    end_of,
+    has_rows,
+    held,
+    kill,
+    pids,
+    rows_recorded,
+)
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkersPage, from_json
 from qdgrasp_coordinator.monitor.feed import Feed
@@ -64,8 +75,7 @@ def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subproce
     with ZenohBus.connect(endpoint, PATIENCE) as bus:
         bus.watch(Keys("mugs").worker_token(), lambda key, _alive: there.put(key))
         assert len({there.get(timeout=PATIENCE) for _ in range(2)}) == 2
-    wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20 or process.poll() is not None, "rows")
-    assert process.poll() is None, process.communicate()
+    has_rows(process, qdgrasp.home / "run", 20)
     yield endpoint, process
 
 
@@ -88,8 +98,7 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
             assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
             code, out, _ = watch(qdgrasp, "--once", "--connect", endpoint)
             assert (code, "mugs: running" in out, max(map(len, out.splitlines())) <= 80) == (0, True, True)
-        _, err = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, err
+        end_of(process)
         wait_for(lambda: [view.state for view in feed.views()] == ["ended"], "the end")
         (view,) = feed.views()
     (run,), info = view.runs, qdgrasp.info("run")
@@ -370,8 +379,7 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
         watched.is_watched()
         wait_for(lambda: watched.told().get("evaluations") == EVALUATIONS, "the last evaluation")
         looked, text = watched.look(), watched.once()
-    out, err = watched.run.communicate(timeout=PATIENCE)
-    assert watched.run.returncode == 0, err
+    out, _ = end_of(watched.run)
     wait_for(lambda: watched.state() == "ended", "the end")
     wait_for(lambda: watched.streamed() == watched.told(), "the last line")
     info = _counts(qdgrasp.info("run"))

@@ -1,18 +1,18 @@
 """Programs that bring their own optimiser, or their own evaluator: with real processes on a real bus."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import Commands, says
+from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.session import Role
 from qdgrasp_worker.evaluator import Evaluator
@@ -23,9 +23,8 @@ ONE, TWO = qdgrasp.Place(workers=1), qdgrasp.Place(workers=2, batch_size=7)
 
 @pytest.fixture
 def commands(tmp_path: Path) -> Iterator[Commands]:
-    started = Commands(tmp_path)
-    yield started
-    started.end_all()
+    with Commands(tmp_path) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +63,17 @@ class Steps:
         self.best = rows["genome"][np.argsort(-rows["fitness"], kind="stable")[:5]]
 
 
-def digest_of(path: Path) -> str:
-    from qdgrasp_coordinator.storage.run_folder import RunFolder
-
-    with RunFolder.open(path).journal() as journal:
-        return journal_digest(journal)
+def optimise(make: Callable[[qdgrasp.Layout], Steps], out: Path, **changes: Any) -> qdgrasp.Run:
+    """A run with a search of a program's own: 140 evaluations by one worker."""
+    values = {"evaluations": 140, "prior": "approach", "place": ONE} | SCENE
+    return qdgrasp.optimise(make, out, **values | changes)
 
 
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> qdgrasp.Run:
     """A run with a search of a program's own."""
     out = tmp_path_factory.mktemp("mine") / "run"
-    return qdgrasp.optimise(Steps, out, evaluations=140, prior="approach", place=ONE, **SCENE)
+    return optimise(Steps, out)
 
 
 # Evaluations.
@@ -162,9 +160,7 @@ def secure(commands: Commands) -> qdgrasp.Place:
     lab = SecurityFolder.create(commands.home / "lab", hosts=["127.0.0.1"], days=1)
     gate = lab.add(Role.ROUTER, "gate", hosts=["127.0.0.1"], days=1)
     endpoint = own_endpoint("tls")
-    router = commands.start(
-        "--listen", endpoint, "--security", gate, module="qdgrasp_coordinator.cli.router_process"
-    )
+    router = commands.start("--listen", endpoint, "--security", gate, module=ROUTER)
     says(router, "listening")
     return qdgrasp.Place(workers=1, connect=endpoint, security=lab.path)
 
@@ -178,7 +174,7 @@ def test_encrypted_links_change_no_row_and_no_journal(
 ) -> None:
     with qdgrasp.Evaluations(prior="approach", place=secure, **SCENE) as encrypted:
         assert encrypted.evaluate(near).tobytes() == evaluations.evaluate(near).tobytes()
-    run = qdgrasp.optimise(Steps, tmp_path / "run", evaluations=140, prior="approach", place=secure, **SCENE)
+    run = optimise(Steps, tmp_path / "run", place=secure)
     assert digest_of(run.path) == digest_of(mine.path)
 
 
@@ -191,17 +187,14 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert mine.summary.complete
     rows = mine.rows()
     assert np.unique(rows["generation"]).tolist() == [0, 1, 2, 3, 4]
-    shown = commands("info", mine.path)
-    assert shown.code == 0, shown.err
+    shown = commands.succeed("info", mine.path)
     assert "custom_approach" in shown.out
 
 
 def test_its_journal_is_the_same_whatever_the_workers(
     mine: qdgrasp.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    again = qdgrasp.optimise(
-        Steps, tmp_path / "run", evaluations=140, prior="approach", progress=True, place=TWO, **SCENE
-    )
+    again = optimise(Steps, tmp_path / "run", progress=True, place=TWO)
     assert "run: 0 of 140 evaluations, starting" in capsys.readouterr().err
     assert digest_of(again.path) == digest_of(mine.path)
 
@@ -209,21 +202,14 @@ def test_its_journal_is_the_same_whatever_the_workers(
 def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path) -> None:
     out = tmp_path / "run"
     with pytest.raises(ZeroDivisionError):
-        qdgrasp.optimise(
-            lambda layout: Steps(layout, fails_in=2),
-            out,
-            evaluations=140,
-            prior="approach",
-            place=ONE,
-            **SCENE,
-        )
+        optimise(lambda layout: Steps(layout, fails_in=2), out)
     made: list[Steps] = []
 
     def make(layout: qdgrasp.Layout) -> Steps:
         made.append(Steps(layout))
         return made[-1]
 
-    whole = qdgrasp.optimise(make, out, evaluations=140, prior="approach", resume=True, place=ONE, **SCENE)
+    whole = optimise(make, out, resume=True)
     assert digest_of(whole.path) == digest_of(mine.path)
     assert made[0].told == [0, 1, 2, 3]
 
@@ -234,7 +220,7 @@ def test_a_search_that_asks_otherwise_does_not_go_on(mine: qdgrasp.Run, tmp_path
             return -super().ask(generation)
 
     with pytest.raises(InputError, match="genome differs from what the spec asks in generation 0"):
-        qdgrasp.optimise(Other, mine.path, evaluations=200, prior="approach", resume=True, place=ONE, **SCENE)
+        optimise(Other, mine.path, evaluations=200, resume=True)
 
 
 def test_only_its_program_goes_on_with_it(mine: qdgrasp.Run, commands: Commands) -> None:
@@ -245,17 +231,9 @@ def test_only_its_program_goes_on_with_it(mine: qdgrasp.Run, commands: Commands)
 
 def test_a_folder_that_holds_a_run_is_not_written_over(mine: qdgrasp.Run) -> None:
     with pytest.raises(FolderError, match="holds a run already"):
-        qdgrasp.optimise(Steps, mine.path, evaluations=140, prior="approach", place=ONE, **SCENE)
+        optimise(Steps, mine.path)
     with pytest.raises(FolderError, match="another object"):
-        qdgrasp.optimise(
-            Steps,
-            mine.path,
-            evaluations=140,
-            prior="approach",
-            resume=True,
-            gripper="panda",
-            object="mug",
-        )
+        optimise(Steps, mine.path, resume=True, object="mug")
 
 
 def test_genomes_that_are_none_end_the_run_with_a_sentence(tmp_path: Path) -> None:
@@ -264,4 +242,4 @@ def test_genomes_that_are_none_end_the_run_with_a_sentence(tmp_path: Path) -> No
             return np.full((2, 7), 3.0)
 
     with pytest.raises(ImpossibleValue, match=r"in \[-1, 1\]"):
-        qdgrasp.optimise(Wide, tmp_path / "run", evaluations=10, prior="approach", place=ONE, **SCENE)
+        optimise(Wide, tmp_path / "run", evaluations=10)

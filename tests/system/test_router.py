@@ -9,8 +9,8 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import SMALL, Commands, wait_for
+from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.system.commands import COORDINATOR, RECORDER, ROUTER, SMALL, WORKER, Commands, end_of, stop
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.keys import Keys
@@ -33,13 +33,8 @@ class Routers:
         self._folder = folder
 
     def start(self, endpoint: str, *flags: str) -> subprocess.Popen[str]:
-        arguments = [
-            "--listen",
-            endpoint,
-            *flags,
-            *(["--security", self._folder] if "tls/" in endpoint else []),
-        ]
-        process = self._qdgrasp.start(*arguments, module="qdgrasp_coordinator.cli.router_process")
+        security = ("--security", self._folder) if "tls/" in endpoint else ()
+        process = self._qdgrasp.start("--listen", endpoint, *flags, *security, module=ROUTER)
         assert process.stderr is not None
         said = process.stderr.readline()
         assert "listening" in said, said + process.stderr.read()
@@ -52,16 +47,12 @@ def routers(qdgrasp: Commands, folder: Path) -> Routers:
     return Routers(qdgrasp, folder)
 
 
-def encrypted_endpoint() -> str:
-    return own_endpoint("tls")
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("encrypted", [False, True])
 def test_a_router_stops_cleanly_also_with_clients(
     routers: Routers, folder: Path, number: signal.Signals, encrypted: bool
 ) -> None:
-    endpoint = encrypted_endpoint() if encrypted else own_endpoint()
+    endpoint = own_endpoint("tls") if encrypted else own_endpoint()
     process = routers.start(endpoint)
     shown = Credentials.find(folder, Role.WORKER) if encrypted else None
     with ZenohBus.connect(endpoint, PATIENCE, credentials=shown) as client:
@@ -73,9 +64,8 @@ def test_a_router_stops_cleanly_also_with_clients(
 def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> None:
     endpoint = own_endpoint()
     routers.start(endpoint)
-    process = qdgrasp.start("--listen", endpoint, module="qdgrasp_coordinator.cli.router_process")
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
+    process = qdgrasp.start("--listen", endpoint, module=ROUTER)
+    _, said = end_of(process, 2)
     assert said == (
         f"qdgrasp-router: Cannot listen on {endpoint}: address already in use; "
         "name another endpoint with --listen.\n"
@@ -92,15 +82,14 @@ def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> No
     ],
 )
 def test_bad_input_is_one_sentence(qdgrasp: Commands, flags: list[str], sentence: str) -> None:
-    process = qdgrasp.start(*flags, module="qdgrasp_coordinator.cli.router_process")
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
+    process = qdgrasp.start(*flags, module=ROUTER)
+    _, said = end_of(process, 2)
     assert sentence in said
     assert said.count("\n") == 1
 
 
 def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, folder: Path) -> None:
-    first, second = encrypted_endpoint(), encrypted_endpoint()
+    first, second = own_endpoint("tls"), own_endpoint("tls")
     process = routers.start(first)
     routers.start(second, "--connect", first)
     results: SimpleQueue[Any] = SimpleQueue()
@@ -135,12 +124,7 @@ def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
         results.get()
 
 
-MODULES = {
-    "router": "qdgrasp_coordinator.cli.router_process",
-    "coordinator": "qdgrasp_coordinator.cli.coordinator_process",
-    "recorder": "qdgrasp_coordinator.cli.recorder_process",
-    "worker": "qdgrasp_worker.cli",
-}
+MODULES = {"router": ROUTER, "coordinator": COORDINATOR, "recorder": RECORDER, "worker": WORKER}
 
 
 def test_a_run_over_encrypted_links_records_the_same_bytes(
@@ -161,11 +145,9 @@ def test_a_run_over_encrypted_links_records_the_same_bytes(
         name: qdgrasp.start(*arguments[name], "--security", nodes[name], module=MODULES[name])
         for name in MODULES
     }
-    _, said = processes["coordinator"].communicate(timeout=PATIENCE)
-    assert processes["coordinator"].returncode == 0, said
+    end_of(processes["coordinator"])
     for name in ("worker", "recorder", "router"):
-        processes[name].send_signal(signal.SIGTERM)
-        assert processes[name].wait(PATIENCE) == 128 + signal.SIGTERM
+        stop(processes[name], signal.SIGTERM)
     assert qdgrasp.digest("run") == digest
 
 
@@ -185,6 +167,5 @@ def test_jobs_are_seen_and_cancelled_with_the_admins_certificate_and_no_other(qd
     wait_for(lambda: jobs() == ["mugs"], "the job")
     refused = qdgrasp("cancel", "mugs", "--connect", endpoint, "--security", monitor)
     assert (refused.code, "lacks admin.pem and admin.key" in refused.err) == (2, True)
-    done = qdgrasp("cancel", "mugs", "--connect", endpoint, "--security", home.path)
-    assert done.code == 0, done.err
+    qdgrasp.succeed("cancel", "mugs", "--connect", endpoint, "--security", home.path)
     running.communicate(timeout=PATIENCE)

@@ -12,10 +12,24 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
-from tests.system.commands import SMALL, Commands, is_alive, pids, processes_of, rows_recorded, says, wait_for
+from tests.system.commands import (
+    COORDINATOR,
+    MONITOR,
+    RECORDER,
+    ROUTER,
+    SMALL,
+    WORKER,
+    Commands,
+    has_rows,
+    pids,
+    processes_of,
+    rows_recorded,
+    says,
+    stop,
+)
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.bus import Query
@@ -33,8 +47,8 @@ Beginning = Callable[[Commands], subprocess.Popen[str]]
 
 
 def working(qdgrasp: Commands) -> subprocess.Popen[str]:
-    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run", "--listen", own_endpoint())
-    wait_for(lambda: rows_recorded(qdgrasp.home / "run") > 0, "rows")
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
+    has_rows(process, qdgrasp.home / "run", 1)
     return process
 
 
@@ -50,18 +64,23 @@ def frozen(role: str) -> Beginning:
     return begin
 
 
+def ring(home: Path) -> None:
+    """Write a mesh whose scene takes long to build."""
+    trimesh.creation.torus(0.03, 0.012, 60, 40).export(home / "ring.stl")
+
+
 def building(qdgrasp: Commands) -> subprocess.Popen[str]:
-    trimesh.creation.torus(0.03, 0.012, 60, 40).export(qdgrasp.home / "ring.stl")
+    ring(qdgrasp.home)
     process = qdgrasp.start("run", "--gripper", "panda", "--object", "ring.stl", "--mass", 1, "--out", "run")
     says(process, "building the scene")
     return process
 
 
 def campaigning(qdgrasp: Commands) -> subprocess.Popen[str]:
-    trimesh.creation.torus(0.03, 0.012, 60, 40).export(qdgrasp.home / "ring.stl")
+    ring(qdgrasp.home)
     file = qdgrasp.home / "many.toml"
     file.write_text('[[cross]]\ngripper = "panda"\nobject = "ring.stl"\nmass = 1.0\nseed = [0, 1]\n')
-    process = qdgrasp.start("campaign", file, "--out", "many", "--listen", own_endpoint())
+    process = qdgrasp.start("campaign", file, "--out", "many")
     says(process, "listening on")
     return process
 
@@ -138,7 +157,7 @@ def looking(*command: object) -> Beginning:
     """A command that evaluates recorded rows again."""
 
     def begin(qdgrasp: Commands) -> subprocess.Popen[str]:
-        assert qdgrasp("run", *SMALL, "--evaluations", 60, "--workers", 2, "--out", "run").code == 0
+        qdgrasp.succeed("run", *SMALL, "--evaluations", 60, "--workers", 2, "--out", "run")
         process = qdgrasp.start(*command)
         wait_for(lambda: bool(processes_of(process.pid)), "its processes")
         return process
@@ -150,10 +169,6 @@ def _is_loaded(pid: int) -> bool:
     return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
 
 
-RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder_process", "qdgrasp_coordinator.cli.router_process"
-COORDINATOR = "qdgrasp_coordinator.cli.coordinator_process"
-WORKER = "qdgrasp_worker.cli"
-MONITOR = "qdgrasp_coordinator.cli.monitor_process"
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
     "a run whose router is away": frozen("coordinator"),
@@ -186,23 +201,9 @@ QUICK = {
 }
 
 
-def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
-    """Stop a command; it ends as it should, and with all its processes. Gives how long that took [s]."""
-    process = begin(qdgrasp)
-    started = list(processes_of(process.pid).values())
-    asked = time.monotonic()
-    process.send_signal(number)
-    _, err = process.communicate(timeout=PATIENCE)
-    took = time.monotonic() - asked
-    assert process.returncode == 128 + number, err
-    assert "Traceback" not in err
-    wait_for(lambda: not any(map(is_alive, started)), "the end of its processes")
-    return took
-
-
 @pytest.mark.parametrize(("name", "number"), QUICK.items(), ids=QUICK)
 def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, number: int) -> None:
-    stopped(qdgrasp, BEGINNINGS[name], number)
+    stop(BEGINNINGS[name](qdgrasp), number)
 
 
 @pytest.mark.parametrize(
@@ -218,13 +219,10 @@ def test_a_question_stops_while_the_coordinator_stands_still(
         rest.wait(PATIENCE)
         return b""
 
-    def ask(qdgrasp: Commands) -> subprocess.Popen[str]:
+    with ZenohBus.router(endpoint) as bus, bus.answer("qdgrasp/v1/mugs/**", stand_still):
         process = qdgrasp.start(*command, "--connect", endpoint)
         assert asked.wait(PATIENCE)
-        return process
-
-    with ZenohBus.router(endpoint) as bus, bus.answer("qdgrasp/v1/mugs/**", stand_still):
-        stopped(qdgrasp, ask, number)
+        stop(process, number)
         rest.set()
 
 
@@ -241,5 +239,5 @@ def scarcity() -> float:
 @pytest.mark.parametrize("name", BEGINNINGS)
 def test_a_command_stops_within_two_seconds(qdgrasp: Commands, name: str, number: int) -> None:
     before = scarcity()
-    took = stopped(qdgrasp, BEGINNINGS[name], number)
+    _, _, took = stop(BEGINNINGS[name](qdgrasp), number)
     assert took < PROMISED + COMPUTING * (max(before, scarcity()) - 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.fakes.messages import result_message
 
 from qdgrasp_coordinator.local.benchmark_figures import (
     BENCH_PRIOR,
@@ -19,7 +20,6 @@ from qdgrasp_coordinator.local.benchmark_figures import (
     scaling,
 )
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 
 LAYOUT = Layout(BENCH_PRIOR, (Gene("x", -1.0, 1.0), Gene("nu", 0.0, np.pi), Gene("d", 0.0, 0.1)))
@@ -138,19 +138,8 @@ def test_what_is_no_result_is_passed_over() -> None:
 
 def test_a_result_tells_how_its_rows_ended() -> None:
     outcomes = [Outcome.OVERLAP, Outcome.OVERLAP, Outcome.BRUSHED, Outcome.DROPPED, Outcome.HELD]
-    result = Result(
-        epoch=1,
-        run="run",
-        generation=3,
-        batch=bytes(16),
-        attempt=1,
-        wid="0" * 32,
-        n=5,
-        joints=2,
-        descriptors=3,
-        columns={"outcome": bytes(outcomes)},
-        cpu_seconds=0.5,
-    )
+    columns = {"outcome": bytes(outcomes)}
+    result = result_message(generation=3, n=5, columns=columns, cpu_seconds=0.5)
     assert returned_batch(result, 9.0) == ReturnedBatch(9.0, "0" * 32, 3, 5, 0.5, 2, 2)
 
 

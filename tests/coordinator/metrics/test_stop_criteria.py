@@ -6,10 +6,10 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.fakes import Job
 from tests.coordinator.scheduler.search_plans import SHAPE, Chain, Plan, Task, asked, reference
 from tests.coordinator.scheduler.search_plans import evaluate as evaluate_finely
 from tests.coordinator.scheduler.test_pipeline import journal, rows_in
+from tests.fakes.job import Job
 
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria

@@ -9,31 +9,28 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from unittest.mock import patch
 
-from tests.common import PATIENCE, own_endpoint
-from tests.coordinator.recorder.fakes import JOB
-from tests.coordinator.scheduler.fakes import PLANS, FakeRunQueue, FakeWorker, Job, until
+from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
+from tests.fakes.job import PLANS, FakeRunQueue, Job, scheduler_of
+from tests.fakes.messages import join_message
+from tests.fakes.recorder import JOB
+from tests.fakes.worker import FakeWorker
 
-from qdgrasp_coordinator.metrics.job_status import EventLog
 from qdgrasp_coordinator.monitor.feed import SUBSCRIBED_KEYS, Feed
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest
-from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunLoader, RunRegistry
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.scheduler.status_publisher import StatusPublisher
 from qdgrasp_protocol import session
 from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.errors import BusError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
-from qdgrasp_protocol.messages import Join
-from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 WORKERS = 70
@@ -62,15 +59,8 @@ class Coordinator:
         self.bus = Counted(network)
         self.now = 1.0 + int(time.monotonic())  # its runs were opened before that
         programme = FakeRunQueue(dict(PLANS))
-        loader = RunLoader(programme, lambda run: MemorySink(SHAPE), lambda _event: None, Stop())
-        self.scheduler = JobScheduler(
-            JOB,
-            RunRegistry(programme, loader),
-            lambda *_message: None,
-            events=EventLog(lambda event: self.publisher.publish_event(event)),
-        )
+        self.scheduler = scheduler_of(programme, lambda event: self.publisher.publish_event(event))
         self.publisher = StatusPublisher(self.bus, self.scheduler, lambda: self.now)
-        self.scheduler.start_epoch(1)
         for _ in range(3):
             plan = programme.next()
             assert plan is not None
@@ -78,11 +68,7 @@ class Coordinator:
             run.open(1, lambda: None)
             self.scheduler.runs.add(run)
         for number in range(WORKERS):
-            self._join(f"{number:032x}")
-
-    def _join(self, wid: str) -> None:
-        join = Join(versions=[1], wid=wid, number=1, credit=2, held=[], host="h", pid=1, platform={"a": "1"})
-        self.scheduler.handle(JoinRequest(join, Future()), self.now)
+            self.scheduler.handle(JoinRequest(join_message(f"{number:032x}")), self.now)
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -111,7 +97,7 @@ def watching(network: MemoryNetwork, monitors: int) -> Iterator[None]:
             for what, capacity in SUBSCRIBED_KEYS.items():
                 stack.enter_context(stopped.ring(f"{Keys(JOB).root}/{what}", capacity))
             feed = stack.enter_context(Feed(network.session()))
-            until(lambda feed=feed: any(len(view.workers) == WORKERS for view in feed.views()))
+            wait_for(lambda feed=feed: any(len(view.workers) == WORKERS for view in feed.views()))
         yield
 
 
@@ -193,7 +179,7 @@ def monitor(pipe: Connection, endpoint: str) -> None:
         feed = stack.enter_context(Feed(bus))
         for _ in range(ASKERS):
             threading.Thread(target=ask, args=(bus, is_over), daemon=True).start()
-        until(lambda: any(view.workers for view in feed.views()))
+        wait_for(lambda: any(view.workers for view in feed.views()))
         pipe.send("there")
         is_over.wait()
         pipe.send((len(lost), len(heard)))
@@ -251,7 +237,7 @@ def test_a_monitor_that_is_stopped_keeps_nobody_waiting_and_takes_no_memory() ->
         for _ in range(PIECES):
             job.bus.put(FLOOD, bytes(PIECE), encoding="application/json", channel=Channel.MONITOR)
         grown, rows = memory() - before, pretender.rows
-        until(lambda: pretender.rows > rows + ROWS)
+        wait_for(lambda: pretender.rows > rows + ROWS)
         os.kill(pid, signal.SIGCONT)
         while not pipe.poll(0.05):
             job.bus.put(LAST, b"", encoding="application/json", channel=Channel.MONITOR)
@@ -283,5 +269,5 @@ def test_answers_that_a_stopped_monitor_does_not_take_hold_nobody_up() -> None:
         os.kill(pid, signal.SIGSTOP)
         rows = pretender.rows
         may_answer.set()
-        until(lambda: pretender.rows > rows + ROWS)
-        until(lambda: KEYS.stat("job") in other.ask_all(KEYS.stat()))
+        wait_for(lambda: pretender.rows > rows + ROWS)
+        wait_for(lambda: KEYS.stat("job") in other.ask_all(KEYS.stat()))

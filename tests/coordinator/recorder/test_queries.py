@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import asdict
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.recorder.fakes import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
+from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
 from qdgrasp_coordinator.metrics.run_stats import success_mask

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.coordinator.recorder.fakes import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
+from tests.fakes.messages import open_run
+from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
 from qdgrasp_coordinator.recorder.recorder import (
     REPORT_INTERVAL,
@@ -22,7 +23,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, Refused
-from qdgrasp_protocol.messages import Log, Open, Opened, OpenRun, Platform, Recordable
+from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 ROWS = make_rows(100)
@@ -34,10 +35,7 @@ def recording(path: Path, open_journals: int = 64) -> AbstractContextManager[Rec
 
 
 def ask(*runs: str, epoch: int = 0, spec: RunSpec = SPEC, scene: str = BUNDLE.digest) -> Open:
-    opened = [
-        OpenRun(run=run, spec=to_toml(spec).encode(), scene=scene, genes=7, joints=2, descriptors=3)
-        for run in runs
-    ]
+    opened = [open_run(run=run, spec=to_toml(spec).encode(), scene=scene) for run in runs]
     return Open(job=JOB, runs=opened, epoch=epoch)
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from tests.coordinator.recorder.fakes import (
+from tests.fakes.recorder import (
     BUNDLE,
     JOB,
     SCENE,

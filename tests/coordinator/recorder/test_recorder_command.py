@@ -12,7 +12,7 @@ from typing import IO
 
 import pytest
 from tests.common import PATIENCE, own_endpoint
-from tests.coordinator.recorder.fakes import BUNDLE, JOB, SPEC, FakeCoordinator, make_rows
+from tests.fakes.recorder import BUNDLE, JOB, SPEC, FakeCoordinator, make_rows
 
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest

@@ -4,10 +4,11 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from tests.common import PATIENCE
-from tests.coordinator.recorder.fakes import recording
-from tests.coordinator.scheduler.fakes import FakeWorker, Job, job_view, send_command, until
+from tests.common import wait_for
 from tests.coordinator.scheduler.search_plans import Plan, reference
+from tests.fakes.job import Job, job_view, send_command
+from tests.fakes.recorder import recording
+from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -33,15 +34,15 @@ def durable(bus) -> dict[str, int]:
 def stand_still(bus) -> None:
     """Pause the job, and wait until all that was found is on the disk."""
     send_command(bus, "pause")
-    until(lambda: not any(worker.batches for worker in job_view(bus).workers))
-    until(lambda: all(run.durable == run.rows for run in job_view(bus).runs))
+    wait_for(lambda: not any(worker.batches for worker in job_view(bus).workers))
+    wait_for(lambda: all(run.durable == run.rows for run in job_view(bus).runs))
 
 
 def go_on(bus, rows: int) -> None:
     """Let the job go on until every run has so many more rows on the disk."""
     before = durable(bus)
     send_command(bus, "continue")
-    until(lambda: all(number >= before.get(run, 0) + rows for run, number in durable(bus).items()))
+    wait_for(lambda: all(number >= before.get(run, 0) + rows for run, number in durable(bus).items()))
 
 
 def test_only_the_run_whose_records_are_fewer_is_gone_on_with_from_what_is_left(tmp_path: Path) -> None:
@@ -49,7 +50,7 @@ def test_only_the_run_whose_records_are_fewer_is_gone_on_with_from_what_is_left(
     ann, bob = (FakeWorker(job.network.session(), letter * 32) for letter in "ab")
     with job.serving() as service, job.network.session() as bus:
         with recording(job.network, path), ann.at_work():
-            until(lambda: len(durable(bus)) == 2 and min(durable(bus).values()) > 100)
+            wait_for(lambda: len(durable(bus)) == 2 and min(durable(bus).values()) > 100)
             stand_still(bus)
             early = durable(bus)
             shutil.copytree(path / "runs" / "fallen", copy)
@@ -60,8 +61,7 @@ def test_only_the_run_whose_records_are_fewer_is_gone_on_with_from_what_is_left(
         copy.rename(path / "runs" / "fallen")
         with recording(job.network, path), bob.at_work():
             send_command(bus, "continue")
-            service.join(PATIENCE)
-            assert not service.is_alive()
-    assert job.error is None
+            service.ends()
+    assert service.error is None
     assert journals(path) == {name: reference(plan) for name, plan in PLANS.items()}
     assert early["fallen"] < late["fallen"]

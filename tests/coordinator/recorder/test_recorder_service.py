@@ -2,8 +2,8 @@ import threading
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE
-from tests.coordinator.recorder.fakes import (
+from tests.common import PATIENCE, wait_for
+from tests.fakes.recorder import (
     BUNDLE,
     JOB,
     SCENE,
@@ -13,7 +13,6 @@ from tests.coordinator.recorder.fakes import (
     make_rows,
     recording,
 )
-from tests.coordinator.scheduler.fakes import until
 
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
@@ -73,7 +72,7 @@ class TestOpening:
             show_scene(bus)
             coordinator.open()
             folder = RunFolder.open(tmp_path / "new")
-            until(folder.has_bundle)
+            wait_for(folder.has_bundle)
         assert folder.bundle() == BUNDLE
         assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
 
@@ -90,7 +89,7 @@ class TestOpening:
             coordinator.hears_durable(0)  # nobody showed it when it was first asked for
             show_scene(bus)
             coordinator.send(make_rows(30), 0, 30)
-            until(RunFolder.open(tmp_path / "new").has_bundle)
+            wait_for(RunFolder.open(tmp_path / "new").has_bundle)
 
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self,
@@ -118,7 +117,7 @@ class TestOpening:
             assert not folder.has_bundle()
             with recording(network, tmp_path / "new"):
                 may_answer.set()
-                until(folder.has_bundle)
+                wait_for(folder.has_bundle)
 
 
 class TestRecording:

@@ -4,38 +4,22 @@ from collections.abc import Sequence
 
 import numpy as np
 from msgspec import structs
+from tests.fakes.messages import ANN, join_message, result_message
 
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, SettleReply
 from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
-from qdgrasp_protocol.messages import VERSION, Failure, Join, Result
+from qdgrasp_protocol.messages import Failure, Result
 from qdgrasp_protocol.rows import Outcome, RowShape
 
 SHAPE = RowShape(genes=2, joints=1)
 EPOCH = 5
-ANN, BOB, EVE = "a" * 32, "b" * 32, "e" * 32
 SCENE = "1" * 64
 
 
 def genomes(n: int) -> np.ndarray:
     return np.linspace(-1, 1, 2 * n, dtype=np.float32).reshape(n, 2)
-
-
-def join_message(
-    wid: str, number: int = 1, credit: int = 2, held: Sequence[bytes] = (), **values: object
-) -> Join:
-    message = Join(
-        versions=[VERSION],
-        wid=wid,
-        number=number,
-        credit=credit,
-        held=list(held),
-        host="node7",
-        pid=9,
-        platform={"pybullet": "3.2.7"},
-    )
-    return structs.replace(message, **values)
 
 
 class Dispatch(Dispatcher):
@@ -94,7 +78,7 @@ def failures(rows: Sequence[int]) -> list[Failure]:
 def result(lease: Lease) -> Result:
     """What the worker answers with, but for columns."""
     n = len(lease.batch)
-    return Result(
+    return result_message(
         epoch=EPOCH,
         run=lease.batch.run.run,
         generation=lease.batch.rows.number,
@@ -102,9 +86,6 @@ def result(lease: Lease) -> Result:
         attempt=lease.attempt,
         wid=lease.wid,
         n=n,
-        joints=1,
-        descriptors=3,
-        columns={},
         cpu_seconds=0.1 * n,
     )
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from tests.fakes.messages import result_message
 
 from qdgrasp_coordinator.scheduler.batch_queue import (
     BATCH_SECONDS,
@@ -19,19 +20,7 @@ SHAPE = RowShape(genes=2, joints=1)
 def result(outcomes: list[int]) -> Result:
     rows = SHAPE.empty(len(outcomes))
     rows["outcome"] = outcomes
-    return Result(
-        epoch=1,
-        run="run",
-        generation=0,
-        batch=bytes(16),
-        attempt=1,
-        wid="0" * 32,
-        n=len(outcomes),
-        joints=1,
-        descriptors=3,
-        columns=pack(rows, RESULT),
-        cpu_seconds=0.0,
-    )
+    return result_message(n=len(outcomes), columns=pack(rows, RESULT))
 
 
 def test_the_rows_of_a_result_are_read() -> None:

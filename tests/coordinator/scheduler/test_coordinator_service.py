@@ -8,21 +8,12 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from tests.common import PATIENCE
-from tests.coordinator.recorder.fakes import JOB
-from tests.coordinator.scheduler.fakes import (
-    PLANS,
-    FakeWorker,
-    Job,
-    OtherPlatformSink,
-    ReplacedSink,
-    SlowSink,
-    job_view,
-    send_command,
-    until,
-)
-from tests.coordinator.scheduler.leases import ANN, BOB
+from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan, reference
+from tests.fakes.job import PLANS, Job, OtherPlatformSink, ReplacedSink, SlowSink, job_view, send_command
+from tests.fakes.messages import ANN, BOB
+from tests.fakes.recorder import JOB
+from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_protocol import bundle_transfer
@@ -73,18 +64,12 @@ def test_no_more_runs_are_open_than_keep_the_workers_busy() -> None:
 def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
     job = Job(dict(PLANS))
     other = job.network.session()
-    with FakeWorker(job.network.session(), "f" * 32, answers=False).at_work() as idle:
-        service = threading.Thread(target=job.service.run)
-        service.start()
-        try:
-            assert idle.kept.wait(PATIENCE)
-            scene = b"run-0" * 100
-            assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
-            with pytest.raises(Refused, match="no run in progress has the scene"):
-                bundle_transfer.fetch_bundle(other, JOB, "0" * 64)
-        finally:
-            job.stop.set(15)
-            service.join()
+    with FakeWorker(job.network.session(), "f" * 32, answers=False).at_work() as idle, job.serving():
+        assert idle.kept.wait(PATIENCE)
+        scene = b"run-0" * 100
+        assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
+        with pytest.raises(Refused, match="no run in progress has the scene"):
+            bundle_transfer.fetch_bundle(other, JOB, "0" * 64)
 
 
 def test_the_last_figures_of_the_job_count_all_runs() -> None:
@@ -181,10 +166,10 @@ def test_nothing_is_handed_out_while_a_job_is_paused() -> None:
         assert "is paused" in send_command(bus, "pause")
         assert "already" in send_command(bus, "pause")
         with FakeWorker(job.network.session(), ANN).at_work() as worker:
-            until(lambda: bool(job_view(bus).workers))
+            wait_for(lambda: bool(job_view(bus).workers))
             before = worker.rows
             assert send_command(bus, "continue") == f"Job '{JOB}' goes on."
-            until(lambda: worker.rows > 0)
+            wait_for(lambda: worker.rows > 0)
     assert before == 0
 
 
@@ -194,11 +179,10 @@ def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> N
     with job.serving() as service, job.network.session() as bus, worker.at_work(), last_words(bus) as told:
         assert worker.kept.wait(PATIENCE)
         assert "ends" in send_command(bus, "cancel")
-        service.join(PATIENCE)
-        assert not service.is_alive()
+        service.ends()
         assert told()[-1] == "cancelled"
-    assert isinstance(job.error, Cancelled)
-    assert (str(job.error), job.error.exit_code) == (f"Job '{JOB}' was cancelled.", 0)
+    assert isinstance(service.error, Cancelled)
+    assert (str(service.error), service.error.exit_code) == (f"Job '{JOB}' was cancelled.", 0)
     assert worker.controls[-1].drop
 
 
@@ -206,14 +190,14 @@ def test_a_cancelled_job_waits_for_what_is_found_to_be_safe() -> None:
     job = Job({"run-0": LONG}, **{"run-0": SlowSink})
     worker = FakeWorker(job.network.session(), ANN)
     with job.serving() as service, job.network.session() as bus, worker.at_work():
-        until(lambda: worker.rows > 0)
+        wait_for(lambda: worker.rows > 0)
         send_command(bus, "cancel")
         assert job_view(bus).figures.state == "ending"
         with pytest.raises(Refused, match="ending already"):
             send_command(bus, "pause")
         job.records["run-0"].is_safe = True
-        service.join(PATIENCE)
-    assert isinstance(job.error, Cancelled)
+        service.ends()
+    assert isinstance(service.error, Cancelled)
 
 
 def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
@@ -228,7 +212,7 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
         assert job_view(bus).figures.workers == 0
         before = ann.rows
         with bob.at_work():
-            until(lambda: bob.rows > 50)
+            wait_for(lambda: bob.rows > 50)
         assert ann.rows == before
 
 
@@ -242,7 +226,7 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
         before = ann.rows
         session.disconnect()
         session.reconnect()
-        until(lambda: len(ann.controls) == 2)
+        wait_for(lambda: len(ann.controls) == 2)
         assert ann.controls[-1].drain
         assert ann.rows == before
 
@@ -288,7 +272,7 @@ def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
         assert job_view(bus).meta.epoch in (0, 1)
         with FakeWorker(job.network.session(), ANN, answers=False).at_work() as worker:
             assert worker.kept.wait(PATIENCE)
-            until(lambda: [one.state for one in job_view(bus).workers] == ["working"])
+            wait_for(lambda: [one.state for one in job_view(bus).workers] == ["working"])
             view = job_view(bus)
             values = bus.ask_all(Keys(JOB).stat("team/*"))
     assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)

@@ -5,26 +5,26 @@ from math import inf
 
 import msgspec
 import pytest
-from tests.coordinator.recorder.fakes import JOB
-from tests.coordinator.scheduler.fakes import FakeRunQueue
-from tests.coordinator.scheduler.leases import ANN, BOB, join_message
+from tests.fakes.job import FakeRunQueue, scheduler_of
+from tests.fakes.messages import ANN, BOB, join_message
+from tests.fakes.recorder import JOB
 
-from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, EventLog, JobEvent, WorkerStatus
+from qdgrasp_coordinator.metrics.job_status import (
+    WORKERS_PER_PAGE,
+    JobEvent,
+    WorkerStatus,
+)
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
 from qdgrasp_coordinator.scheduler.job_scheduler import (
     LEAST_STOP_SECONDS,
     MOST_STOP_SECONDS,
     EarlyStop,
-    JobScheduler,
 )
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import RunLoader, RunRegistry
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import Cancelled
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Heartbeat, Join
-from qdgrasp_protocol.process import Stop
 
 KEYS = Keys(JOB)
 
@@ -34,11 +34,7 @@ class SchedulerWithoutRuns:
 
     def __init__(self) -> None:
         self.events: list[JobEvent] = []
-        queue = FakeRunQueue({})
-        loader = RunLoader(queue, lambda run: MemorySink(run.shape), lambda _event: None, Stop())
-        events = EventLog(self.events.append)
-        self.scheduler = JobScheduler(JOB, RunRegistry(queue, loader), lambda *_: None, events=events)
-        self.scheduler.start_epoch(1)
+        self.scheduler = scheduler_of(FakeRunQueue({}), self.events.append)
 
     def joins(self, asked: Join, now: float) -> "Future[bytes]":
         request = JoinRequest(asked)

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 from tests.coordinator.scheduler.leases import (
-    ANN,
-    BOB,
     EPOCH,
-    EVE,
     SCENE,
     SHAPE,
     Dispatch,
@@ -24,6 +21,7 @@ from tests.coordinator.scheduler.leases import (
     submit,
     with_work,
 )
+from tests.fakes.messages import ANN, BOB, EVE
 
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
 from qdgrasp_coordinator.scheduler.lease_dispatcher import MOST_SETTLED, STRIKES

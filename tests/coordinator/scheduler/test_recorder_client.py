@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import SHAPE
+from tests.fakes.messages import open_run
 
 from qdgrasp_coordinator.scheduler.recorder_client import (
     DOUBT_SECONDS,
@@ -17,7 +18,7 @@ from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
-from qdgrasp_protocol.messages import Failure, OpenRun
+from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import RowShape
 
 NARROW_SHAPE = RowShape(genes=1, joints=0)
@@ -158,7 +159,7 @@ def test_a_recorder_that_stays_at_another_number_is_believed(number: int) -> Non
         outbox.confirm(number, 1.0 + DOUBT_SECONDS)
 
 
-RUN = OpenRun(run="one", spec=b"", scene="0" * 64, genes=4, joints=1, descriptors=3)
+RUN = open_run(run="one", genes=4, joints=1)
 
 
 def refuse(_query: Query) -> bytes:

@@ -6,31 +6,31 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 from tests.common import PATIENCE
-from tests.coordinator.scheduler.fakes import FakeRunQueue, assignment
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
+from tests.fakes.job import FakeRunQueue, OpenedSink, assignment, runs_of
 
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, NoRunLeft, RunLoader, RunRegistry
+from qdgrasp_coordinator.scheduler.run_registry import (
+    ActiveRun,
+    LoaderEvent,
+    NoRunLeft,
+)
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError, RunFailed
-from qdgrasp_protocol.messages import Opened, OpenRun
-from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.rows import Rows
 
 PLAN = Plan(population=10, evaluations=40)
 ROWS = np.frombuffer(reference(PLAN), SHAPE.dtype)
 
 
-class Recorded(MemorySink):
+class Recorded(OpenedSink):
     """A record that holds rows from before, in pages."""
 
     def __init__(self, rows: Rows, page: int) -> None:
         super().__init__(SHAPE)
         self._before = rows
         self._page = page
-
-    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
-        return Opened(epoch=1, durable=[len(self._before)], platform={})
+        self.answer = Opened(epoch=1, durable=[len(rows)], platform={})
 
     def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         return JournalSlice(first, self._before[first : first + self._page])
@@ -59,10 +59,8 @@ class Coming:
     """Lanes whose news is heard when a test wants to."""
 
     def __init__(self, *runs: str) -> None:
-        self._news = SimpleQueue()
-        programme = FakeRunQueue({name: Plan(evaluations=40) for name in runs})
-        loader = RunLoader(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
-        self.runs = RunRegistry(programme, loader)
+        self._news: SimpleQueue[LoaderEvent] = SimpleQueue()
+        self.runs = runs_of(FakeRunQueue({name: Plan(evaluations=40) for name in runs}), self._news.put)
 
     def ask(self):
         """Have another run opened; gives what comes of it, which the runs have not heard."""

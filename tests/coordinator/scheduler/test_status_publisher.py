@@ -7,11 +7,12 @@ from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
-from tests.common import PATIENCE
-from tests.coordinator.recorder.fakes import JOB
-from tests.coordinator.scheduler.fakes import PLANS, FakeWorker, IdentifiedSink, Job, until
-from tests.coordinator.scheduler.leases import ANN, join_message
+from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan
+from tests.fakes.job import PLANS, IdentifiedSink, Job
+from tests.fakes.messages import ANN, join_message
+from tests.fakes.recorder import JOB
+from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import (
@@ -221,8 +222,8 @@ def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
     job = Job({"run-0": LONG})
     with job.serving(), job.network.session() as bus, FakeWorker(job.network.session(), ANN).at_work():
-        until(lambda: curve(bus, "run-0").points)
-        until(lambda: KEYS.stat("run/run-0") in bus.ask_all(KEYS.stat()))
+        wait_for(lambda: curve(bus, "run-0").points)
+        wait_for(lambda: KEYS.stat("run/run-0") in bus.ask_all(KEYS.stat()))
         values = bus.ask_all(KEYS.stat())
         (recent,) = bus.ask_all(KEYS.recent).values()
         everywhere = bus.ask_all("qdgrasp/v1/*/stat/curve/*")
@@ -253,8 +254,8 @@ def test_late_comers_are_answered_while_the_coordinator_has_no_time() -> None:
 def test_a_run_that_is_over_is_not_shown_to_late_comers() -> None:
     job = Job({"run-1": PLANS["run-1"], "run-0": LONG})
     with job.serving(), job.network.session() as bus, FakeWorker(job.network.session(), ANN).at_work():
-        until(lambda: any(from_json(told, JobStatus).runs_done for told in asked(bus, "job").values()))
-        until(lambda: [*asked(bus, "run/*")] == [KEYS.stat("run/run-0")])
+        wait_for(lambda: any(from_json(told, JobStatus).runs_done for told in asked(bus, "job").values()))
+        wait_for(lambda: [*asked(bus, "run/*")] == [KEYS.stat("run/run-0")])
 
 
 def test_a_worker_that_dies_is_shown_as_gone() -> None:
@@ -263,8 +264,8 @@ def test_a_worker_that_dies_is_shown_as_gone() -> None:
     with job.serving(), heard.listening():
         with FakeWorker(job.network.session(), ANN, answers=False).at_work() as ann:
             assert ann.kept.wait(PATIENCE)
-            until(lambda: "working" in states(heard))
-        until(lambda: states(heard)[-1:] == ["gone"])
+            wait_for(lambda: "working" in states(heard))
+        wait_for(lambda: states(heard)[-1:] == ["gone"])
 
 
 def states(heard: Heard) -> list[str]:

@@ -4,7 +4,7 @@ import copy
 import random
 
 import pytest
-from tests.coordinator.scheduler.leases import join_message
+from tests.fakes.messages import join_message
 
 from qdgrasp_coordinator.scheduler.worker_registry import MOST_GONE, RATE_SECONDS, RateMeter, WorkerRegistry
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from structlog.testing import capture_logs
+from tests.fakes.leasing_coordinator import LeasingCoordinator
+from tests.fakes.worker import GRACE, RunningWorker
 from tests.worker.runtime import scripted_simulator
-from tests.worker.runtime.fake_coordinator import LeasingCoordinator
-from tests.worker.runtime.running_worker import GRACE, RunningWorker
 from tests.worker.runtime.scripted_simulator import ABORT, DAWDLE, HANG, WAIT, work
 
 from qdgrasp_protocol import messages
@@ -49,7 +49,7 @@ def hire(network: MemoryNetwork, log: Path) -> Iterator[Callable[..., RunningWor
     yield hire
     for worker in hired:
         worker.leave(signal.SIGINT)
-        assert worker.ended()
+        worker.ends()
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(office, hire):
     worker = hire(job="job")
     office.wait(lambda: office.joins, "a join")
     office.control(drain=True)
-    assert worker.ended()
+    worker.ends()
 
 
 def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(office, worker, go_on):
@@ -152,7 +152,7 @@ def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(
     worker.leave()
     office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
     go_on()
-    assert worker.ended()
+    worker.ends()
     assert (office.joins[-1].credit, office.joins[-1].held) == (0, [work(1).batch])
     assert office.answered() == [0, 1]
 
@@ -162,7 +162,7 @@ def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(office, hi
     office.give(work(0), work(1, n=3, row_1=HANG))
     office.wait(lambda: office.results, "a result")
     worker.leave()
-    assert worker.ended()
+    worker.ends()
     assert (office.joins[-1].credit, office.joins[-1].held) == (0, [])
     assert office.answered() == [0]
 
@@ -174,7 +174,7 @@ def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(office, hi
     office.wait(lambda: office.results, "a result")
     for number in signals:
         worker.leave(number)
-    assert worker.ended()
+    worker.ends()
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
 
 
@@ -185,7 +185,7 @@ def test_a_second_sigterm_takes_nothing_from_the_grace(office, worker, go_on):
         worker.leave(signal.SIGTERM)
     office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
     go_on()
-    assert worker.ended()
+    worker.ends()
     assert office.answered() == [1]
 
 
@@ -195,7 +195,7 @@ def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_offic
         office.give(work(1, row_0=HANG))
         office.wait(lambda: office.signs, "a sign of progress")
     worker.leave()
-    assert worker.ended()
+    worker.ends()
 
 
 def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(office, worker, go_on):
@@ -242,7 +242,7 @@ def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(office, 
         office.wait(lambda: office.results, "a result")
     assert office.answered() == [2]
     assert office.workers
-    assert worker.thread.is_alive()
+    assert worker.is_alive
     assert [entry["dropped"] for entry in logs if entry["event"] == "dropped a message"] == [1, 2]
 
 
@@ -258,7 +258,7 @@ def test_a_batch_that_is_taken_back_is_not_answered(office, worker, go_on):
 def test_a_worker_that_its_only_job_refuses_says_why(office, hire):
     office.refusal = "another numpy"
     worker = hire(job="job")
-    assert worker.ended()
+    worker.ends()
     assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
 
 

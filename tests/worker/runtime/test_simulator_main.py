@@ -4,10 +4,10 @@ import os
 import subprocess
 import sys
 
-from tests.coordinator.scheduler.fakes import Job
 from tests.coordinator.scheduler.search_plans import Plan, reference
+from tests.fakes.job import Job
+from tests.fakes.worker import RunningWorker
 from tests.worker.runtime.crashing_simulator import COMMAND
-from tests.worker.runtime.running_worker import RunningWorker
 
 from qdgrasp_protocol.rows import Outcome
 
@@ -20,7 +20,7 @@ def test_poison_is_settled_as_an_error_and_the_journal_is_the_one_without_a_bus(
     job.service.run()
     for worker in workers:
         worker.leave()
-        assert worker.ended()
+        worker.ends()
     rows = job.records["run"].rows
     assert rows.tobytes() == reference(PLAN)
     errors = int((rows["outcome"] == Outcome.ERROR).sum())

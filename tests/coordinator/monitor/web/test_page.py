@@ -10,10 +10,9 @@ import pytest
 from msgspec.structs import replace
 from tests import browser
 from tests.browser import PHONE, expect, figure, number
-from tests.common import free_port
+from tests.common import free_port, wait_for
 from tests.coordinator.monitor.sample_jobs import curve, run, values
 from tests.coordinator.monitor.web.conftest import BUDGET, STEP, FakeFeed, FakeLibrary, serving
-from tests.coordinator.scheduler.fakes import until
 
 from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings, to_json
 
@@ -116,7 +115,7 @@ def test_of_many_runs_the_line_near_the_cursor_is_named(look: Look, place: str) 
     expect(legend).to_have_text("Cells, most of 6 runs")
     expect(page.locator("#cells canvas")).to_be_visible()
     nudges = count()
-    until(lambda: near(page, next(nudges) % 3) and legend.inner_text().startswith("Cells of panda-"))
+    wait_for(lambda: near(page, next(nudges) % 3) and legend.inner_text().startswith("Cells of panda-"))
 
 
 def near(page: Page, nudge: int) -> bool:
@@ -335,7 +334,7 @@ def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: An
         over.wait_for()
         box, nudges = over.bounding_box(), count()
         assert box is not None
-        until(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
+        wait_for(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
         visit.context.close()
         assert visit.complaints == []
 

@@ -1,8 +1,12 @@
-"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome."""
+"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome: `make simulate-curves`.
+
+The coordinator's decisions are the real ones, time and workers are simulated.
+"""
 
 import csv
 import heapq
 import itertools
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -12,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from tests.fakes.messages import join_message, result_message
 
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
 from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
-from qdgrasp_protocol.messages import VERSION, Join, Result
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=1, joints=0, descriptors=3)
@@ -203,19 +207,9 @@ class Fleet:
         batch = lease.batch
         rows = SHAPE.empty(len(batch))
         rows["outcome"] = Outcome.MISSED
-        result = Result(
-            epoch=1,
-            run=batch.run.run,
-            generation=batch.rows.number,
-            batch=batch.id,
-            attempt=lease.attempt,
-            wid=hand.wid,
-            n=len(batch),
-            joints=0,
-            descriptors=3,
-            columns={},
-            cpu_seconds=seconds,
-        )
+        named = {"run": batch.run.run, "generation": batch.rows.number, "batch": batch.id, "n": len(batch)}
+        more = {"attempt": lease.attempt, "wid": hand.wid, "joints": 0, "cpu_seconds": seconds}
+        result = result_message(**named, **more)
         settled = self._dispatcher.settle(hand.wid, result, rows, self.now)
         if settled.rows is not None:
             self._pipelines[batch.run.run].settle(settled.rows, seconds)
@@ -246,16 +240,7 @@ class Fleet:
 
     def _admit(self, hand: Hand) -> None:
         self._workers.on_token(hand.wid, True, self.now)
-        join = Join(
-            versions=[VERSION],
-            wid=hand.wid,
-            number=hand.number,
-            credit=CREDIT,
-            held=list(hand.pending),
-            host="",
-            pid=1,
-            platform={},
-        )
+        join = join_message(hand.wid, hand.number, CREDIT, list(hand.pending))
         for batch in self._dispatcher.join(join, self.now):
             hand.pending.pop(batch, None)
 
@@ -497,3 +482,7 @@ def _dress(axes: Axes, what: str) -> None:
     axes.tick_params(colors=FAINT, labelsize=8.5)
     if what != "runs":  # the lines are those of the panel beside it
         axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
+
+
+if __name__ == "__main__":
+    sys.exit(make(Path(sys.argv[1])))

@@ -1,7 +1,6 @@
 """A coordinator as a recorder sees it, and recorders to be seen by it."""
 
 import hashlib
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +11,8 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from msgspec import structs
 from tests.common import PATIENCE
+from tests.fakes.messages import open_run, put
+from tests.fakes.service_thread import ServiceThread
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder.recorder_service import RecorderService
@@ -62,25 +63,21 @@ class FakeCoordinator:
 
     def open(self, toml: str = to_toml(SPEC), job: str = JOB, **changes: object) -> Opened:
         """Open the run as soon as a recorder is there."""
-        question = messages.encode(Open(job=job, runs=[self.question(toml, **changes)]))
-        opened = messages.decode(self.ask(self._keys.open, question), Opened)
-        self.epoch = opened.epoch
-        return opened
+        return self._open(Open(job=job, runs=[self.question(toml, **changes)]))
 
     def open_runs(self, *runs: str, epoch: int = 0, **changes: object) -> Opened:
         """Open runs of a campaign as soon as a recorder is there."""
         questions = [self.question(run=run, **changes) for run in runs]
-        opened = messages.decode(
-            self.ask(self._keys.open, messages.encode(Open(job=JOB, runs=questions, epoch=epoch))), Opened
-        )
+        return self._open(Open(job=JOB, runs=questions, epoch=epoch))
+
+    def _open(self, question: Open) -> Opened:
+        opened = messages.decode(self.ask(self._keys.open, messages.encode(question)), Opened)
         self.epoch = opened.epoch
         return opened
 
     def question(self, toml: str = to_toml(SPEC), **changes: object) -> OpenRun:
         """The query that opens the run."""
-        values: dict[str, object] = {"run": "run", "spec": toml.encode(), "scene": BUNDLE.digest}
-        values |= {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
-        return OpenRun(**(values | changes))  # type: ignore[arg-type]
+        return open_run(**{"spec": toml.encode(), "scene": BUNDLE.digest} | changes)
 
     def meet(self) -> None:
         """Wait until a recorder is there."""
@@ -103,8 +100,7 @@ class FakeCoordinator:
         self.put(slice_to_message(stretch, run, epoch or self.epoch, SHAPE))
 
     def put(self, message: Message) -> None:
-        key, kind = self._keys.outcome(self.epoch), type(message)
-        self._bus.put(key, messages.encode(message), encoding=messages.encoding(kind))
+        put(self._bus, self._keys.outcome(self.epoch), message)
 
     def page(self, first: int, limit: int, run: str = "run") -> JournalSlice:
         answer = self.ask(self._keys.log, messages.encode(Log(run=run, first=first, limit=limit)))
@@ -127,34 +123,15 @@ class FakeCoordinator:
         )
 
 
-class RunningRecorder:
-    """A recorder that runs in a thread."""
-
-    def __init__(self, bus: Bus, path: Path, disk_wait: float) -> None:
-        self.stop = Stop()
-        self.error: Exception | None = None
-        self._service = RecorderService(bus, self.stop, job=JOB, path=path, disk_wait=disk_wait)
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            self._service.run()
-        except Exception as error:  # noqa: BLE001 - the test looks at it
-            self.error = error
-
-    def ends(self) -> None:
-        self._thread.join(PATIENCE)
-        assert not self._thread.is_alive()
-
-
 @contextmanager
-def recording(network: MemoryNetwork, path: Path, disk_wait: float = 60.0) -> Iterator[RunningRecorder]:
+def recording(network: MemoryNetwork, path: Path, disk_wait: float = 60.0) -> Iterator[ServiceThread]:
     """A recorder until the context ends, by SIGTERM."""
     with network.session() as bus:
-        running = RunningRecorder(bus, path, disk_wait)
+        stop = Stop()
+        service = RecorderService(bus, stop, job=JOB, path=path, disk_wait=disk_wait)
+        running = ServiceThread(service.run, stop)
         try:
             yield running
         finally:
-            running.stop.set(signal.SIGTERM)
+            running.leave()
             running.ends()

@@ -9,6 +9,7 @@ from typing import Self
 
 import msgspec
 from tests.common import PATIENCE
+from tests.fakes.messages import put
 
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Channel, Query, Sample
@@ -73,8 +74,7 @@ class LeasingCoordinator:
             self._leased.pop(work.batch, None)
         self.drains |= drain
         message = Control(epoch=self.epoch, drop=[work.batch for work in drop], drain=drain)
-        key, encoding = self._keys.ctl(self.joins[-1].wid), messages.encoding(Control)
-        self.bus.put(key, messages.encode(message), encoding=encoding, channel=Channel.CONTROL)
+        put(self.bus, self._keys.ctl(self.joins[-1].wid), message, Channel.CONTROL)
 
     def wait(self, condition: Callable[[], object], what: str) -> None:
         """Wait until something holds that the worker makes true."""
@@ -125,8 +125,7 @@ class LeasingCoordinator:
         while not self.drains and self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
             work = msgspec.structs.replace(self._tray.popleft(), epoch=self.epoch, join=self.joins[-1].number)
             self._leased[work.batch] = work
-            key = self._keys.work(self.joins[-1].wid)
-            self.bus.put(key, messages.encode(work), encoding=messages.encoding(Work))
+            put(self.bus, self._keys.work(self.joins[-1].wid), work)
 
     def _see(self, sample: Sample) -> None:
         with self._changed:

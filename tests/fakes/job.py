@@ -1,0 +1,194 @@
+"""A coordinator's service over a bus in memory, with runs and workers that only pretend."""
+
+import hashlib
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Protocol
+
+from tests.common import PATIENCE, wait_for
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan
+from tests.fakes.recorder import JOB
+from tests.fakes.service_thread import ServiceThread
+from tests.fakes.worker import FakeWorker
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
+from qdgrasp_coordinator.monitor.feed import reachable_jobs
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent, RunLoader, RunRegistry
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import DiskFull, RunFailed, TookOver
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.messages import Opened, OpenRun, Order, OrderReply
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.spec import RunSpec
+
+SPEC = RunSpec(gripper="hand", object="thing")
+PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}
+
+
+def assignment(name: str, plan: Plan) -> RunPlan:
+    """The run of a plan at its very beginning."""
+    bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
+    return RunPlan(name, SPEC, bundle, "none", SHAPE, plan.pipeline())
+
+
+class FakeRunQueue:
+    """A programme of runs; those of no plan cannot be made."""
+
+    def __init__(self, plans: dict[str, Plan | None]) -> None:
+        self.extent = JobExtent.of({name: plan.evaluations if plan else 0 for name, plan in plans.items()})
+        self._plans = plans
+        self._left = list(plans)
+        self.pipelines: list[weakref.ref[Pipeline]] = []
+        self.has_room = threading.Event()
+        self.has_room.set()
+
+    def next(self) -> RunPlan | None:
+        if not self._left:
+            return None
+        if not self.has_room.is_set():
+            raise DiskFull("There is no room.")
+        name = self._left.pop(0)
+        plan = self._plans[name]
+        if plan is None:
+            raise RunFailed(name, "Its mesh is no mesh.")
+        made = assignment(name, plan)
+        self.pipelines.append(weakref.ref(made.pipeline))
+        return made
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, run)
+
+
+def runs_of(queue: FakeRunQueue, news: Callable[[LoaderEvent], object] = lambda _event: None) -> RunRegistry:
+    """The runs of a queue, whose rows stay in memory."""
+    return RunRegistry(queue, RunLoader(queue, lambda run: MemorySink(run.shape), news, Stop()))
+
+
+def scheduler_of(queue: FakeRunQueue, hear: Callable[[JobEvent], object]) -> JobScheduler:
+    """The scheduler of these runs in its first epoch, which sends nothing; its events are heard."""
+    scheduler = JobScheduler(JOB, runs_of(queue), lambda *_: None, events=EventLog(hear))
+    scheduler.start_epoch(1)
+    return scheduler
+
+
+class OpenedSink(MemorySink):
+    """A record that is opened with an answer of its own."""
+
+    answer: Opened
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return self.answer
+
+
+class OtherPlatformSink(OpenedSink):
+    """The record of a run that was begun on another platform."""
+
+    answer = Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
+
+
+class IdentifiedSink(OpenedSink):
+    """The record of a run of a job with an identity."""
+
+    answer = Opened(epoch=2, durable=[0], platform={}, identity="mine")
+
+
+class ReplacedSink(MemorySink):
+    """The record of a run that another coordinator has opened."""
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        raise TookOver(JOB, epoch + 1)
+
+
+class SlowSink(MemorySink):
+    """A record whose rows take their time to be safe."""
+
+    is_safe = False
+
+    @property
+    def is_empty(self) -> bool:
+        return self.is_safe
+
+
+class Network(Protocol):
+    """Whatever opens sessions."""
+
+    def session(self) -> Bus:
+        """Another one."""
+
+
+class Job:
+    """A coordinator of many runs on a network, whose rows stay in memory or go to a recorder.
+
+    The network's first session is the coordinator's. `kinds` are the records of some runs, where they are
+    not simply `MemorySink`.
+    """
+
+    def __init__(
+        self,
+        plans: dict[str, Plan | None],
+        *,
+        network: Network | None = None,
+        seconds: float | None = None,
+        recorded: bool = False,
+        **kinds: type[MemorySink],
+    ) -> None:
+        self._kinds = kinds
+        self._recorded = recorded
+        self.programme = FakeRunQueue(plans)
+        self.network = network or MemoryNetwork()
+        self.stop = Stop()
+        self.records: dict[str, MemorySink] = {}
+        self.open: list[int] = []
+        self.bus = self.network.session()
+        how = {"job": JOB, "queue": self.programme, "make_sink": self._record, "seconds": seconds}
+        self.service = CoordinatorService(self.bus, self.stop, batch_size=2, **how)
+
+    def _record(self, assignment: RunPlan) -> RowSink:
+        if self._recorded:
+            return RecorderClient(self.bus, JOB, SHAPE)
+        kind = self._kinds.get(assignment.run, MemorySink)
+        return self.records.setdefault(assignment.run, kind(SHAPE))
+
+    def carry_out(self, workers: int = 2) -> None:
+        with ExitStack() as stack:
+            for number in range(workers):
+                stack.enter_context(FakeWorker(self.network.session(), f"{number:032x}").at_work())
+            self.service.run(lambda now: self.open.append(self.service.status(now).runs_open))
+
+    @contextmanager
+    def serving(self) -> Iterator[ServiceThread]:
+        """The service in a thread of its own that answers, stopped at the end if it still goes on."""
+        thread = ServiceThread(self.service.run, self.stop)
+        try:
+            with self.network.session() as bus:
+                wait_for(lambda: bool(bus.ask_all(Keys(JOB).stat("job"))) or not thread.is_alive)
+            yield thread
+        finally:
+            thread.leave()
+            thread.ends()
+
+    def journals(self) -> dict[str, bytes]:
+        return {name: record.rows.tobytes() for name, record in self.records.items()}
+
+
+def send_command(bus: Bus, act: str, **whom: str) -> str:
+    order = Order(act=act, **whom)  # type: ignore[arg-type]
+    return messages.decode(
+        bus.ask(Keys(JOB).control, messages.encode(order), timeout=PATIENCE), OrderReply
+    ).words
+
+
+def job_view(bus: Bus) -> JobView:
+    (view,) = reachable_jobs(bus)
+    return view
