@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 230
-MOST_LINES = 43_500
+MOST_LINES = 42_600
 MOST_TEST_FILES = 260
-MOST_TEST_LINES = 48_000
+MOST_TEST_LINES = 44_500
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500

@@ -60,7 +60,11 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """Return the gripper of this name or file; errors of `build_scene`; masses as published."""
+    """Return the gripper of this name or file.
+
+    Reference hands keep the masses that their authors left to the simulator. Errors of `build_scene`, and
+    `UnknownKey` for a key that a gripper's file does not have.
+    """
     path = gripper_path(name)
     if path.parent == GRIPPERS:
         return read_gripper(path, name, _gripper_source(name))
@@ -70,7 +74,7 @@ def find_gripper(name: str) -> Gripper:
 
 
 def gripper_path(name: str) -> Path:
-    """Return the path of a gripper's TOML file, from its name in the catalog or its path."""
+    """Return the path of a gripper's TOML file, by its name or path; or raise `UnknownName`."""
     built_in = GRIPPERS / f"{name}.toml"
     if built_in in _gripper_files():
         return built_in

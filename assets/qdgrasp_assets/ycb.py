@@ -57,7 +57,7 @@ def fetched_mesh(name: str) -> Path:
 
 
 def read_fetched(name: str) -> Mesh:
-    """Read the mesh of a fetched scan, corrected by `correct_mesh`."""
+    """Read the mesh of a fetched scan, corrected by `correct_mesh`; or raise `AssetError`."""
     return correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
 
 

@@ -124,7 +124,7 @@ BEHIND = ("behind in", "hand", "object", "by a loss to", "else to")
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """The default method and another on one scene, run by run of the same seed; see `duel`."""
+    """The default method and another on one scene, run by run of the same seed."""
 
     ours: Arm
     theirs: Arm

@@ -200,7 +200,7 @@ def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[
 
 @contextmanager
 def held(file: Path) -> Iterator[None]:
-    """Be the only process that changes a table; see `lock.exclusive`."""
+    """Be the only process that changes a table; see `job_folder.hold_lock`."""
     with atomic_files.writing(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
     with job_folder.hold_lock(file.parent, f".{file.name}.lock"):

@@ -93,7 +93,7 @@ def default_endpoint(*, encrypted: bool) -> Endpoint:
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
+    """Refuse by `EndpointError` an unencrypted endpoint that others reach, unless `insecure`."""
     if endpoint.is_local or endpoint.is_encrypted:
         return
     if not insecure:

@@ -106,7 +106,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """Make a spec of plain values; an InputError that names the key if one is unknown or wrong."""
+    """Make a spec of plain values.
+
+    Raises `UnknownKey` for a key that no field has, `ImpossibleValue` for a value of the wrong type or
+    outside what the field allows, and `InputError` where `gripper` or `object` is missing.
+    """
     fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
     for key in values:
         if key not in fields:

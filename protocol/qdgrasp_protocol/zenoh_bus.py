@@ -143,7 +143,10 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
+        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint.
+
+        An `EndpointError` if it cannot be listened on, or no port is free.
+        """
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):

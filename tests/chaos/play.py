@@ -229,6 +229,6 @@ def disturb(
     limit: float,
     say: Callable[[str], None],
 ) -> Story:
-    """Carry a run out in a new folder while it is disturbed; see `Household` and `Play`."""
+    """Carry a run out in a new folder while it is disturbed; see `JobProcesses` and `Play`."""
     with JobProcesses(home, spec, workers=workers, pace=pace) as household:
         return Play(household, plan, limit, say).carry_out()

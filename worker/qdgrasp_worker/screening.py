@@ -41,7 +41,7 @@ class SweptVolume:
     voxels: VoxelGrid
     """The level tells the first finger there, and its time: greater is earlier; 0: none."""
     ways: NDArray[np.int32]
-    """(levels, 3): in which direction across the approach axis it comes, see `directions`."""
+    """(levels, 3): in which direction across the approach axis it comes, see `motion_directions`."""
 
     def shares(self, x: Singles, y: Singles, z: Singles) -> NDArray[np.float32]:
         """Return the share of points (n, p) [m] inside, and inside from opposite sides: (n, 2)."""

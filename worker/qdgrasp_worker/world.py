@@ -141,7 +141,10 @@ class World:
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold."""
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
+
+        A ValueError for a synergy that the hand does not have.
+        """
         if synergy not in self._closing:
             raise ValueError(f"synergy must be one of {sorted(self._closing)}, got {synergy}")
         for index, target, motor in self._closing[synergy]:
@@ -187,7 +190,7 @@ class World:
         self._sweep = self._measure_sweep(gripper)
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints while they close on nothing, before each step and after the last."""
+        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
         self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
         self.close_fingers(synergy)
         course = [self.finger_positions()]

@@ -131,9 +131,9 @@ class DecompositionTimeout(AssetError):
 def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tuple[Mesh, ...]:
     """Decompose a mesh into convex parts that together fill it, with few corners each.
 
-    `mesh` is a closed surface [m], one or several bodies, called `name` in errors. `threshold` is CoACD's
-    concavity: the smaller, the more parts. Raises `DecompositionTimeout` after `time_limit` [s], and
-    `AssetError` if CoACD fails.
+    They are in the mesh's frame. `mesh` is a closed surface [m], one or several bodies,
+    called `name` in errors. `threshold` is CoACD's concavity: the smaller, the more parts. Raises
+    `DecompositionTimeout` after `time_limit` [s], and `AssetError` if CoACD fails.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as folder:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
@@ -189,10 +189,10 @@ def _outermost(corners: Floats) -> list[int]:
 
 def main() -> None:
     """Decompose the mesh in the first file into the last; exit when the parent process is gone."""
-    import coacd
-
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    import coacd
+
     coacd.set_log_level("error")
     given = np.load(sys.argv[1], allow_pickle=False)
     mesh = coacd.Mesh(given["vertices"], given["faces"])

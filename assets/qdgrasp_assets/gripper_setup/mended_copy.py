@@ -190,7 +190,7 @@ def mended_meshes(toml: Path) -> Path:
 def check_replaceable(robot: Urdf, toml: Path) -> None:
     """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
     urdf, folder = mended_urdf(toml), mended_meshes(toml)
-    if urdf.exists() and (path_problem(urdf) or not urdf.read_bytes().startswith(HEAD.encode())):
+    if urdf.exists() and (path_problem(urdf) or not _is_copy(urdf)):
         _refuse(urdf, "was not written by --mend")
     if folder.exists() and not _holds_copies(folder, urdf):
         _refuse(folder, "holds what was not written by --mend")
@@ -266,6 +266,11 @@ def _writing(urdf: Path) -> Iterator[None]:
         raise AssetError(
             f"The mended hand cannot be written to '{urdf}': {error.strerror or error}."
         ) from None
+
+
+def _is_copy(urdf: Path) -> bool:
+    with urdf.open("rb") as file:
+        return file.read(len(HEAD.encode())) == HEAD.encode()
 
 
 def _holds_copies(folder: Path, urdf: Path) -> bool:

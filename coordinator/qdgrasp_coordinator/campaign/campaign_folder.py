@@ -101,12 +101,13 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
         if not is_reduced:
             if known := read_cached_totals(folder, spec):
                 return known
-            found = count_within_budget(folder, spec)
+            try:
+                found = count_within_budget(folder, spec)
+            except ImpossibleValue as reason:
+                raise EndsTooSoon(folder.path, reason) from None
             if found.finished:
                 _write_cached_totals(folder, spec, found.totals)
             return found.totals if found.finished else None
-    except ImpossibleValue as reason:
-        raise EndsTooSoon(folder.path, reason) from None
     except FolderError:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):

@@ -62,10 +62,11 @@ class CountedRun:
         """Count at most so many new rows; returns their number."""
         if self.counter is None or (self.rows == journal.count and self.listing is not None):
             return 0
-        first, self.rows = self.rows, min(journal.count, self.rows + most)
-        if first < self.rows:
-            for block in journal.kept(first, self.rows):
+        first, last = self.rows, min(journal.count, self.rows + most)
+        if first < last:
+            for block in journal.kept(first, last):
                 self.counter.count_block(block, self.spec.population)
+        self.rows = last
         if self.rows == journal.count:
             self.listing = RunListing.of(journal.run, self.spec, journal.scene, self.counter)
             if self.counter.finished is not None:
@@ -122,7 +123,11 @@ class RunIndex:
         spec, count = journal.spec, self._counts.get(path)
         if count is None or count.spec != spec or count.rows > journal.count:
             count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
-        self._rows_left -= count.count(journal, self._rows_left)
+        try:
+            self._rows_left -= count.count(journal, self._rows_left)
+        except FolderError:  # rows before the damage were counted, and would be once more
+            del self._counts[path]
+            raise
         return count.listing
 
 

@@ -118,7 +118,10 @@ def table_under(scene: Scene, object_to_world: Rotation = AS_MODELLED) -> TableP
 
 
 def orientation(words: str) -> Rotation:
-    """Read a quaternion "x,y,z,w", or angles "x,y,z" about the fixed axes in turn [deg]."""
+    """Read a quaternion "x,y,z,w", or angles "x,y,z" about the fixed axes in turn [deg].
+
+    Raises `ImpossibleValue` for other words.
+    """
     found = parse_numbers(words)
     if len(found) == 3 and np.isfinite(found).all():
         return Rotation.from_euler("xyz", found, degrees=True)

@@ -1,6 +1,9 @@
 """Claims of Huber et al. 2024, section V, held against runs, with bootstrap intervals.
 
-Means and ratios are resampled over scenes and over the runs on each scene.
+Means and ratios are resampled over scenes and over the runs on each scene: a hierarchical bootstrap with
+percentile intervals (Efron and Tibshirani 1993, chapters 8 and 13). With one scene they speak of that scene
+alone, and with few runs they are too narrow: of two runs, the interval of the mean reaches from one to the
+other.
 """
 
 import math

@@ -12,9 +12,9 @@ and the hand's distances, and leave the surface to the worker.
 
 Retries: a second try in a cell whose grasp is weak takes the best grasp from around the cell. How often it
 gives a robust one tells, about, the share of the cell's 26 neighbours that hold one; what the tries so far
-gave corrects it. A robust grasp in place of a weak one adds no cell: it counts `VALUE` of one, and is tried
-where that is more than what an evaluation at the frontier brought lately. So a search whose frontier is
-rich makes no such try.
+gave corrects it. A robust grasp in place of a weak one adds no cell: it counts `RETRY_VALUE` of one, and is
+tried where that is more than what an evaluation at the frontier brought lately. So a search whose frontier
+is rich makes no such try.
 
 New in this project, not from the paper. What selects is success alone.
 """

@@ -35,7 +35,10 @@ F_MIN = -1.0  # The threshold of an empty cell
 
 
 def check(spec: RunSpec) -> None:
-    """Check that emitters can share the population, and are told before they are asked again."""
+    """Refuse by `ImpossibleValue` a spec that the emitters cannot be asked with.
+
+    They share the population, and are told before they are asked again.
+    """
     if spec.population % EMITTERS or spec.population < 2 * EMITTERS:
         expected = (
             f"a multiple of {EMITTERS}, at least {2 * EMITTERS}, for {spec.method} ({EMITTERS} emitters)"

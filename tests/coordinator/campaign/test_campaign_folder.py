@@ -4,7 +4,7 @@ import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
@@ -170,6 +170,18 @@ def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
     run = RunFolder.add(JobFolder(path), name, spec, None)
     (run.path / FILE).write_bytes(b"no journal")
     assert begin_campaign(path, asked()).runs_done == 0
+
+
+def test_a_journal_whose_spec_is_no_spec_here_is_not_said_to_end_too_soon(path: Path, monkeypatch) -> None:
+    name, spec = next(iter(asked().runs.items()))
+    RunFolder.add(JobFolder(path), name, spec, None)
+
+    def refused(_: RunFolder) -> NoReturn:
+        raise ImpossibleValue("population", 5000, "at most 4096")
+
+    monkeypatch.setattr(RunFolder, "journal", refused)
+    with pytest.raises(ImpossibleValue, match=r"^population must be at most 4096"):
+        begin_campaign(path, asked())
 
 
 def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import typer
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.report.test_row_report import OUTCOMES, closing, run_of, run_of_synergies
+from tests.coordinator.report.test_row_report import OUTCOMES, run_of, run_of_synergies
 
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.metrics.niches import synergies
@@ -131,8 +131,8 @@ def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> Non
     assert np.array_equal(ROWS[page.found["number"]]["joints"], page.found["joints"])
 
 
-def test_the_synergy_of_each_success_comes_along(tmp_path: Path, make_scene, network: MemoryNetwork) -> None:
-    folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+def test_the_synergy_of_each_success_comes_along(tmp_path: Path, network: MemoryNetwork) -> None:
+    folder, rows = run_of_synergies(tmp_path / "mug")
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         both = FolderRecords(FolderIndex([folder.path])), BusRecords(ours)
         told = [records.page("mug", "run", 0).found["synergy"].tolist() for records in both]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import asdict
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, record_spec
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
@@ -24,6 +24,7 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import SuccessPage
+from qdgrasp_protocol.spec import RunSpec
 
 
 @pytest.fixture
@@ -95,6 +96,17 @@ def test_what_is_counted_in_part_is_counted_on(folder, opened, monkeypatch) -> N
     counted = RunIndex(folder.path)
     assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
     assert len(opened) == 3
+
+
+def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_answer(tmp_path: Path) -> None:
+    rows = random_rows(300)
+    made = record_spec(tmp_path / "mug", RunSpec(gripper="jaw", object="block.stl"), rows, block=100)
+    journal = made.path / "run.sqlite"
+    content = bytearray(journal.read_bytes())
+    content[content.index(rows[250:252].tobytes())] ^= 1
+    journal.write_bytes(content)
+    counted = RunIndex(made.path)
+    assert [counted.page(0).runs for _ in range(3)] == [[]] * 3
 
 
 def test_one_run_is_told_of_without_a_look_at_the_others(campaign: Path, opened: list[Path]) -> None:

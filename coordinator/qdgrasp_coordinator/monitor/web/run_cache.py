@@ -86,6 +86,20 @@ class TtlCache(Generic[T]):
             self._due = self._clock() + self._fresh(answer)
 
 
+def made_once(most: int, make: Callable[..., T]) -> Callable[..., T]:
+    """Keep `most` values by their key, each made once.
+
+    `lru_cache` alone makes one twice if two threads ask for it first.
+    """
+    kept, lock = lru_cache(most)(make), threading.Lock()
+
+    def get(*key: str) -> T:
+        with lock:
+            return kept(*key)
+
+    return get
+
+
 @dataclass(frozen=True)
 class JournalReading:
     """The part of a journal that has been read."""
@@ -112,7 +126,7 @@ class RunCache:
         def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene]]:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
 
-        self._scenes = lru_cache(MAX_SCENES)(scene)
+        self._scenes = made_once(MAX_SCENES, scene)
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
@@ -183,9 +197,9 @@ class RunCaches:
         def cache(job: str, run: str) -> RunCache:
             return RunCache(records, job, run, clock)
 
-        self._listings = lru_cache(MAX_JOBS)(listings)
-        self._curves = lru_cache(MAX_CURVES)(curve)
-        self._runs = lru_cache(MAX_RUNS)(cache)
+        self._listings = made_once(MAX_JOBS, listings)
+        self._curves = made_once(MAX_CURVES, curve)
+        self._runs = made_once(MAX_RUNS, cache)
 
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""
