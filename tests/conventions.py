@@ -147,8 +147,14 @@ def counts(repository: Repository) -> list[tuple[str, int, int]]:
     source, tests = repository.source, repository.tests
     rows.append(("rooms", len(source), sum(module.lines for module in source)))
     rows.append(("tests", len(tests), sum(module.lines for module in tests)))
-    helpers = [module for module in tests if not Path(module.path).name.startswith("test_")]
-    rows.append(("of them helpers", len(helpers), sum(module.lines for module in helpers)))
+    programs = {module.folder for module in tests if module.path.endswith("__main__.py")}
+    parts: dict[str, list[Module]] = {"programs of make": [], "helpers": []}
+    for module in tests:
+        if not Path(module.path).name.startswith("test_"):
+            parts["programs of make" if module.folder in programs else "helpers"].append(module)
+    rows += [
+        (f"of them {name}", len(part), sum(module.lines for module in part)) for name, part in parts.items()
+    ]
     lines = sum((repository.root / file).read_text().count("\n") for file in repository.scripts)
     rows.append(("JavaScript", len(repository.scripts), lines))
     return rows
@@ -277,7 +283,7 @@ def main(arguments: list[str] | None = None) -> int:
     repository = Repository()
     if options.counts:
         for name, files, lines in counts(repository):
-            sys.stdout.write(f"{name:16} {files:4} files {lines:6} lines\n")
+            sys.stdout.write(f"{name:24} {files:4} files {lines:6} lines\n")
         return 0
     found = list(violations(repository))
     last = f"{len(found)} violations of the conventions" if found else "The conventions are kept."
