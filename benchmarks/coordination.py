@@ -14,8 +14,8 @@ from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
-from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_coordinator.search.base import SearchAlgorithm

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from tests.fakes.messages import join_message, result_message
 
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
-from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape

@@ -6,8 +6,8 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 
+from tests.simulation.invariants import INVARIANTS
 from tests.simulation.play import Verdict, play
-from tests.simulation.process import INVARIANTS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

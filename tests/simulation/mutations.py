@@ -18,11 +18,11 @@ from tests.simulation.play import play
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
 from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
-from qdgrasp_coordinator.scheduler import lease_dispatcher as dispatching
+from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
+from qdgrasp_coordinator.scheduler.batch_dispatcher import BatchTable, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
-from qdgrasp_coordinator.scheduler.lease_dispatcher import BatchTable, Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry

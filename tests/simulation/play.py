@@ -10,14 +10,15 @@ from unittest.mock import patch
 
 import structlog
 from tests.simulation.coordinator import Coordinator
+from tests.simulation.invariants import InvariantViolated
 from tests.simulation.plan import History, draw
-from tests.simulation.process import InvariantViolated, Process
+from tests.simulation.process import Process
 from tests.simulation.recorder import SimulatedRecorder
 from tests.simulation.simulation import P, Simulation, SimulationChecker
 from tests.simulation.worker import Worker
 
 from qdgrasp_coordinator.recorder import run_writer
-from qdgrasp_coordinator.scheduler import lease_dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
 
 
 class Faults:
@@ -137,7 +138,7 @@ SMALL = [
     (recorder_client, "MESSAGE_ROWS", 4),
     (recorder_client, "MOST_UNCONFIRMED", 8),
     (recorder_client, "REPLAY_ROWS", 7),
-    (lease_dispatcher, "MOST_SETTLED", 30),
+    (batch_dispatcher, "MOST_SETTLED", 30),
     (run_writer, "GROUP_ROWS", 6),
     (run_writer, "MOST_WAITING", 150),
 ]

@@ -8,9 +8,10 @@ from typing import TypeVar
 
 from tests.coordinator.scheduler.search_plans import Plan, Task, reference
 from tests.simulation.coordinator import Coordinator
+from tests.simulation.invariants import CheckedSearch, require
 from tests.simulation.network import Network, World
 from tests.simulation.plan import History
-from tests.simulation.process import CheckedSearch, Process, require
+from tests.simulation.process import Process
 from tests.simulation.recorder import MemoryDisk, SimulatedRecorder
 from tests.simulation.worker import CREDIT, Forger, Mishaps, Speed, Worker
 
@@ -19,7 +20,7 @@ from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
-from qdgrasp_coordinator.scheduler import lease_dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
@@ -323,7 +324,7 @@ class DispatchChecker:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
         batches, timeout = self._dispatch._batches, self._workers.lease_timeout
         require(len(batches._open) <= len(self.outstanding), "bounded memory", "open batches")
-        require(len(batches._settled) <= lease_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
+        require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
         require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
         open_runs = {run.name for run in self._host.scheduler.runs}
         require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")

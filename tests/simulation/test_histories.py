@@ -12,15 +12,15 @@ from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Task, evaluate
 from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
 from tests.fakes.messages import ANN, join_message
+from tests.simulation.invariants import INVARIANTS
 from tests.simulation.mutations import MUTATIONS, Mutation, noticed
 from tests.simulation.network import LEASE, Clock, Network, Session, Terms, World
 from tests.simulation.plan import FAULTS, History, draw
 from tests.simulation.play import Verdict, play
-from tests.simulation.process import INVARIANTS
 
+from qdgrasp_coordinator.scheduler.batch_dispatcher import BatchTable
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
-from qdgrasp_coordinator.scheduler.lease_dispatcher import BatchTable
 from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method

@@ -42,7 +42,7 @@ class HandPose:
 class DecodedGrasps:
     """A batch of poses and postures, rounded to float32: exactly these are simulated and stored.
 
-    A genome has one of them, or several, of which one is chosen (`screening`).
+    A genome has one of them, or several, of which one is chosen (`candidate_ranking`).
     """
 
     positions: NDArray[np.float32]

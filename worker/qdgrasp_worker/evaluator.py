@@ -17,12 +17,12 @@ from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.screening import CandidateScreen, Shortlist
 from qdgrasp_worker.world import World
 
 REASON_LENGTH = 200

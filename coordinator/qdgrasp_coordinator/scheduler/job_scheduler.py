@@ -15,9 +15,9 @@ import structlog
 from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
+from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement, read_result
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
-from qdgrasp_coordinator.scheduler.lease_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     NoRunLeft,

@@ -6,8 +6,8 @@ import numpy as np
 from msgspec import structs
 from tests.fakes.messages import ANN, join_message, result_message
 
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, SettleReply
-from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
 from qdgrasp_protocol.messages import Failure, Result

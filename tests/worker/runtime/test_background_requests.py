@@ -7,7 +7,7 @@ from pathlib import Path
 from unittest.mock import Mock, call
 
 import pytest
-from tests.fakes.leasing_coordinator import LeasingCoordinator
+from tests.fakes.coordinator import LeasingCoordinator
 
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.memory_bus import MemoryNetwork

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from structlog.testing import capture_logs
-from tests.fakes.leasing_coordinator import LeasingCoordinator
+from tests.fakes.coordinator import LeasingCoordinator
 from tests.fakes.worker import GRACE, RunningWorker
 from tests.worker.runtime import scripted_simulator
 from tests.worker.runtime.scripted_simulator import ABORT, DAWDLE, HANG, WAIT, work

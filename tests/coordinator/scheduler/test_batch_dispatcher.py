@@ -23,8 +23,8 @@ from tests.coordinator.scheduler.leases import (
 )
 from tests.fakes.messages import ANN, BOB, EVE
 
+from qdgrasp_coordinator.scheduler.batch_dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
-from qdgrasp_coordinator.scheduler.lease_dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Work, decode, encode

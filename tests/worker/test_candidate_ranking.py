@@ -9,8 +9,8 @@ from tests.worker.genomes import CANDIDATES, CONSTANT, WEIGHTS, decoded, draw, e
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY, RESULT, Outcome
+from qdgrasp_worker.candidate_ranking import SweptVolumes, candidate_scores
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.screening import SweptVolumes, candidate_scores
 from qdgrasp_worker.world import World
 
 N = 40
