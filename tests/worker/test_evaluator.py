@@ -74,6 +74,11 @@ def test_joints_are_those_of_the_grasp_for_successes_and_the_initial_ones_otherw
     assert (rows["joints"][successes] < 0.04).any(axis=1).all()
 
 
+def test_a_stored_pose_evaluated_as_given_finds_the_same(cube, rows):
+    again = evaluated(cube, "given", rows["base_to_object"])
+    assert results(again, "surface_point", "nu") == results(rows, "surface_point", "nu")
+
+
 @pytest.mark.parametrize("poison", [0, 5, N - 1])
 def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice(
     cube, genomes, rows, poison, monkeypatch

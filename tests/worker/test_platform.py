@@ -35,6 +35,8 @@ def test_a_probe_that_fares_otherwise_changes_the_digest(monkeypatch):
     moved[0, 6] += 0.01
     monkeypatch.setattr(module, "probes", lambda: moved)
     assert probe_digest() != digest
+    monkeypatch.undo()
+    assert probe_digest() == digest
 
 
 def test_trials_that_are_drawn_otherwise_change_the_digest(monkeypatch):

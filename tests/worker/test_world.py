@@ -60,6 +60,7 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
     scene = make_scene(gripper, "rubiks_cube", "paper")
     world = World(scene)
     world.reset(FAR, world.opened)
+    assert world.finger_positions() == [0.04, 0.04]
     close_hand(world)
     for shake in SHAKES:
         peak = max(TABLE[shake.joint])
@@ -69,6 +70,7 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
 
 def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
     world.reset(FAR, world.opened)
+    assert world.finger_positions() == [0.04, 0.04]
     close_hand(world)
     for shake in SHAKES:
         shaken(world, shake)

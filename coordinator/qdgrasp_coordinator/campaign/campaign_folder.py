@@ -88,7 +88,7 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
 
     None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
     FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
-    or successes alone of fewer.
+    or successes alone of fewer; ImpossibleValue where the spec in its journal is none of this version.
     """
     if not RunFolder.is_run(path):
         return None

@@ -76,7 +76,10 @@ class SceneBenchmark:
         self._memory = 0
         self._started = 0
         self._plan = RunPlan.of(
-            spec, prepared, lambda shape: Pipeline(self._search, shape, ENDLESS, "count", IN_FLIGHT)
+            spec,
+            prepared,
+            lambda shape: Pipeline(self._search, shape, ENDLESS, "count", IN_FLIGHT),
+            BENCH_PRIOR,
         )
         self._sink = PlatformSink(self._plan.shape)
 

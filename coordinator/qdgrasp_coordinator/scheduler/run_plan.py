@@ -199,7 +199,7 @@ def plan_run(
     )
 
 
-GENOMES_AT_ONCE = 4096  # Given genomes that are handed out before the first result is awaited
+GENOMES_AT_ONCE = 4096  # Given genomes of a generation; two generations are handed out ahead of results
 
 
 def plan_genomes(

@@ -190,19 +190,19 @@ class RunFolder:
 
     def scene(self) -> Scene:
         """Return the scene; raise `FolderError` if it is missing or damaged."""
+        return self.prepared_scene().scene
+
+    def prepared_scene(self) -> PreparedScene:
+        """Return the scene with its bytes; raise `FolderError` if it is missing or damaged."""
+        bundle = self.bundle()
         try:
-            payload = atomic_files.read(self.path / SCENE)
-            messages.check_bundle(payload)
-            return unpack_scene(payload)
+            messages.check_bundle(bundle.payload)
+            return PreparedScene(unpack_scene(bundle.payload), bundle)
         except MessageError as error:
             raise FolderError(
                 f"{self.path / SCENE} cannot be read: {error}; "
                 "use the version of qdgrasp that wrote it, or restore the file from a copy."
             ) from None
-
-    def prepared_scene(self) -> PreparedScene:
-        """Return the scene with its bytes; raise `FolderError` if it is missing or damaged."""
-        return PreparedScene(self.scene(), self.bundle())
 
     def journal(self) -> Journal:
         """Return the journal as it is now, for a with-block; empty before a recorder opened the run.

@@ -43,15 +43,17 @@ from qdgrasp_protocol.rows import Outcome, Rows
 def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Scene) -> Rows:
     """Return rows of a folder in the shape that a worker evaluates them in.
 
-    Raises FolderError if they are of a version with other genes.
+    Raises FolderError if they are of a version with fewer genes, joints or descriptors.
     """
     prior = method(found_by.spec.method).prior
-    shape, genes = row_shape(scene, prior), rows.dtype["genome"].shape[0]
-    if genes < shape.genes:
-        raise FolderError(
-            f"{folder.path} has rows of {genes} genes where this version of qdgrasp has {shape.genes} for "
-            f"the prior '{prior}': use the version that recorded them."
-        )
+    shape = row_shape(scene, prior)
+    for column, words in (("genome", "genes"), ("joints", "joints"), ("descriptor", "descriptors")):
+        has, needed = rows.dtype[column].shape[0], shape.dtype[column].shape[0]
+        if has < needed:
+            raise FolderError(
+                f"{folder.path} has rows of {has} {words} where this version of qdgrasp has {needed} for "
+                f"the prior '{prior}': use the version that recorded them."
+            )
     return reshape_rows(rows, shape)
 
 

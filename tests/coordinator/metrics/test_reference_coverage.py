@@ -1,6 +1,7 @@
 import io
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -69,7 +70,7 @@ def saved(save: Callable[..., None], *given: object) -> bytes:
     [
         *(b"", b"hello", b"PK\x03\x04 broken", b"\x93NUMPY\x01\x00", b"\x80\x04N."),
         saved(np.save, CM),
-        saved(np.savez, np.array([{"a": 1}], dtype=object)),
+        saved(partial(np.savez, **{"mug.cm": np.array([{"a": 1}], dtype=object)})),
     ],
     ids=["empty", "text", "zip", "numpy", "pickle", "one array", "pickled objects"],
 )

@@ -393,7 +393,8 @@ def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone(jobs: Job
     assert view_of(jobs, START + 60 + job_model.SILENCE_SECONDS + 1).state == "gone"
 
 
-PLACES = ("meta", "stat/job", "stat/run/a", "stat/team/0", "stat/curve/a", "event/job", "event/recent", "x")
+STATS = [f"stat/{name}" for name in ("job", "run/a", "team/0", "curve/a")]
+PLACES = ("", "x", "meta", *STATS, "event/job", "event/recent")
 
 
 @given(st.binary(max_size=200), st.sampled_from(PLACES))

@@ -1,6 +1,8 @@
 """Metrics: what a monitor tells Prometheus."""
 
 import re
+import shutil
+import subprocess
 
 import pytest
 from msgspec import structs
@@ -15,6 +17,7 @@ from qdgrasp_protocol.rows import Outcome
 
 STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'
 UNITS = ("seconds", "bytes", "rows", "evaluations", "batches", "results")
+PROMTOOL = shutil.which("promtool")
 OUTCOMES = {one.name.lower(): int(one) for one in Outcome}
 
 
@@ -133,3 +136,11 @@ def test_several_jobs_stand_side_by_side_and_without_one_nothing_is_told() -> No
     assert samples(text()) == {}
     told = samples(text(*views(values("mugs") | values("cubes"))))
     assert {key[1] for key in told if key[0] == "qdgrasp_up"} == {"cubes", "mugs"}
+
+
+@pytest.mark.skipif(PROMTOOL is None, reason="promtool is not here; the other tests check names and types")
+def test_promtool_finds_nothing_wrong(job: JobView) -> None:
+    done = subprocess.run(
+        [str(PROMTOOL), "check", "metrics"], input=text(job), text=True, capture_output=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

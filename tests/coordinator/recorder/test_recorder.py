@@ -119,6 +119,15 @@ class TestOpening:
         assert recorder.open(ask("a", spec=exactly)).durable == [30]
         assert RunFolder(path / "runs" / "a").spec == exactly
 
+    def test_a_recorder_that_comes_back_gives_the_next_epoch(self, path: Path) -> None:
+        for epoch, durable, platform in ((1, 0, {}), (2, 30, HERE), (3, 30, HERE)):
+            with recording(path) as recorder:
+                opened = anonymous(recorder.open(ask("a")))
+                assert opened == Opened(epoch=epoch, durable=[durable], platform=platform)
+                assert JobFolder.open(path).epoch == epoch
+                if epoch == 1:
+                    record(recorder, "a", 30, HERE)
+
     def test_an_epoch_that_is_ahead_of_the_disk_is_adopted(self, path: Path) -> None:
         with recording(path) as recorder:
             assert recorder.open(ask("a", epoch=7)).epoch == 7
@@ -229,6 +238,13 @@ class TestRows:
         recorder.commit("a")
         assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
         assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
+
+    def test_a_page_has_no_more_rows_than_are_asked_for(self, recorder) -> None:
+        recorder.open(ask("a"))
+        recorder.add_rows(rows("a", 0, 30), 0.0)
+        recorder.commit("a")
+        pages = [recorder.page(Log(run="a", first=first, limit=12)) for first in (0, 12, 24)]
+        assert [page.n for page in pages] == [12, 12, 6]
 
     def test_one_epoch_holds_for_all_runs(self, path, recorder) -> None:
         recorder.open(ask("a", "b"))

@@ -61,7 +61,9 @@ def test_the_first_batches_are_small() -> None:
     ("cost", "rows"), [(0.0, MOST_ROWS), (1e-7, MOST_ROWS), (0.001, BATCH_SECONDS / 0.001), (3.0, 1)]
 )
 def test_a_batch_takes_about_a_quarter_of_a_second_and_has_a_row_and_not_too_many(cost, rows) -> None:
-    assert measured(cost).next_size(1_000_000, 2) == pytest.approx(rows, rel=0.02)
+    size = measured(cost).next_size(1_000_000, 2)
+    assert size == pytest.approx(rows, rel=0.02)
+    assert size <= MOST_ROWS
 
 
 @pytest.mark.parametrize("workers", [1, 2, 7])
@@ -104,6 +106,15 @@ def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep(turnar
     for seconds in turnarounds:
         timeout.measure(seconds)
     assert timeout.limit == limit
+
+
+def test_the_timeout_follows_turnarounds_also_after_it_was_asked_for() -> None:
+    timeout = LeaseTimeout()
+    assert timeout.limit == LEASE_SECONDS
+    for turnarounds, limit in (([2.0] * 95 + [60.0] * 5, 20.0), ([60.0] * 10, 600.0)):
+        for seconds in turnarounds:
+            timeout.measure(seconds)
+        assert timeout.limit == limit
 
 
 def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:

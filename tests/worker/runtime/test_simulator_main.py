@@ -38,8 +38,26 @@ print(os.nice(0))
 """
 
 
-def test_it_stands_back_in_its_session_and_as_a_session():
+LIMIT = """
+from qdgrasp_worker.runtime.process_limits import limit_memory
+limit_memory(400_000_000)
+try:
+    bytearray(500_000_000)
+except MemoryError:
+    print("refused")
+"""
+
+
+def printed(script: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", STAND_BACK], capture_output=True, text=True, check=True, start_new_session=True
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, start_new_session=True
     )
-    assert done.stdout.strip() == str(os.nice(0) + 7)
+    return done.stdout.strip()
+
+
+def test_it_stands_back_in_its_session_and_as_a_session():
+    assert printed(STAND_BACK) == str(os.nice(0) + 7)
+
+
+def test_it_may_not_ask_for_more_memory_than_was_granted():
+    assert printed(LIMIT) == "refused"

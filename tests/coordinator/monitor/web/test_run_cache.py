@@ -28,6 +28,22 @@ def library(records: HandMadeRecords) -> RunCaches:
     return RunCaches(records, lambda: records.now)
 
 
+def test_what_two_threads_ask_for_first_is_made_once() -> None:
+    made, others = [], []
+
+    def make(key: str) -> object:
+        made.append(key)
+        if len(made) == 1:
+            others.extend(pool.submit(get, key) for _ in range(7))
+        return object()
+
+    get = run_cache.made_once(2, make)
+    with ThreadPoolExecutor(8) as pool:
+        first = pool.submit(get, "a").result()
+        assert {id(other.result()) for other in others} == {id(first)}
+    assert made == ["a"]
+
+
 def origin(page: bytes) -> int:
     number: int = HEADER.unpack_from(page)[5]
     return number
