@@ -60,7 +60,6 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
     scene = make_scene(gripper, "rubiks_cube", "paper")
     world = World(scene)
     world.reset(FAR, world.opened)
-    assert world.finger_positions() == [0.04, 0.04]
     close_hand(world)
     for shake in SHAKES:
         peak = max(TABLE[shake.joint])
