@@ -16,7 +16,7 @@ settings.load_profile("shared")
 os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for stand back behind nobody
 
 TESTS = Path(__file__).resolve().parent
-STARTERS = {"system": "jobs", "chaos": "jobs", "examples": "jobs", "golden": "jobs", "docs": "pages"}
+STARTERS = {"system": "jobs", "chaos": "others", "examples": "others", "golden": "others", "docs": "others"}
 """Where tests start processes of their own, and in which row: two of one row never run at a time."""
 LONG = ("worker", "simulation", "assets")
 """Where modules take long: they come before the many short ones, with which all processes end together."""

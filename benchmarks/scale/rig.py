@@ -328,7 +328,7 @@ class Several:
     """A programme of runs that are all there, and go on as they are where they are put back."""
 
     def __init__(self, runs: list[RunPlan]) -> None:
-        self.extent = JobExtent.of({run.run: run.evaluations for run in runs})
+        self.extent = JobExtent.of({run.run: run.spec.evaluations for run in runs})
         self._runs = {run.run: run for run in runs}
         self._left = list(runs)
 

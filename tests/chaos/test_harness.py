@@ -153,6 +153,7 @@ PACE = CHAOS_WORKERS * opening(CHAOS_WORKERS) * SHORT_GAPS[1] / EVALUATIONS
 COURSE = Course("contact_rand", "paper", 60, PACE)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_disturbed_run_gives_what_an_undisturbed_one_gives(tmp_path: Path, undisturbed: Path) -> None:
     spec = COURSE.spec(SEED, EVALUATIONS)

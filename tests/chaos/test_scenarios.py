@@ -63,6 +63,7 @@ def garble(wal: Path) -> None:
         file.write(bytes(1000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tear", [cut, pytest.param(garble, marks=pytest.mark.slow)])
 def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     household: JobProcesses, expected: str, tear: Callable[[Path], None]
@@ -98,6 +99,7 @@ def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProce
     assert ends_well(household) == expected
 
 
+@pytest.mark.slow
 def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     household: JobProcesses, expected: str
 ) -> None:

@@ -62,8 +62,15 @@ def story(prepared: Prepared, tmp_path: Path) -> Iterator[PageRun]:
     story.close()
 
 
+def in_time(pages: list[Path]) -> list[object]:
+    """Mark all pages but the README as slow; `make test-docs` reads them all."""
+    return [
+        page if page.name == "README.md" else pytest.param(page, marks=pytest.mark.slow) for page in pages
+    ]
+
+
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("page", SHORT_STORIES, ids=name_of)
+@pytest.mark.parametrize("page", in_time(SHORT_STORIES), ids=name_of)
 def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: PageRun) -> None:
     tell(page, prepared, story, whole=False)
     (story.home / "of_the_page.py").write_text("\n".join(scripts(page)))

@@ -96,6 +96,7 @@ def test_a_finished_campaign_is_not_carried_out_again(done):
     assert digests(done) == before
 
 
+@pytest.mark.slow
 def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
     shutil.copytree(done.home / "out", qdgrasp.home / "out")
     longer = SMALL.replace("evaluations = 160", "evaluations = 200")
@@ -169,6 +170,7 @@ def test_a_campaign_that_would_lose_something_is_refused_and_stays_as_it_was(don
     assert read_campaign(done.home / "out" / "campaign.toml").runs == read_campaign(write(done.home)).runs
 
 
+@pytest.mark.slow
 def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done(qdgrasp, done):
     pair = qdgrasp.home / "pair.stl"
     blocks = [trimesh.creation.box(extents=(0.02, 0.06, 0.07)) for _ in range(2)]
@@ -248,6 +250,7 @@ def go_on(qdgrasp: Commands, done: Commands) -> None:
     assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
 
 
+@pytest.mark.slow
 def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
     process = start(qdgrasp, 60)
     started = list(processes_of(process.pid).values())

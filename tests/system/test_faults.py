@@ -55,7 +55,9 @@ def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_di
     assert qdgrasp.digest("run") == long_digest
 
 
-@pytest.mark.parametrize("roles", [("coordinator",), ("coordinator", "recorder", "worker")])
+@pytest.mark.parametrize(
+    "roles", [pytest.param(("coordinator",), marks=pytest.mark.slow), ("coordinator", "recorder", "worker")]
+)
 def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, long_digest, roles):
     process, _ = start(qdgrasp, 20)
     for role in roles:
@@ -65,6 +67,7 @@ def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, lo
     assert qdgrasp.digest("run") == long_digest
 
 
+@pytest.mark.slow
 def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp, long_digest):
     process, _ = start(qdgrasp, 20)
     started = list(processes_of(process.pid).values())
@@ -76,7 +79,7 @@ def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp
     assert qdgrasp.digest("run") == long_digest
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, number):
     process, _ = start(qdgrasp, 20)
     assert "qdgrasp resume" in stop(process, number)[1]
@@ -84,6 +87,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
     assert qdgrasp.digest("run") == long_digest
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
     command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
     process = qdgrasp.start(*command, file_size=110_000)
@@ -107,6 +111,7 @@ def test_the_processes_of_a_run_are_known_by_name_and_it_is_not_resumed_beside_t
         assert process.poll() is None
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_before_its_journal_began_is_gone_on_with(qdgrasp, long_digest):
     process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
     folder = qdgrasp.home / "run"
@@ -141,6 +146,7 @@ evaluations = {BUDGET}
 """
 
 
+@pytest.mark.slow
 def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgrasp, long_digest):
     endpoint = own_endpoint()
     place = ("--connect", endpoint, "--job", "mugs")

@@ -124,6 +124,7 @@ def test_what_a_killed_export_had_begun_is_removed_by_the_next_one(qdgrasp, refe
 BENCH = ("bench", "--object", "tennis_ball", "--seconds", "0.2")
 
 
+@pytest.mark.slow
 def test_bench_measures_one_worker_and_all_and_leaves_nothing(qdgrasp):
     done = qdgrasp.succeed(*BENCH, "--workers", 2, "--json")
     (scene,) = done.json["scenes"]

@@ -87,6 +87,7 @@ def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, l
     assert qdgrasp.digest("run") == long_digest
 
 
+@pytest.mark.slow
 def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long_digest):
     run = Running(qdgrasp)
     with run.at_rest():
@@ -108,6 +109,7 @@ def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
     assert err.endswith("qdgrasp-coordinator: Job 'mugs' was cancelled.\n")
 
 
+@pytest.mark.slow
 def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
     done = qdgrasp.succeed("run", *LONG, "--workers", 1, "--out", "run", "--seconds", 1.5)
     assert "It is not finished; `qdgrasp resume run` goes on" in done.out
@@ -115,6 +117,7 @@ def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
     assert qdgrasp.digest("run") == long_digest
 
 
+@pytest.mark.slow
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
     done = qdgrasp.succeed(*goal, "--successes", 12, "--out", "run")
@@ -227,6 +230,7 @@ def job(qdgrasp: Commands) -> Iterator[tuple[subprocess.Popen[str], str]]:
     return process, endpoint.read_text().strip()
 
 
+@pytest.mark.slow
 @STOPS
 def test_a_worker_stops_whose_simulator_stands_still(qdgrasp, job, number):
     process, endpoint = job
@@ -237,6 +241,7 @@ def test_a_worker_stops_whose_simulator_stands_still(qdgrasp, job, number):
     assert process.poll() is None
 
 
+@pytest.mark.slow
 def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job, long_digest):
     process, endpoint = job
     team = start(qdgrasp, endpoint, "--job", "run", "--workers", 2, "--pin")
@@ -257,6 +262,7 @@ def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job,
     stop(team, signal.SIGTERM)
 
 
+@pytest.mark.slow
 def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_digest):
     process, endpoint = job
     worker = start(qdgrasp, endpoint, "--job", "run")

@@ -372,6 +372,7 @@ def _in_journal(folder) -> Counts:
     }
 
 
+@pytest.mark.slow
 def test_at_the_end_everybody_says_the_same(qdgrasp):
     watched = CountedRun(qdgrasp)
     wait_for(lambda: rows_recorded(watched.folder) > 0, "rows")

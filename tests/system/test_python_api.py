@@ -165,6 +165,7 @@ def secure(commands: Commands) -> qdgrasp.Place:
     return qdgrasp.Place(workers=1, connect=endpoint, security=lab.path)
 
 
+@pytest.mark.slow
 def test_encrypted_links_change_no_row_and_no_journal(
     secure: qdgrasp.Place,
     evaluations: qdgrasp.Evaluations,

@@ -128,6 +128,7 @@ def ranking(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_a_robust_run_has_its_budget_of_nominal_rows_and_all_trials_of_its_successes(qdgrasp, robust):
     info = qdgrasp.info(robust[0])
     assert (info["complete"], info["evaluations"], info["errors"]) == (True, 24, 0)
@@ -139,6 +140,7 @@ def test_a_robust_run_has_its_budget_of_nominal_rows_and_all_trials_of_its_succe
     assert 0 < info["eta"]["mean"] < info["eta"]["best"] < 1
 
 
+@pytest.mark.slow
 def test_a_robust_run_that_is_killed_in_its_trials_ends_with_the_same_digest(qdgrasp, robust):
     folder = qdgrasp.home / "run"
     process = qdgrasp.start("run", *CUBE, "--protocol", "robust", "--workers", 2, "--out", "run")
@@ -150,6 +152,7 @@ def test_a_robust_run_that_is_killed_in_its_trials_ends_with_the_same_digest(qdg
     assert qdgrasp.digest("run") == robust[1]
 
 
+@pytest.mark.slow
 def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp, robust):
     done = qdgrasp.succeed("rerank", robust[0], "--top", 3, "--out", "again")
     assert "3 grasps ranked" in done.out
@@ -203,6 +206,7 @@ def test_what_cannot_be_scored_again_is_refused_in_a_sentence(qdgrasp, reference
     assert not (qdgrasp.home / "runs").exists()
 
 
+@pytest.mark.slow
 def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdgrasp, reference):
     source = best_of_kinds(read_run_grasps(RunFolder.open(reference[0])), 1)[0]
     approach = Rotation.from_quat(source["base_to_object"][3:]).apply([0, 0, 1])

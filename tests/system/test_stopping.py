@@ -192,16 +192,16 @@ BEGINNINGS: dict[str, Beginning] = {
     "rows that are verified": looking("verify", "run", "--all"),
     "a page of a finished run": viewing,
 }
-QUICK = {
+QUICK = {"a page of a finished run": signal.SIGINT, "rows that are verified": signal.SIGTERM}
+MORE = {
     "a run whose router is away": signal.SIGINT,
     "a campaign's scene that is built": signal.SIGTERM,
-    "a page of a finished run": signal.SIGINT,
     "an evaluation that is filmed": signal.SIGINT,
-    "rows that are verified": signal.SIGTERM,
 }
+STOPPED = [*QUICK.items(), *(pytest.param(*one, marks=pytest.mark.slow) for one in MORE.items())]
 
 
-@pytest.mark.parametrize(("name", "number"), QUICK.items(), ids=QUICK)
+@pytest.mark.parametrize(("name", "number"), STOPPED, ids=[*QUICK, *MORE])
 def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, number: int) -> None:
     stop(BEGINNINGS[name](qdgrasp), number)
 

@@ -114,6 +114,7 @@ def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monk
     assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
 
 
+@pytest.mark.slow
 def test_a_mug_keeps_its_hollow_and_the_eye_of_its_handle():
     surface, own = mug()
     parts = convex_parts(surface, "mug")

@@ -69,6 +69,7 @@ def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(evaluated_run, tm
     np.testing.assert_array_equal(genomes[:, 7:], read_run(evaluated_run).starts[:, 7:])
 
 
+@pytest.mark.slow
 def test_poses_that_came_through_matrices_have_the_same_outcomes(evaluated_run, tmp_path) -> None:
     genomes = there_and_back(evaluated_run, "acronym", tmp_path)
     before, after = successes(evaluated_run), evaluate_given(evaluated_run.scene(), genomes)

@@ -61,7 +61,7 @@ def targets(rows: Rows) -> np.ndarray:
     return SPACE.layout.values(rows["genome"])[:, TARGET]
 
 
-@pytest.mark.parametrize("in_flight", [1, 2])
+@pytest.mark.parametrize("in_flight", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight: int) -> None:
     def pipeline() -> Pipeline:
         return Pipeline(AimedSearch(spec(seed=3), HAND), shape(HAND), 700, "redraw", in_flight)

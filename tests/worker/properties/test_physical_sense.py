@@ -101,6 +101,7 @@ def mirrored(scene: Scene) -> Scene:
     return replace(with_gripper(scene, meshes=meshes), object=target)
 
 
+@pytest.mark.slow
 def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube):
     poses, verdicts = touching(cube, poses_of(cube, draw(2000, near=400)))
     found = outcomes(World(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
@@ -129,6 +130,7 @@ def turns():
     return Rotation.random(POSES, random_state=3)
 
 
+@pytest.mark.slow
 def test_a_grasp_on_a_sphere_keeps_its_verdict_when_the_sphere_turns(ball, on_ball, turns):
     poses, verdicts = on_ball
     world = TurnedWorld(ball, iter(turns.as_quat().tolist()))

@@ -45,7 +45,7 @@ def test_trial_zero_is_the_evaluation_of_paper_to_the_byte(make_scene, nominal):
 
 @pytest.mark.parametrize(
     "successes",
-    [FEW, pytest.param(MANY, marks=(pytest.mark.slow, pytest.mark.timeout(900)))],
+    [pytest.param(number, marks=(pytest.mark.slow, pytest.mark.timeout(900))) for number in (FEW, MANY)],
     ids=["few", "many"],
 )
 def test_without_noise_a_hundred_trials_add_up_to_a_hundred_times_the_nominal_fitness(

@@ -34,7 +34,8 @@ def assert_same_without(scene, n, seed):
 
 
 @pytest.mark.parametrize(
-    ("hand", "protocol"), [(hand, "paper") for hand in HANDS] + [("barrett", "released")]
+    ("hand", "protocol"),
+    [(hand, "paper") for hand in HANDS] + [pytest.param("barrett", "released", marks=pytest.mark.slow)],
 )
 def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, make_scene):
     assert_same_without(make_scene(hand, "mug", protocol), QUICK[hand], seed=4)
