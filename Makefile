@@ -10,7 +10,7 @@ IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 .PHONY: help demo test test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
-	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
+	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
