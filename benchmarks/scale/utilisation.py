@@ -41,8 +41,8 @@ MANY = 10**9
 
 
 @dataclass(frozen=True)
-class Crew:
-    """The workers."""
+class WorkerProfile:
+    """Number, speed and failures of the simulated workers."""
 
     workers: int
     row_seconds: float = 0.02
@@ -79,10 +79,10 @@ class Figures:
     rows_per_batch: float
 
 
-class Timed:
+class TimedSearch:
     """A search that notes when it is asked and told."""
 
-    def __init__(self, population: int, fleet: "Fleet") -> None:
+    def __init__(self, population: int, fleet: "FleetSimulation") -> None:
         self._genomes = np.zeros((population, SHAPE.genes), dtype=np.float32)
         self._fleet = fleet
         self._asked: deque[float] = deque()
@@ -96,8 +96,8 @@ class Timed:
 
 
 @dataclass(eq=False)
-class Hand:
-    """A worker, as a queue."""
+class SimulatedWorker:
+    """A worker that finishes its batches one after the other."""
 
     wid: str
     speed: float
@@ -108,13 +108,13 @@ class Hand:
     is_over: bool = False
 
 
-class Fleet:
-    """A job's coordinator and its workers."""
+class FleetSimulation:
+    """The dispatch of one job to simulated workers, on a simulated clock."""
 
-    def __init__(self, crew: Crew, task: Task, seed: int = 0) -> None:
+    def __init__(self, profile: WorkerProfile, task: Task, seed: int = 0) -> None:
         self.now = 0.0
         self.ages: list[tuple[float, float]] = []
-        self._crew = crew
+        self._profile = profile
         self._chance = np.random.default_rng(seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -126,13 +126,13 @@ class Fleet:
         self._workers = WorkerRegistry()
         self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
         self._pipelines = {
-            f"run-{n}": Pipeline(Timed(task.population, self), SHAPE, MANY, "count", task.in_flight)
+            f"run-{n}": Pipeline(TimedSearch(task.population, self), SHAPE, MANY, "count", task.in_flight)
             for n in range(task.runs)
         }
         self._told = set(self._pipelines)
         """Runs that may have something to ask."""
-        self._hands: dict[str, Hand] = {}
-        for _ in range(crew.workers):
+        self._simulated: dict[str, SimulatedWorker] = {}
+        for _ in range(profile.workers):
             self._at(self._begin(), self._hire)
 
     def play(self, seconds: float, most: int) -> Figures:
@@ -147,7 +147,7 @@ class Fleet:
         rows = sum(n for _, n in useful)
         ages = [age for time, age in self.ages if time >= begin] or [nan]
         return Figures(
-            utilisation=sum(took for took, _ in useful) / (end - begin) / self._crew.workers,
+            utilisation=sum(took for took, _ in useful) / (end - begin) / self._profile.workers,
             age=float(np.median(ages)),
             outstanding=float(np.mean([n for time, n in self._leased if time >= begin])),
             rows_per_second=rows / (end - begin),
@@ -201,94 +201,95 @@ class Fleet:
             while (asked := self._pipelines[run].ask()) is not None:
                 self._dispatcher.submit(RunRef(run, "scene", "prior"), asked)
         for rows in waiting.values() if is_first else ():
-            rows.sizer.measure(50, 50 * self._crew.row_seconds)
+            rows.sizer.measure(50, 50 * self._profile.row_seconds)
 
-    def _settle(self, hand: Hand, lease: Lease, seconds: float) -> None:
+    def _settle(self, worker: SimulatedWorker, lease: Lease, seconds: float) -> None:
         batch = lease.batch
         rows = SHAPE.empty(len(batch))
         rows["outcome"] = Outcome.MISSED
         named = {"run": batch.run.run, "generation": batch.rows.number, "batch": batch.id, "n": len(batch)}
-        more = {"attempt": lease.attempt, "wid": hand.wid, "joints": 0, "cpu_seconds": seconds}
+        more = {"attempt": lease.attempt, "wid": worker.wid, "joints": 0, "cpu_seconds": seconds}
         result = result_message(**named, **more)
-        settled = self._dispatcher.settle(hand.wid, result, rows, self.now)
+        settled = self._dispatcher.settle(worker.wid, result, rows, self.now)
         if settled.rows is not None:
             self._pipelines[batch.run.run].settle(settled.rows, seconds)
             self._told.add(batch.run.run)
             self._useful.append((self.now, seconds, len(batch)))
-        if settled.superseded is not None and settled.superseded in self._hands:
-            self._hands[settled.superseded].pending.pop(batch.id, None)
+        if settled.superseded is not None and settled.superseded in self._simulated:
+            self._simulated[settled.superseded].pending.pop(batch.id, None)
 
     # The workers.
 
     def _hire(self) -> None:
         wid = f"{next(self._count):032x}"
-        hand = self._hands[wid] = Hand(wid, float(np.exp(self._chance.normal(0, self._crew.spread))))
-        self._join(hand)
-        self._at(self.now + self._time(self._crew.life), lambda: self._die(hand))
-        self._at(self.now + self._time(self._crew.freeze), lambda: self._freeze(hand))
+        speed = float(np.exp(self._chance.normal(0, self._profile.spread)))
+        worker = self._simulated[wid] = SimulatedWorker(wid, speed)
+        self._join(worker)
+        self._at(self.now + self._time(self._profile.life), lambda: self._die(worker))
+        self._at(self.now + self._time(self._profile.freeze), lambda: self._freeze(worker))
 
     def _begin(self) -> float:
         """When a worker of the beginning is there: at once, or when it thaws."""
-        is_frozen = self._chance.random() < FROZEN / (FROZEN + self._crew.freeze)
+        is_frozen = self._chance.random() < FROZEN / (FROZEN + self._profile.freeze)
         return float(self._chance.uniform(0, FROZEN)) if is_frozen else 0.0
 
     def _time(self, mean: float) -> float:
         return float(self._chance.exponential(mean)) if mean < inf else inf
 
-    def _join(self, hand: Hand) -> None:
-        self._send(lambda: self._admit(hand))
+    def _join(self, worker: SimulatedWorker) -> None:
+        self._send(lambda: self._admit(worker))
 
-    def _admit(self, hand: Hand) -> None:
-        self._workers.on_token(hand.wid, True, self.now)
-        join = join_message(hand.wid, hand.number, CREDIT, list(hand.pending))
+    def _admit(self, worker: SimulatedWorker) -> None:
+        self._workers.on_token(worker.wid, True, self.now)
+        join = join_message(worker.wid, worker.number, CREDIT, list(worker.pending))
         for batch in self._dispatcher.join(join, self.now):
-            hand.pending.pop(batch, None)
+            worker.pending.pop(batch, None)
 
     def _take(self, lease: Lease) -> None:
         """A worker evaluates a batch, behind what it has."""
-        hand = self._hands.get(lease.wid)
-        if hand is None or lease.join != hand.number:
+        worker = self._simulated.get(lease.wid)
+        if worker is None or lease.join != worker.number:
             return
         n = len(lease.batch)
         noise = self._chance.gamma(n) / n
-        seconds = n * self._crew.row_seconds * hand.speed * noise
-        hand.free_at = max(hand.free_at, self.now) + seconds
-        hand.pending[lease.batch.id] = hand.free_at
-        self._at(hand.free_at, lambda: self._finish(hand, lease, seconds))
+        seconds = n * self._profile.row_seconds * worker.speed * noise
+        worker.free_at = max(worker.free_at, self.now) + seconds
+        worker.pending[lease.batch.id] = worker.free_at
+        self._at(worker.free_at, lambda: self._finish(worker, lease, seconds))
 
-    def _finish(self, hand: Hand, lease: Lease, seconds: float) -> None:
-        due = hand.pending.get(lease.batch.id)
-        if hand.is_over or due is None:
+    def _finish(self, worker: SimulatedWorker, lease: Lease, seconds: float) -> None:
+        due = worker.pending.get(lease.batch.id)
+        if worker.is_over or due is None:
             return
         if self.now < due:  # it was frozen meanwhile
-            self._at(due, lambda: self._finish(hand, lease, seconds))
+            self._at(due, lambda: self._finish(worker, lease, seconds))
             return
-        del hand.pending[lease.batch.id]
-        self._send(lambda: self._settle(hand, lease, seconds))
+        del worker.pending[lease.batch.id]
+        self._send(lambda: self._settle(worker, lease, seconds))
 
-    def _die(self, hand: Hand) -> None:
-        hand.is_over = True
-        del self._hands[hand.wid]
-        self._send(lambda: self._lose_token(hand))
+    def _die(self, worker: SimulatedWorker) -> None:
+        worker.is_over = True
+        del self._simulated[worker.wid]
+        self._send(lambda: self._lose_token(worker))
         self._at(self.now + REPLACED, self._hire)
 
-    def _lose_token(self, hand: Hand) -> None:
-        self._workers.on_token(hand.wid, False, self.now)
+    def _lose_token(self, worker: SimulatedWorker) -> None:
+        self._workers.on_token(worker.wid, False, self.now)
 
-    def _freeze(self, hand: Hand) -> None:
+    def _freeze(self, worker: SimulatedWorker) -> None:
         """Stand still; the token vanishes, and with the link back the worker joins again."""
-        if hand.is_over:
+        if worker.is_over:
             return
-        hand.pending = {batch: due + FROZEN for batch, due in hand.pending.items()}
-        hand.free_at = max(hand.free_at, self.now) + FROZEN
-        self._at(self.now + LEASE, lambda: self._send(lambda: self._lose_token(hand)))
-        self._at(self.now + FROZEN, lambda: self._thaw(hand))
-        self._at(self.now + FROZEN + self._time(self._crew.freeze), lambda: self._freeze(hand))
+        worker.pending = {batch: due + FROZEN for batch, due in worker.pending.items()}
+        worker.free_at = max(worker.free_at, self.now) + FROZEN
+        self._at(self.now + LEASE, lambda: self._send(lambda: self._lose_token(worker)))
+        self._at(self.now + FROZEN, lambda: self._thaw(worker))
+        self._at(self.now + FROZEN + self._time(self._profile.freeze), lambda: self._freeze(worker))
 
-    def _thaw(self, hand: Hand) -> None:
-        if not hand.is_over:
-            hand.number += 1
-            self._join(hand)
+    def _thaw(self, worker: SimulatedWorker) -> None:
+        if not worker.is_over:
+            worker.number += 1
+            self._join(worker)
 
 
 def _nothing() -> None:
@@ -320,13 +321,13 @@ class Line:
     panel: Panel
     name: str
     task: Task
-    crew: dict[str, float]
+    profile: dict[str, float]
 
 
 RUNS = Panel("runs", SIZES, 1.0, 10_000)
 BATCHES = Panel("batches", (100, 1000, 10_000), 1.0, 10_000)
-CREWS = Panel("crews", (10, 100, 1000), 40.0, 15_000)
-PANELS = (RUNS, BATCHES, CREWS)
+PROFILES = Panel("crews", (10, 100, 1000), 40.0, 15_000)
+PANELS = (RUNS, BATCHES, PROFILES)
 
 
 def _runs() -> Iterable[Line]:
@@ -342,14 +343,14 @@ def _batches() -> Iterable[Line]:
         yield Line(BATCHES, name, Task(64, batch_size=size), {})
 
 
-def _crews() -> Iterable[Line]:
-    crews = {"alike": {}, "3 times apart": {"spread": 0.55}, "some freeze": {"freeze": 300.0}}
+def _profiles() -> Iterable[Line]:
+    profiles = {"alike": {}, "3 times apart": {"spread": 0.55}, "some freeze": {"freeze": 300.0}}
     for task, what in ((Task(1, 500, 2), "1 run"), (Task(64), "64 runs")):
-        for name, crew in crews.items():
-            yield Line(CREWS, f"{what}: {name}", task, crew)
+        for name, profile in profiles.items():
+            yield Line(PROFILES, f"{what}: {name}", task, profile)
 
 
-LINES = [*_runs(), *_batches(), *_crews()]
+LINES = [*_runs(), *_batches(), *_profiles()]
 
 
 @dataclass(frozen=True)
@@ -364,10 +365,10 @@ class Point:
 
 def measure(line: Line, workers: int) -> Point:
     """A point, over so long that every run is at its usual work."""
-    task, crew = line.task, Crew(workers, **line.crew)
-    work = task.runs * task.population * task.in_flight * crew.row_seconds
+    task, profile = line.task, WorkerProfile(workers, **line.profile)
+    work = task.runs * task.population * task.in_flight * profile.row_seconds
     seconds = max(TURNS * work / workers, line.panel.seconds)
-    figures = Fleet(crew, task, seed=workers).play(seconds, line.panel.most + 2 * workers)
+    figures = FleetSimulation(profile, task, seed=workers).play(seconds, line.panel.most + 2 * workers)
     return Point(line.panel.name, line.name, workers, figures)
 
 
@@ -437,11 +438,11 @@ def make(folder: Path) -> int:
 def draw(found: Sequence[Point]) -> Figure:
     """Four panels."""
     figure = Figure(figsize=(11, 7.6), layout="constrained")
-    (runs, age), (batches, crews) = figure.subplots(2, 2)
+    (runs, age), (batches, profiles) = figure.subplots(2, 2)
     _share(runs, RUNS, found)
     _age(age, found)
     _share(batches, BATCHES, found)
-    _share(crews, CREWS, found)
+    _share(profiles, PROFILES, found)
     return figure
 
 
@@ -465,8 +466,8 @@ def _lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, scale:
         of_line = [point for point in found if (point.panel, point.line) == (panel.name, name)]
         sizes = [point.workers for point in of_line]
         values = [scale * getattr(point.figures, figure) for point in of_line]
-        is_second = panel == CREWS and place >= len(names) // 2
-        colour = HUES[place % (len(names) // 2)] if panel == CREWS else HUES[place]
+        is_second = panel == PROFILES and place >= len(names) // 2
+        colour = HUES[place % (len(names) // 2)] if panel == PROFILES else HUES[place]
         axes.plot(sizes, values, "--" if is_second else "-", color=colour, marker="o", ms=3.5, label=name)
 
 

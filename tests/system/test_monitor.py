@@ -121,12 +121,13 @@ def test_a_killed_worker_is_shown_as_gone_within_two_seconds(qdgrasp: Commands) 
 
     def seen(sample: Sample) -> None:
         page = from_json(sample.payload, WorkersPage)
-        news.put("gone" if any(one.state == "gone" for one in page.workers) else "team")
+        news.put("gone" if any(one.state == "gone" for one in page.workers) else f"{len(page.workers)} there")
 
     with running(qdgrasp, ENDLESS) as (endpoint, process), ZenohBus.connect(endpoint, PATIENCE) as bus:
         bus.watch(keys.worker_token(), lambda _, alive: news.put("there" if alive else "lost"))
         bus.subscribe(keys.stat("job"), lambda _: news.put("job"))
         bus.subscribe(keys.stat("team/*"), seen)
+        assert "2 there" in iter(lambda: news.get(timeout=PATIENCE), "")  # else it is killed before it joins
         kill(pids(process, "worker")[0])
         heard = list(iter(lambda: news.get(timeout=PATIENCE), "gone"))
         process.terminate()

@@ -20,7 +20,7 @@ from qdgrasp_assets.grippers.gripper_file import (
     read_gripper_file,
     urdf_path,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element, without_visuals
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf, without_visuals
 from qdgrasp_assets.grippers.urdf_checks import missing_meshes, weight_faults
 from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
@@ -220,7 +220,7 @@ def read_gripper(path: Path, name: str, source: str) -> Gripper:
     """
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)
-    robot = parse_robot(urdf, read_robot_element(urdf))
+    robot = read_urdf(urdf)
     for fault in gripper_faults(file, robot):
         raise AssetError(f"The gripper '{path}': {fault}.")
     return Gripper(name, source, file, robot)

@@ -151,18 +151,8 @@ class Urdf:
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a robot from a URDF file; `AssetError` if it is not one tree of links and joints."""
-    try:
-        element = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  # the user's own file
-    except OSError as error:
-        raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
-    except (ET.ParseError, UnicodeDecodeError) as error:
-        raise AssetError(f"'{path}' cannot be parsed as a URDF: {error}.") from None
-    if element.tag != "robot":
-        raise AssetError(
-            f"'{path}' cannot be parsed as a URDF: its root element is <{element.tag}>, not <robot>."
-        )
-    return parse_robot(path, element)
+    """Read a robot from a URDF file; errors of `read_robot_element` and `parse_robot`."""
+    return parse_robot(path, read_robot_element(path))
 
 
 def parse_robot(path: Path, element: ET.Element) -> Urdf:
