@@ -104,7 +104,7 @@ class Coordinator:
     def _settle(self, answer: bytes) -> None:
         with self._ledger.within("messages"):
             result = messages.decode(answer, Result)
-            rows = unpack(self._shape.empty(result.n), RESULT, result.columns, self._shape)
+            rows = unpack(self._shape.empty(result.n), RESULT, result.columns)
         with self._ledger.within("dispatch"):
             settled = self._dispatcher.settle(WID, result, rows, 0.0)
         if settled.rows is None:

@@ -13,11 +13,13 @@ from qdgrasp_assets.object_model import ObjectModel, read_object
 from qdgrasp_assets.scene import Scene, vector
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.rows import MAX_CONTACT_SLOTS
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
 ABSENT = "absent"
 REFERENCE = "ref_"  # Prefix of the names of the reference hands
+CONTACTS_PER_FINGER_LINK = 4  # What two convex shapes have in Bullet at most
 
 
 @dataclass(frozen=True)
@@ -44,11 +46,12 @@ def build_scene(spec: RunSpec) -> Scene:
     gripper = find_gripper(spec.gripper)
     target = find_object(spec)
     mesh, parts = target.centred_mesh, target.centred_parts
+    hand = gripper.on_carrier(spec.protocol)
     surface = SURFACES[spec.protocol](mesh, parts, target.com_in_mesh, spec.surface_seed)
     low, high = mesh.bounds
     return Scene(
         protocol=spec.protocol,
-        gripper=gripper.on_carrier(spec.protocol),
+        gripper=hand,
         object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),
@@ -56,6 +59,7 @@ def build_scene(spec: RunSpec) -> Scene:
         finder_high=vector(surface.finder_high),
         object_low=vector(low),
         object_high=vector(high),
+        contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
     )
 
 

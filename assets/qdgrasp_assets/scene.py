@@ -18,7 +18,8 @@ from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
 
-FORMAT = 2  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
+FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
+OLD_FORMAT = 2  # That of version 0.1.0; the fields that it lacks have their defaults
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -104,6 +105,8 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     """None: not a two-finger hand."""
     extent: float
     """Largest side of the box around its collision shapes, joints at zero, base frame [m]."""
+    links: tuple[str, ...] = ()
+    """All links from the base link on, in the order in which rows count them."""
 
     @property
     def reach(self) -> float:
@@ -157,6 +160,8 @@ class Scene(Struct, frozen=True, kw_only=True):
     object_low: Vector
     """The object's own axis-aligned bounding box, CoM frame."""
     object_high: Vector
+    contact_slots: int = 0
+    """Contacts that a row has room for; 0: rows hold nothing of what closing did, as those of 0.1.0."""
 
     @property
     def surface_points(self) -> NDArray[np.float32]:
@@ -189,8 +194,10 @@ def unpack_scene(payload: bytes) -> Scene:
     try:
         values = msgpack.unpackb(payload, max_ext_len=0)
         came = values.get("format") if isinstance(values, dict) else None
-        if came != FORMAT:
-            raise MessageError(f"it is of format {came}, this version of qdgrasp reads format {FORMAT}")
+        if came not in (OLD_FORMAT, FORMAT):
+            raise MessageError(
+                f"it is of format {came}, this version of qdgrasp reads the formats {OLD_FORMAT} and {FORMAT}"
+            )
         return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from qdgrasp_protocol.bus import Sample
 
 
-VERSION = 1  # The version of the protocol that this package speaks
+VERSION = 2  # The version of the protocol that this package speaks
 
 Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
 """Id of a worker process: 128 random bits, new at every start."""
@@ -96,6 +96,7 @@ class Result(Message, frozen=True, kw_only=True):
     n: RowCount
     joints: Width
     descriptors: Width
+    contact_slots: Width = 0
     columns: dict[str, bytes]
     """All of `rows.RESULT`; rows named in `failures` hold zeros."""
     cpu_seconds: Number
@@ -185,6 +186,7 @@ class Recordable(Message, frozen=True, kw_only=True):
     genes: Width
     joints: Width
     descriptors: Width
+    contact_slots: Width = 0
     columns: dict[str, bytes]
     """All of `rows.COLUMNS`."""
     cpu_seconds: Number = 0.0
@@ -215,6 +217,7 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     genes: Width
     joints: Width
     descriptors: Width
+    contact_slots: Width = 0
 
 
 class Open(Message, frozen=True, kw_only=True):
@@ -284,6 +287,7 @@ class SuccessPage(Message, frozen=True, kw_only=True):
     ]
     n: Annotated[int, Meta(ge=0, le=4096, description="How many finds these are.")]
     joints: Annotated[Width, Meta(description="Finger joints of the hand.")]
+    contact_slots: Annotated[Width, Meta(description="Contacts that a success has room for.")] = 0
     columns: Annotated[
         dict[str, bytes], Meta(description="Each column of `success_pages` by its name, little-endian.")
     ]

@@ -11,6 +11,7 @@ structured array. The same array of rows is what a worker fills, what the search
 journal stores; on the bus each column travels as one little-endian blob (`pack`, `unpack`).
 """
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -155,6 +156,8 @@ class RowColumn:
     width: str
     """Number of items: "1", "7", or the name of a `RowShape` field."""
     meaning: str
+    is_sparse: bool = False
+    """Mostly zeros: it travels deflated (zlib)."""
 
 
 KEY = (
@@ -185,9 +188,32 @@ RESULT = (
     RowColumn("nu", "<f4", "1", "angle between its normal and the direction to the hand [rad]"),
     RowColumn("contacts", "<u1", "1", "finger links that touch the object after closing"),
     RowColumn("penetration", "<f4", "1", "deepest penetration after closing [m], 0 or positive"),
+    RowColumn(
+        "settled",
+        "<f4",
+        "settled_values",
+        "successes: the hand's root link in the object's CoM frame after closing, before any disturbance: "
+        "x y z [m], qx qy qz qw; else zeros",
+    ),
+    RowColumn(
+        "contact_links",
+        "<u1",
+        "contact_slots",
+        "successes: of each contact after closing, the hand's link, counted from 1; 0: no contact",
+        is_sparse=True,
+    ),
+    RowColumn(
+        "contact_points",
+        "<f2",
+        "contact_values",
+        "of each contact x y z [m] on the object and the normal into it, CoM frame, and the normal force [N]",
+        is_sparse=True,
+    ),
 )
 COLUMNS = KEY + GENOME + RESULT
-FLOAT_ITEM = "<f4"  # The item type of all columns that do not hold integers
+CONTACT_VALUES = 7  # Numbers of one contact: point, normal, force
+MAX_CONTACT_SLOTS = 16
+FLOAT_ITEMS = ("<f4", "<f2")  # The item types of all columns that do not hold integers
 
 
 @dataclass(frozen=True)
@@ -197,11 +223,27 @@ class RowShape:
     genes: int
     joints: int
     descriptors: int = 3
+    contact_slots: int = 0
+    """Contacts that a row has room for; 0: rows of a scene that records nothing of what closing did."""
+
+    @property
+    def settled_values(self) -> int:
+        """Numbers of the settled pose: 7, or 0 where it is not recorded."""
+        return 7 if self.contact_slots else 0
+
+    @property
+    def contact_values(self) -> int:
+        """Numbers of all contacts: point, normal and force of each."""
+        return CONTACT_VALUES * self.contact_slots
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The packed structured dtype; its bytes, row after row, are what the digest hashes."""
-        return np.dtype([self._field(column) for column in COLUMNS])
+        return self.dtype_of(COLUMNS)
+
+    def dtype_of(self, columns: Sequence[RowColumn]) -> np.dtype[np.void]:
+        """The packed structured dtype of some columns."""
+        return np.dtype([self._field(column) for column in columns])
 
     def width(self, column: RowColumn) -> int:
         """Return the number of items of `column` in each row."""
@@ -222,28 +264,50 @@ def pack(rows: Rows, columns: Sequence[RowColumn]) -> dict[str, bytes]:
     return {column.name: np.ascontiguousarray(rows[column.name]).tobytes() for column in columns}
 
 
-def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes], shape: RowShape) -> Rows:
-    """Fill `columns` of `rows` from blobs.
+def deflated(blobs: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Blobs of rows by name as they travel: those of sparse columns deflated."""
+    sparse = {column.name for column in COLUMNS if column.is_sparse}
+    return {name: zlib.compress(blob, 1) if name in sparse else blob for name, blob in blobs.items()}
+
+
+def _inflated(column: RowColumn, blob: bytes, size: int) -> bytes:
+    """A column's blob as it was before `deflated`; a MessageError if it becomes more than `size` bytes."""
+    if not column.is_sparse:
+        return blob
+    inflater = zlib.decompressobj()
+    try:
+        found = inflater.decompress(blob, size + 1)
+    except zlib.error:
+        raise MessageError(f"column '{column.name}' is not deflated") from None
+    if not inflater.eof:
+        raise MessageError(f"column '{column.name}' is cut short, or has more than {size} bytes")
+    return found
+
+
+def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> Rows:
+    """Fill `columns` of `rows` from blobs as they travel.
 
     A MessageError if a blob is missing, of the wrong length, or holds a number that is not finite.
     """
+    found: dict[str, bytes] = {}
     for column in columns:
-        blob, expected = blobs.get(column.name), len(rows) * shape.dtype[column.name].itemsize
-        if blob is None:
+        expected = len(rows) * rows.dtype[column.name].itemsize
+        if column.name not in blobs:
             raise MessageError(f"column '{column.name}' is missing")
+        blob = found[column.name] = _inflated(column, blobs[column.name], expected)
         if len(blob) != expected:
             raise MessageError(f"column '{column.name}' has {len(blob)} bytes, expected {expected}")
         target = rows[column.name]
         target[...] = np.frombuffer(blob, dtype=column.item).reshape(target.shape)
-    _check_finite({column.name: blobs[column.name] for column in columns if column.item == FLOAT_ITEM})
+    _check_finite(columns, found)
     return rows
 
 
-def _check_finite(blobs: Mapping[str, bytes]) -> None:
-    """Check that blobs of floats are finite, all at once for speed."""
-    if np.isfinite(np.frombuffer(b"".join(blobs.values()), dtype=FLOAT_ITEM)).all():
-        return
-    name = next(
-        name for name, blob in blobs.items() if not np.isfinite(np.frombuffer(blob, FLOAT_ITEM)).all()
-    )
-    raise MessageError(f"column '{name}' holds a number that is not finite")
+def _check_finite(columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> None:
+    """Check that blobs of floats are finite, or raise a MessageError; all of one item type at once."""
+    for item in FLOAT_ITEMS:
+        named = {column.name: blobs[column.name] for column in columns if column.item == item}
+        if np.isfinite(np.frombuffer(b"".join(named.values()), dtype=item)).all():
+            continue
+        name = next(name for name, blob in named.items() if not np.isfinite(np.frombuffer(blob, item)).all())
+        raise MessageError(f"column '{name}' holds a number that is not finite")

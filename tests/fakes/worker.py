@@ -77,7 +77,7 @@ class FakeWorker:
                 self.kept.set()
 
     def _result(self, work: Work) -> Result:
-        rows = unpack(SHAPE.empty(work.n), WORK, work.columns, SHAPE)
+        rows = unpack(SHAPE.empty(work.n), WORK, work.columns)
         found = evaluate(rows)
         failed = np.flatnonzero(found["outcome"] == 0).tolist()
         same = ("epoch", "run", "generation", "batch", "attempt", "n")

@@ -25,10 +25,10 @@ from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Heartbeat, Message
-from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, deflated, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SHAPE = RowShape(genes=7, joints=2)
+SHAPE = RowShape(genes=7, joints=2, contact_slots=2)
 ROWS = 5
 BATCH = bytes(range(16))
 LEASED = [column for column in KEY + GENOME if column.name != "generation"]
@@ -41,7 +41,7 @@ Consumer = Callable[[bytes], object]
 def work(payload: bytes) -> object:
     """A worker's part."""
     leased = messages.decode(payload, messages.Work)
-    return unpack(SHAPE.empty(leased.n), LEASED, leased.columns, SHAPE)
+    return unpack(SHAPE.empty(leased.n), LEASED, leased.columns)
 
 
 def result(payload: bytes) -> object:
@@ -106,14 +106,15 @@ def seeds() -> dict[str, bytes]:
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
     number = np.arange(ROWS)
-    drawn = found.success_table(rows, SHAPE.joints, number=number, synergy=number - 1, eta=number / ROWS)
-    sizes = {"n": ROWS, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
+    drawn = found.success_table(rows, SHAPE, number=number, synergy=number - 1, eta=number / ROWS)
+    widths = {"joints": SHAPE.joints, "contact_slots": SHAPE.contact_slots}
+    sizes = {"n": ROWS, "descriptors": SHAPE.descriptors} | widths
     genes, failed = {"genes": SHAPE.genes}, {"failures": [messages.Failure(row=1, reason="it fell")]}
     known: dict[type[Message], dict[str, Any]] = {
         messages.Work: {"n": ROWS, "columns": pack(rows, LEASED)} | genes,
-        messages.Result: {"columns": pack(rows, RESULT)} | sizes | failed,
-        messages.Recordable: {"columns": pack(rows, COLUMNS)} | sizes | genes | failed,
-        messages.SuccessPage: {"n": ROWS, "joints": SHAPE.joints, "columns": found.success_columns(drawn)},
+        messages.Result: {"columns": deflated(pack(rows, RESULT))} | sizes | failed,
+        messages.Recordable: {"columns": deflated(pack(rows, COLUMNS))} | sizes | genes | failed,
+        messages.SuccessPage: {"n": ROWS, "columns": found.success_columns(drawn)} | widths,
         messages.Open: {"runs": [open_run(spec=SPEC)]},
     }
     batch = {"batch": BATCH, "held": [BATCH], "drop": [BATCH]}

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +20,8 @@ import tomli_w
 from tests.common import own_endpoint
 
 import qdgrasp
+from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_worker.platform import probe_digest
 
 HERE = Path(__file__).parent
@@ -59,17 +62,23 @@ def digests(home: Path) -> dict[str, dict[str, str]]:
     carry_out(home, "resume", "extended", "--evaluations", EXTENDED)
     alone = [home / name for name in ("reranked", "finished", "extended")]
     folders = [*sorted((home / "campaign" / "runs").iterdir()), *alone]
-    return {folder.name: {"digest": digest(folder), "scene": scene(folder)} for folder in folders}
+    return {
+        folder.name: digests_of(folder) | {"scene": sha256((folder / "scene.bundle").read_bytes())}
+        for folder in folders
+    }
 
 
-def digest(folder: Path) -> str:
-    """The sha256 over the rows of the journal in order, which `qdgrasp digest` prints."""
-    return hashlib.sha256(qdgrasp.open(folder).rows().tobytes()).hexdigest()
+def digests_of(folder: Path) -> dict[str, str]:
+    """The sha256 over a run's rows in order, which `qdgrasp digest` prints, and over those of 0.1.0 alone."""
+    with RunFolder.open(folder).journal() as journal:
+        rows, shape = journal.rows(0, journal.count), journal.shape
+    first = reshape_rows(rows, replace(shape, contact_slots=0))
+    return {"digest": sha256(rows.tobytes()), "first_columns": sha256(first.tobytes())}
 
 
-def scene(folder: Path) -> str:
-    """The sha256 of the scene, which says how the hand and the object were read."""
-    return hashlib.sha256((folder / "scene.bundle").read_bytes()).hexdigest()
+def sha256(content: bytes) -> str:
+    """The sha256 of some bytes in hex."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def carry_out(home: Path, *words: object) -> str:

@@ -34,7 +34,7 @@ def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator
     shape = evaluator.shape("approach")
     assert shape == RowShape(genes=7, joints=2)
     assert rows.dtype == shape.dtype
-    copy = unpack(shape.empty(len(rows)), RESULT, results(rows), shape)
+    copy = unpack(shape.empty(len(rows)), RESULT, results(rows))
     assert results(copy) == results(rows)
     np.testing.assert_array_equal(rows["genome"], genomes)
 

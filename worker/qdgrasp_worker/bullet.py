@@ -51,6 +51,7 @@ VERSION = version("pybullet")
 STILL = [0.0, 0.0, 0.0]
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 Box = tuple[Vector, Vector]  # Low and high corner
 BASE = -1  # The index of a body's root link
 
@@ -84,6 +85,21 @@ class Contact(NamedTuple):
     """The first body's link."""
     distance: float
     """Negative where they penetrate [m]."""
+
+
+class ContactForce(NamedTuple):
+    """A point where two bodies touch, with the force there in the last step."""
+
+    link: int
+    """The first body's link."""
+    point: Vector
+    """On the second body [m], world frame."""
+    normal: Vector
+    """Unit normal into the second body, world frame."""
+    distance: float
+    """Negative where they penetrate [m]."""
+    force: float
+    """Along the normal [N]."""
 
 
 class Bullet:
@@ -158,8 +174,17 @@ class Bullet:
 
     def position(self, body: int) -> Vector:
         """The position of a body's root link, by its centre of mass [m]."""
-        position: Vector = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)[0]
-        return position
+        return self.pose(body)[0]
+
+    def pose(self, body: int) -> tuple[Vector, Quaternion]:
+        """Position [m] and quaternion of a body's root link, by its centre of mass."""
+        pose: tuple[Vector, Quaternion] = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)
+        return pose
+
+    def link_pose(self, body: int, link: int) -> tuple[Vector, Quaternion]:
+        """Position [m] and quaternion of the frame of a link that is not the root."""
+        state = pb.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self._client)
+        return state[4], state[5]
 
     def halt(self, body: int) -> None:
         """Take a body's linear and angular velocity away."""
@@ -214,3 +239,11 @@ class Bullet:
         """The contacts between two bodies."""
         points = pb.getContactPoints(body, other, physicsClientId=self._client)
         return [Contact(point[3], point[8]) for point in points]
+
+    def contact_forces(self, body: int, other: int) -> list[ContactForce]:
+        """The contacts between two bodies, with their forces."""
+        points = pb.getContactPoints(body, other, physicsClientId=self._client)
+        return [
+            ContactForce(point[3], point[6], (-point[7][0], -point[7][1], -point[7][2]), point[8], point[9])
+            for point in points
+        ]

@@ -1,7 +1,10 @@
 """Episodes: place one pose, look for overlap, close the hand, look for touch, shake."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
 
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
@@ -13,7 +16,7 @@ from qdgrasp_worker.evaluation_protocols import (
     Shake,
     TrialSetup,
 )
-from qdgrasp_worker.world import World
+from qdgrasp_worker.world import GraspContact, World
 
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
 OUTCOME_BY_SHAKES = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
@@ -30,11 +33,26 @@ class EpisodeResult(NamedTuple):
     """Finger links that touch the object after closing."""
     penetration: float = 0.0
     """Deepest penetration of hand and object after closing, 0 or positive [m]."""
+    settled: Sequence[float] = (0.0,) * 7
+    """The hand's base link in the object's frame after closing: x y z [m], qx qy qz qw; else zeros."""
+    touches: Sequence[GraspContact] = ()
+    """The contacts after closing."""
 
     @property
     def fitness(self) -> int:
         """Shakes survived."""
         return max(0, self.outcome - Outcome.DROPPED)
+
+
+def settled_pose(world: World, commanded: HandPose) -> list[float]:
+    """The hand's base link in the object's frame, as both are now: x y z [m], qx qy qz qw.
+
+    Of the two quaternions that mean it, the one nearer to the commanded pose's.
+    """
+    position, quaternion = world.hand_pose()
+    sign = -1.0 if quaternion @ np.array(commanded.quaternion) < 0.0 else 1.0
+    values: list[float] = [*position.tolist(), *(sign * quaternion).tolist()]
+    return values
 
 
 @dataclass(frozen=True)
@@ -61,7 +79,9 @@ class Episode:
         if not fingers:
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
         joints, depth = self.world.finger_positions(), self._penetration()
-        return EpisodeResult(OUTCOME_BY_SHAKES[self._shakes_survived()], joints, len(fingers), depth)
+        settled, touches = settled_pose(self.world, pose), self.world.contact_forces()
+        outcome = OUTCOME_BY_SHAKES[self._shakes_survived()]
+        return EpisodeResult(outcome, joints, len(fingers), depth, settled, touches)
 
     def overlaps(self, trial: TrialSetup) -> bool:
         """Place the open hand; whether any link of it is inside the object."""

@@ -23,7 +23,7 @@ from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.world import World
+from qdgrasp_worker.world import GraspContact, World
 
 REASON_LENGTH = 200
 
@@ -75,7 +75,8 @@ class BatchEvaluator(ABC):
 
     def shape(self, prior: str) -> RowShape:
         """The widths of the rows of this scene with genomes of `prior`."""
-        return RowShape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
+        genes, joints = len(layout(self.scene, prior)), len(self.scene.gripper.joints)
+        return RowShape(genes, joints, descriptors(prior), self.scene.contact_slots)
 
     def _decoder(self, prior: str) -> Decoder:
         if prior not in self._decoders:
@@ -210,6 +211,39 @@ def fill_rows(
     }
     for name, values in columns.items():
         rows[name][places] = values
+    if slots := rows.dtype["contact_links"].shape[0]:
+        rows["settled"][places] = [verdict.settled for verdict in found]
+        for place, verdict in zip(places, found, strict=True):
+            kept = spread_contacts(verdict.touches, slots)
+            rows["contact_links"][place, : len(kept)] = [contact.link for contact in kept]
+            values = np.array([[*contact.point, *contact.normal, contact.force] for contact in kept])
+            rows["contact_points"][place, : values.size] = values.clip(-MAX_HALF, MAX_HALF).reshape(-1)
+
+
+MAX_HALF = float(np.finfo(np.float16).max)
+
+
+def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspContact]:
+    """At most so many of the contacts, far from each other; forces of the others go to the nearest kept.
+
+    The first is the one with the greatest force, each next one the one farthest from all before it. A force
+    goes to the nearest contact of its own link where there is one.
+    """
+    if len(contacts) <= most:
+        return list(contacts)
+    points = np.array([contact.point for contact in contacts])
+    kept = [int(np.argmax([contact.force for contact in contacts]))]
+    distances = np.linalg.norm(points - points[kept[0]], axis=1)
+    while len(kept) < most:
+        kept.append(int(distances.argmax()))
+        distances = np.minimum(distances, np.linalg.norm(points - points[kept[-1]], axis=1))
+    forces = {place: contacts[place].force for place in kept}
+    for place in set(range(len(contacts))) - set(kept):
+        own = [each for each in kept if contacts[each].link == contacts[place].link] or kept
+        forces[min(own, key=lambda each: float(np.linalg.norm(points[each] - points[place])))] += contacts[
+            place
+        ].force
+    return [contacts[place]._replace(force=forces[place]) for place in kept]
 
 
 MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB

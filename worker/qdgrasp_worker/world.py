@@ -8,7 +8,11 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -47,6 +51,9 @@ class HandBody:
         self.fingers = indices_by_name("joint", (joint.name for joint in gripper.joints), moving)
         named = {link.link: index for index, link in enumerate(links)}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, named))
+        self.base_link = named[gripper.base_link]
+        self.link_numbers = {named[name]: number for number, name in enumerate(gripper.links, start=1)}
+        """The number of each link in rows, by its index."""
         self.shaped_links = bullet.shaped_links(self.body)
         self.others = sorted(set(moving.values()) - {*self.carrier, *self.fingers})
 
@@ -96,6 +103,22 @@ def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int])
     return [indices[name] for name in chosen]
 
 
+class GraspContact(NamedTuple):
+    """A contact of the hand with the object."""
+
+    link: int
+    """The hand's link, counted from 1 (`SceneGripper.links`)."""
+    point: Floats
+    """(3,) on the object [m], CoM frame."""
+    normal: Floats
+    """(3,) unit, into the object, CoM frame."""
+    force: float
+    """Along the normal [N]."""
+
+
+HandFrame = tuple[Floats, Floats]
+"""Position (3,) [m] and quaternion (4,) of a hand's base link."""
+NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
 FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
 
@@ -167,6 +190,29 @@ class World:
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object."""
         return self._bullet.contacts(self._hand.body, self._target.body)
+
+    def hand_pose(self) -> HandFrame:
+        """The hand's base link in the object's frame, as both are now."""
+        hand = self._bullet.link_pose(self._hand.body, self._hand.base_link)
+        position, quaternion = (np.array(part) for part in hand)
+        origin, turn = (np.array(part) for part in self._bullet.pose(self._target.body))
+        back = conjugate(turn)
+        return rotate(back, position - origin), multiply(back, quaternion)
+
+    def contact_forces(self) -> list[GraspContact]:
+        """The contacts of the hand's links with the object that bear, or are about to: of the last step."""
+        origin, turn = (np.array(part) for part in self._bullet.pose(self._target.body))
+        back = conjugate(turn)
+        return [
+            GraspContact(
+                self._hand.link_numbers[contact.link],
+                rotate(back, np.array(contact.point) - origin),
+                rotate(back, np.array(contact.normal)),
+                contact.force,
+            )
+            for contact in self._bullet.contact_forces(self._hand.body, self._target.body)
+            if contact.link in self._hand.link_numbers and (contact.force > 0 or contact.distance < NEAR)
+        ]
 
     def has_lost_object(self, pose: HandPose) -> bool:
         """Return whether the hand at `pose`, while it closes, can touch the object no more."""

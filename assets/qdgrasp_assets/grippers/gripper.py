@@ -184,6 +184,7 @@ class Gripper:
             standoff=file.standoff,
             jaw=file.jaw and Jaw(axis=unit_vector(file.jaw.axis), opening=file.jaw.opening),
             extent=self._extent(element, meshes),
+            links=self.robot.subtree(file.base_link).links,
         )
 
     def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:

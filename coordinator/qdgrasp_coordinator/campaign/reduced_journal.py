@@ -6,7 +6,7 @@ Runs that several folders hold are found by their search and digest, and counted
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import msgspec
@@ -124,8 +124,8 @@ def common_shape(folders: Iterable[RunFolder]) -> RowShape:
     for folder in folders:
         with folder.journal() as journal:
             shapes.append(journal.shape)
-    genes, joints, descriptors = zip(*((s.genes, s.joints, s.descriptors) for s in shapes), strict=True)
-    return RowShape(max(genes), max(joints), max(descriptors))
+    widths = zip(*map(astuple, shapes), strict=True)
+    return RowShape(*map(max, widths))
 
 
 @dataclass(frozen=True)

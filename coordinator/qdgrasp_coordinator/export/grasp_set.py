@@ -8,7 +8,7 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, multiply
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
@@ -18,7 +18,7 @@ from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
@@ -26,18 +26,25 @@ GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 
 
 class Grasp(NamedTuple):
-    """One grasp: the pose of the hand's root link in the frame of the object's mesh file."""
+    """One grasp: two poses of the hand's root link in the frame of the object's mesh file.
+
+    The commanded pose goes with the joints `pregrasp`, the settled pose with the joints `joints`.
+    """
 
     number: int
     """Number of its row in the journal, from 0, as in `qdgrasp show DIR --grasp NUMBER`."""
     position: Floats
-    """(3,) x y z [m]."""
+    """(3,) x y z [m] of the commanded pose, before closing."""
     quaternion_xyzw: Floats
     """(4,), unit to the accuracy of float32."""
-    joints: NDArray[np.float32]
-    """(j,) finger joints at the grasp [rad or m], in the gripper's order."""
     pregrasp: NDArray[np.float32]
-    """(j,) finger joints that the hand starts from."""
+    """(j,) finger joints that the hand starts from [rad or m], in the gripper's order."""
+    settled_position: Floats
+    """(3,) x y z [m] of the settled pose, after closing; the commanded one where it was not recorded."""
+    settled_quaternion_xyzw: Floats
+    """(4,), unit to the accuracy of float32."""
+    joints: NDArray[np.float32]
+    """(j,) finger joints at the grasp."""
     synergy: str
     """The synergy that closes the hand; empty: all driven joints."""
     outcome: Outcome
@@ -47,6 +54,19 @@ class Grasp(NamedTuple):
     """The estimated probability of transfer; NaN where it is not known."""
     confidence: float
     """0 to 1."""
+
+
+class GraspContacts(NamedTuple):
+    """Contacts of n grasps in k slots each, object's centre-of-mass frame; empty slots hold zeros."""
+
+    links: NDArray[np.uint8]
+    """(n, k): the hand's link, counted from 1 in `SceneGripper.links`; 0: no contact in this slot."""
+    points: Floats
+    """(n, k, 3) [m], on the object."""
+    normals: Floats
+    """(n, k, 3), unit, into the object."""
+    forces: Floats
+    """(n, k) [N], along the normal."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,8 +122,10 @@ class Grasps:
             number=int(self.numbers[place]),
             position=self._in_mesh[place, :3],
             quaternion_xyzw=self._in_mesh[place, 3:],
-            joints=row["joints"],
             pregrasp=self.pregrasp[place],
+            settled_position=self._settled_in_mesh[place, :3],
+            settled_quaternion_xyzw=self._settled_in_mesh[place, 3:],
+            joints=row["joints"],
             synergy=names[self.synergies[place]],
             outcome=Outcome(row["outcome"]),
             fitness=float(row["fitness"]),
@@ -114,6 +136,10 @@ class Grasps:
     @cached_property
     def _in_mesh(self) -> Floats:
         return self.poses(MESH)
+
+    @cached_property
+    def _settled_in_mesh(self) -> Floats:
+        return self.settled_poses(MESH)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -179,7 +205,7 @@ class Grasps:
         return self.starts[:, self.starts.shape[1] - count :]
 
     def poses(self, frame: Frame = MESH) -> Floats:
-        """(n, 7): the hand's root link, x y z [m] and quaternion xyzw, as simulated.
+        """(n, 7): the hand's root link as commanded, x y z [m] and quaternion xyzw: with open fingers.
 
         `frame` "mesh" is that of the object's mesh file, in metres; "com" has the same axes at the centre of
         mass. Raises UnknownName if it is neither.
@@ -187,8 +213,43 @@ class Grasps:
         poses = self.rows["base_to_object"].astype(np.float64)
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
+    def settled_poses(self, frame: Frame = MESH) -> Floats:
+        """(n, 7): the hand's root link after closing, before any disturbance: with the joints `joints`.
+
+        While the hand closes the object moves, so that this pose in its frame differs from the commanded one
+        (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
+        """
+        poses = self.poses(COM)
+        poses[self.is_settled] = self.rows["settled"][self.is_settled]
+        return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
+
+    @cached_property
+    def is_settled(self) -> NDArray[np.bool_]:
+        """(n,): True where the settled pose is recorded: of successes, in runs later than version 0.1.0."""
+        return np.asarray(self.rows["settled"].any(axis=1))
+
+    @cached_property
+    def motion(self) -> Floats:
+        """(n, 2): how far the object moved in the hand while it closed [m], and turned [rad].
+
+        The way of its centre of mass. NaN where the settled pose is not recorded.
+        """
+        before, after = self.poses(COM), self.settled_poses(COM)
+        ways = [rotate(conjugate(poses[:, 3:]), -poses[:, :3]) for poses in (before, after)]
+        cosines = np.abs((before[:, 3:] * after[:, 3:]).sum(axis=1)).clip(0.0, 1.0)
+        moved = np.column_stack([np.linalg.norm(ways[1] - ways[0], axis=1), 2.0 * np.arccos(cosines)])
+        return np.where(self.is_settled[:, None], moved, np.nan)
+
+    @cached_property
+    def contacts(self) -> "GraspContacts":
+        """Contacts of the hand with the object after closing."""
+        values = self.rows["contact_points"].astype(np.float64).reshape(len(self), -1, CONTACT_VALUES)
+        return GraspContacts(
+            np.asarray(self.rows["contact_links"]), values[..., :3], values[..., 3:6], values[..., 6]
+        )
+
     def matrices(self, frame: Frame = MESH) -> Floats:
-        """(n, 4, 4): the poses as homogeneous matrices."""
+        """(n, 4, 4): the commanded poses as homogeneous matrices."""
         return to_matrices(self.poses(frame))
 
 

@@ -100,7 +100,8 @@ class RunIdentity:
     def of(cls, asked: OpenRun) -> Self:
         """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
         spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
-        return cls(asked.run, spec, asked.scene, RowShape(asked.genes, asked.joints, asked.descriptors))
+        shape = RowShape(asked.genes, asked.joints, asked.descriptors, asked.contact_slots)
+        return cls(asked.run, spec, asked.scene, shape)
 
     @property
     def for_journal(self) -> JournalIdentity:

@@ -119,7 +119,7 @@ def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
     if len(result.failures) == result.n:
         return result, shape.empty(result.n)
     try:
-        rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
+        rows = unpack(shape.empty(result.n), RESULT, result.columns)
         greatest = int(rows["outcome"].max())
         if greatest > max(Outcome):
             raise MessageError(

@@ -215,7 +215,8 @@ def plan_genomes(
 
 def row_shape(scene: Scene, prior: str) -> RowShape:
     """Return the shape of a scene's rows."""
-    return RowShape(len(layout(scene, prior)), len(scene.gripper.joints), descriptors(prior))
+    joints = len(scene.gripper.joints)
+    return RowShape(len(layout(scene, prior)), joints, descriptors(prior), scene.contact_slots)
 
 
 CompareRow = Callable[[int, np.void, str], None]

@@ -1,8 +1,8 @@
 """The journal of a run: every evaluation in order, in `run.sqlite` (docs/run-folder.md).
 
-Rows are kept as blocks of structured arrays (`rows.RowShape.dtype`), one transaction per group of rows;
-beside them stand the successes with what queries need, reasons of errors, the spec and the platform. One
-process writes; any number may read while it does, each sees the journal as it was when it was opened.
+Rows are kept as deflated blocks of structured arrays (`rows.RowShape.dtype`), one transaction per group of
+rows; beside them stand the successes with what queries need, reasons of errors, the spec and the platform.
+One process writes; any number may read while it does, each sees the journal as it was when it was opened.
 """
 
 import json
@@ -22,6 +22,8 @@ from qdgrasp_coordinator.storage.journal_schema import (
     APPLICATION,
     FILE,
     FORMAT,
+    OLD_FORMAT,
+    OLD_REDUCED,
     REDUCED,
     JournalIdentity,
     JournalSource,
@@ -44,7 +46,7 @@ class Journal:
     def __init__(self, database: sqlite3.Connection, file: Path) -> None:
         self._database = database
         self._file = file
-        self._check_format()
+        self._format = self._known_format()
         meta = self._meta()
         self.run = meta["run"]
         self.scene = meta["scene"]
@@ -196,14 +198,22 @@ class Journal:
         with explaining_read_errors(self._file), self._reading(query, stop, first) as found:
             for number, n, cpu_seconds, crc, blob in found:
                 follows = number <= first if expected is None else number == expected
-                if not follows or len(blob) != n * self.shape.dtype.itemsize or zlib.crc32(blob) != crc:
+                rows = self._block(blob, n) if follows and zlib.crc32(blob) == crc else None
+                if rows is None:
                     raise damaged_file(
                         self._file, f"rows {number} to {number + n - 1} are not what was recorded"
                     )
-                rows = np.frombuffer(blob, dtype=self.shape.dtype)
                 here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
                 yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
                 expected = number + n
+
+    def _block(self, blob: bytes, n: int) -> Rows | None:
+        """The n rows in a block's blob; None: it holds other bytes than n rows have."""
+        size = self.shape.dtype.itemsize
+        if self._format in (FORMAT, REDUCED):
+            by_place = np.frombuffer(zlib.decompress(blob), dtype=np.uint8)
+            blob = by_place.reshape(size, -1).T.tobytes()
+        return np.frombuffer(blob, dtype=self.shape.dtype) if len(blob) == n * size else None
 
     @contextmanager
     def _reading(self, query: str, *values: object) -> Iterator[sqlite3.Cursor]:
@@ -219,22 +229,23 @@ class Journal:
         return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}
 
     def _sources(self) -> tuple[JournalSource, ...]:
-        if self._all("PRAGMA user_version")[0][0] != REDUCED:
+        if self._format not in (REDUCED, OLD_REDUCED):
             return ()
         found = self._all("SELECT source FROM sources ORDER BY number")
         return tuple(msgspec.json.decode(text, type=JournalSource) for (text,) in found)
 
-    def _check_format(self) -> None:
+    def _known_format(self) -> int:
         (application,), (number,) = (
             self._all(f"PRAGMA {name}")[0] for name in ("application_id", "user_version")
         )
         if application != APPLICATION:
             raise FolderError(f"{self._file} is not a journal of qdgrasp.")
-        if number not in (FORMAT, REDUCED):
+        if number not in (known := (OLD_FORMAT, OLD_REDUCED, FORMAT, REDUCED)):
             raise FolderError(
-                f"{self._file} is of format {number}, this version of qdgrasp reads format {FORMAT} and "
-                f"{REDUCED}; use the version that wrote it."
+                f"{self._file} is of format {number}, this version of qdgrasp reads the formats "
+                f"{', '.join(map(str, known))}; use the version that wrote it."
             )
+        return int(number)
 
     def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         with explaining_read_errors(self._file):

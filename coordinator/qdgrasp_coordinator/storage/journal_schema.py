@@ -54,8 +54,9 @@ class JournalSource(Struct, frozen=True, kw_only=True):
 
 FILE = JOURNAL
 APPLICATION = 0x71646772  # "qdgr"
-FORMAT = 1
-REDUCED = 2  # The format of a journal that keeps successes alone (`reduction`)
+FORMAT = 3
+REDUCED = 4  # The format of a journal that keeps successes alone (`reduced_journal`)
+OLD_FORMAT, OLD_REDUCED = 1, 2  # The same of version 0.1.0, with blocks of rows as they are
 UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
 NO_ROOM = {
     sqlite3.SQLITE_FULL,
@@ -75,8 +76,9 @@ CREATE TABLE blocks (
     n INTEGER NOT NULL,
     epoch INTEGER NOT NULL,
     cpu_seconds REAL NOT NULL, -- what the rows cost on their workers
-    crc INTEGER NOT NULL,      -- crc32 of rows
-    rows BLOB NOT NULL         -- packed rows, little-endian, the dtype of rows.Shape
+    crc INTEGER NOT NULL,      -- crc32 of the blob
+    rows BLOB NOT NULL         -- rows of the dtype of rows.RowShape: their first bytes, their second bytes,
+                               -- and so on, deflated (zlib)
 ) STRICT;
 CREATE TABLE successes (       -- every success ever found, fitness 0 included
     row INTEGER PRIMARY KEY,

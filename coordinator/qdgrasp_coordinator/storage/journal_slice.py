@@ -7,7 +7,7 @@ import numpy as np
 
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Recordable
-from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, deflated, pack, unpack
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
         first=part.first,
         n=len(part),
         **asdict(shape),
-        columns=pack(part.rows, COLUMNS),
+        columns=deflated(pack(part.rows, COLUMNS)),
         cpu_seconds=part.cpu_seconds,
         failures=list(part.failures),
     )
@@ -75,10 +75,10 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
 
 def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
     """Return the slice in a message; raise `MessageError` for other rows or unknown failed rows."""
-    came = RowShape(message.genes, message.joints, message.descriptors)
+    came = RowShape(message.genes, message.joints, message.descriptors, message.contact_slots)
     if came != shape:
         raise MessageError(f"expected rows of {shape}, got {came}")
     if any(failure.row >= message.n for failure in message.failures):
         raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
-    rows = unpack(shape.empty(message.n), COLUMNS, message.columns, shape)
+    rows = unpack(shape.empty(message.n), COLUMNS, message.columns)
     return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import (
     FILE,
+    FORMAT,
     NO_ROOM,
     JournalIdentity,
     create_tables,
@@ -75,7 +76,7 @@ class JournalWriter(Journal):
         if part.first != self.count:
             raise ValueError(f"row {self.count} is next, got {part.first}")
         with self._transaction():
-            insert_rows(self._database, part, epoch)
+            insert_rows(self._database, part, epoch, deflates=self._format == FORMAT)
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
     def set_platform(self, platform: dict[str, str]) -> None:
@@ -103,9 +104,14 @@ class JournalWriter(Journal):
                 raise
 
 
-def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) -> None:
-    """Add rows to the tables of a journal, within a transaction."""
+def insert_rows(
+    database: sqlite3.Connection, part: JournalSlice, epoch: int, *, deflates: bool = True
+) -> None:
+    """Add rows to the tables of a journal, within a transaction; one of version 0.1.0 does not deflate."""
     blob = part.rows.tobytes()
+    if deflates:
+        by_row = np.frombuffer(blob, dtype=np.uint8).reshape(len(part), part.rows.dtype.itemsize)
+        blob = zlib.compress(by_row.T.tobytes())
     block = (part.first, len(part), epoch, part.cpu_seconds, zlib.crc32(blob), blob)
     errors = [(part.first + failure.row, failure.reason) for failure in part.failures]
     database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)

@@ -1,7 +1,7 @@
 """Files and folders that a command writes, and the names of those that make a run or a job.
 
-One rule for all outputs (docs/decisions/outputs-appear-whole.md). Whether they can be written is looked at
-before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is
+One rule for all outputs (docs/decisions/0012-outputs-and-exports.md). Whether they can be written is looked
+at before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is
 part of a run always stays. Folders on the way are made when there is something to write. An output appears
 whole or not at all.
 """

@@ -10,9 +10,8 @@ from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta, known_scores
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import SuccessPage
-from qdgrasp_protocol.rows import FLOAT_ITEM, NO_SYNERGY, RowColumn, Rows
+from qdgrasp_protocol.rows import NO_SYNERGY, RESULT, RowColumn, Rows, RowShape, deflated, pack, unpack
 
 NO_ETA = -1.0  # Placeholder for an eta that is not known
 
@@ -60,6 +59,11 @@ SUCCESS_COLUMNS = (
         "synergy", "<i2", "1", "the synergy that closed the hand, by its place in the gripper; -1: none"
     ),
     RowColumn("eta", "<f4", "1", "estimated probability of transfer; -1 where not all trials are recorded"),
+    *(
+        column
+        for column in RESULT
+        if column.name in ("contacts", "penetration", "settled", "contact_links", "contact_points")
+    ),
 )
 MOST_SUCCESSES = 4096  # The most finds in one answer
 MOST_BYTES = 1 << 20  # The most bytes of all columns of one answer
@@ -68,19 +72,19 @@ SuccessTable = NDArray[np.void]  # A structured array with the dtype of `success
 
 
 @cache
-def success_dtype(joints: int) -> np.dtype[np.void]:
-    """The dtype of finds of a hand with so many joints."""
-    return np.dtype([(column.name, column.item, _width(column, joints)) for column in SUCCESS_COLUMNS])
+def success_dtype(joints: int, contact_slots: int) -> np.dtype[np.void]:
+    """The dtype of finds of a hand with so many joints, with room for so many contacts."""
+    return RowShape(0, joints, contact_slots=contact_slots).dtype_of(SUCCESS_COLUMNS)
 
 
-def page_limit(joints: int) -> int:
-    """The most finds in one answer about a hand with so many joints."""
-    return min(MOST_SUCCESSES, MOST_BYTES // success_dtype(joints).itemsize)
+def page_limit(shape: RowShape) -> int:
+    """The most finds in one answer about rows of a shape."""
+    return min(MOST_SUCCESSES, MOST_BYTES // success_dtype(shape.joints, shape.contact_slots).itemsize)
 
 
-def success_table(rows: Rows, joints: int, **columns: NDArray[np.number]) -> SuccessTable:
+def success_table(rows: Rows, shape: RowShape, **columns: NDArray[np.number]) -> SuccessTable:
     """Return successes (n,) as finds (n,); the others are the columns number, synergy and eta."""
-    finds = np.zeros(len(rows), dtype=success_dtype(joints))
+    finds = np.zeros(len(rows), dtype=success_dtype(shape.joints, shape.contact_slots))
     for column in SUCCESS_COLUMNS:
         values = columns[column.name] if column.name in columns else rows[column.name]
         finds[column.name] = values[..., :3] if column.name == "descriptor" else values
@@ -88,8 +92,8 @@ def success_table(rows: Rows, joints: int, **columns: NDArray[np.number]) -> Suc
 
 
 def success_columns(finds: SuccessTable) -> dict[str, bytes]:
-    """Return the columns of successes as bytes, by name."""
-    return {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+    """Return the columns of successes as bytes, by name, as they travel."""
+    return deflated(pack(finds, SUCCESS_COLUMNS))
 
 
 def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) -> SuccessPage:
@@ -102,6 +106,7 @@ def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) 
         rows=journal.count,
         n=len(finds),
         joints=journal.shape.joints,
+        contact_slots=journal.shape.contact_slots,
         columns=success_columns(finds),
     )
 
@@ -112,23 +117,8 @@ def page_from_message(message: SuccessPage) -> SuccessTable:
     Raises `MessageError` where a column is missing, of the wrong length, or holds a number that is not
     finite.
     """
-    dtype = success_dtype(message.joints)
-    finds = np.zeros(message.n, dtype=dtype)
-    for column in SUCCESS_COLUMNS:
-        blob, expected = message.columns.get(column.name, b""), message.n * dtype[column.name].itemsize
-        if len(blob) != expected:
-            raise MessageError(f"column '{column.name}' has {len(blob)} bytes, expected {expected}")
-        values = np.frombuffer(blob, dtype=column.item)
-        if column.item == FLOAT_ITEM and not np.isfinite(values).all():
-            raise MessageError(f"column '{column.name}' holds a number that is not finite")
-        finds[column.name] = values.reshape(finds[column.name].shape)
-    return finds
-
-
-def _width(column: RowColumn, joints: int) -> tuple[int, ...]:
-    if column.width == "1":
-        return ()
-    return (int(column.width) if column.width.isdigit() else joints,)
+    finds = np.zeros(message.n, dtype=success_dtype(message.joints, message.contact_slots))
+    return unpack(finds, SUCCESS_COLUMNS, message.columns)
 
 
 ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where the first success's trials lie farther off
@@ -146,7 +136,7 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
     numbers, successes = first + np.flatnonzero(is_success), rows[is_success]
     finds = success_table(
         successes,
-        journal.shape.joints,
+        journal.shape,
         number=numbers,
         synergy=context.synergies(successes, numbers),
         eta=context.etas(rows),
@@ -155,7 +145,7 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
     upto = int(lacking[0]) if len(lacking) else first + len(rows)
     if not is_last:
         finds = finds[finds["number"] < upto]
-    if len(finds) > (most := page_limit(journal.shape.joints)):
+    if len(finds) > (most := page_limit(journal.shape)):
         return finds[:most], min(upto, int(finds["number"][most]))
     return finds, upto
 

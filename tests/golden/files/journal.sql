@@ -1,5 +1,5 @@
 PRAGMA application_id = 1902405490;
-PRAGMA user_version = 1;
+PRAGMA user_version = 3;
 PRAGMA page_size = 4096;
 PRAGMA journal_mode = wal;
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
@@ -13,8 +13,9 @@ CREATE TABLE blocks (
     n INTEGER NOT NULL,
     epoch INTEGER NOT NULL,
     cpu_seconds REAL NOT NULL, -- what the rows cost on their workers
-    crc INTEGER NOT NULL,      -- crc32 of rows
-    rows BLOB NOT NULL         -- packed rows, little-endian, the dtype of rows.Shape
+    crc INTEGER NOT NULL,      -- crc32 of the blob
+    rows BLOB NOT NULL         -- rows of the dtype of rows.RowShape: their first bytes, their second bytes,
+                               -- and so on, deflated (zlib)
 ) STRICT;
 CREATE TABLE successes (       -- every success ever found, fitness 0 included
     row INTEGER PRIMARY KEY,

@@ -6,6 +6,7 @@ Pure: no process, no clock. Time is passed in, in seconds of any steady clock.
 from dataclasses import dataclass, field
 
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
+from qdgrasp_protocol.rows import deflated
 from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResult
 
 
@@ -93,7 +94,10 @@ class BatchProgress:
             n=work.n,
             joints=shape.joints,
             descriptors=shape.descriptors,
-            columns={name: self._column(name, len(blob) // shape.n) for name, blob in shape.columns.items()},
+            contact_slots=shape.contact_slots,
+            columns=deflated(
+                {name: self._column(name, len(blob) // shape.n) for name, blob in shape.columns.items()}
+            ),
             cpu_seconds=self.cpu_seconds,
             failures=self._failures,
         )

@@ -76,7 +76,7 @@ class SimulatorMain:
         shape = evaluator.shape(request.prior)
         if request.genes != shape.genes:
             raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
-        rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
+        rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns)
         failures: list[Failure] = []
         sent, sent_at, began = 0, time.monotonic(), time.process_time()
         for piece in slices(request.n, 1 if request.is_careful else evaluator.at_once):
@@ -93,6 +93,7 @@ class SimulatorMain:
                     n=len(part),
                     joints=shape.joints,
                     descriptors=shape.descriptors,
+                    contact_slots=shape.contact_slots,
                     columns=pack(part, RESULT),
                     failures=failures,
                     cpu_seconds=ended - began,

@@ -66,6 +66,7 @@ class PartialResult(SimulatorMessage, frozen=True, kw_only=True):
     n: int
     joints: int = 0
     descriptors: int = 0
+    contact_slots: int = 0
     columns: dict[str, bytes] = {}
     """All of `rows.RESULT`; rows named in `failures` hold zeros."""
     failures: list[Failure] = []

@@ -210,7 +210,7 @@ def finds(
     etas: ArrayLike = -1,
 ) -> SuccessTable:
     """Return finds with journal numbers (n,), cells (n, 3), outcomes (n,) and so on."""
-    made = np.zeros(len(np.asarray(numbers)), success_dtype(joints))
+    made = np.zeros(len(np.asarray(numbers)), success_dtype(joints, contact_slots=2))
     made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
     made["descriptor"] = np.asarray(places) / 100
     made["base_to_object"][:, :3] = made["descriptor"]
