@@ -25,7 +25,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_mes
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import VERSION, Join, Open, OpenRun, Result, Work
-from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, deflated, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = RowShape(genes=7, joints=2)
@@ -148,7 +148,7 @@ def _result(work: Work, shape: RowShape, rows: Rows) -> Result:
         n=work.n,
         joints=shape.joints,
         descriptors=shape.descriptors,
-        columns=pack(rows, RESULT),
+        columns=deflated(pack(rows, RESULT)),
         cpu_seconds=0.1,
     )
 

@@ -32,7 +32,7 @@ from qdgrasp_protocol.errors import BusError, NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, pack
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, deflated, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -129,7 +129,7 @@ def _result(wid: str, epoch: int, run: str, found: Rows, seconds: float) -> byte
             n=len(found),
             joints=SHAPE.joints,
             descriptors=SHAPE.descriptors,
-            columns=pack(found, RESULT),
+            columns=deflated(pack(found, RESULT)),
             cpu_seconds=seconds,
             **_MARKS,
         )

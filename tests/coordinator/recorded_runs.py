@@ -1,5 +1,6 @@
 """Runs made by hand, in folders: what they recorded, and on which scene."""
 
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,15 @@ def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
     rows["descriptor"] = rows["base_to_object"][:, :3]
     rows["nu"], rows["surface_point"] = random.uniform(0, np.pi, n), 0.01
     return rows
+
+
+def spoil_block(journal: Path, first: int) -> None:
+    """Change one bit in the middle of the block that begins with a row."""
+    with sqlite3.connect(journal) as database:
+        ((blob,),) = database.execute("SELECT rows FROM blocks WHERE first = ?", (first,))
+        spoilt = bytearray(blob)
+        spoilt[len(blob) // 2] ^= 1
+        database.execute("UPDATE blocks SET rows = ? WHERE first = ?", (spoilt, first))
 
 
 def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:

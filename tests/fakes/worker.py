@@ -18,7 +18,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, deflated, pack, unpack
 from qdgrasp_worker.runtime.background_requests import SceneStore
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
@@ -85,7 +85,7 @@ class FakeWorker:
             **{name: getattr(work, name) for name in same},
             wid=self._wid,
             joints=SHAPE.joints,
-            columns=pack(found, RESULT),
+            columns=deflated(pack(found, RESULT)),
             cpu_seconds=0.001,
             failures=[Failure(row=row, reason="poison") for row in failed],
         )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.golden.runs import RECORDED, carry_out, command, digest, golden
+from tests.golden.runs import RECORDED, carry_out, command, digests_of, golden
 
 import qdgrasp
 from qdgrasp import Outcome
@@ -34,7 +34,7 @@ def test_a_finished_run_is_read(home: Path, recorded_digest: str) -> None:
     assert run.summary.complete
     assert (run.summary.successes, run.summary.grasps, run.summary.robust) == (29, 28, 21)
     assert len(run.grasps()) == 28
-    assert command(home, "digest", "finished").strip() == digest(home / "finished") == recorded_digest
+    assert command(home, "digest", "finished").strip() == digests_of(home / "finished")["digest"] == recorded_digest
 
 
 def test_a_run_that_was_begun_has_the_first_rows(home: Path) -> None:
@@ -76,5 +76,5 @@ def test_a_run_that_was_begun_by_any_version_is_gone_on_with(
         change = "UPDATE meta SET value = replace(value, '0.1.0', ?) WHERE name = 'platform'"
         database.execute(change, (version,))
     carry_out(home, "resume", "begun")
-    assert digest(home / "begun") == recorded_digest
+    assert digests_of(home / "begun")["digest"] == recorded_digest
     assert qdgrasp.open(home / "begun").summary.platform["qdgrasp"] == version

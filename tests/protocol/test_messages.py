@@ -151,7 +151,7 @@ def test_what_is_no_message_within_the_limits_is_refused(payload: bytes) -> None
 @pytest.mark.parametrize(
     "change",
     [
-        *({"v": version} for version in (0, 2)),
+        *({"v": version} for version in (0, messages.VERSION + 1)),
         *({"epoch": epoch} for epoch in (-1, 2**63, 1.0, True, None)),
         *({"run": run} for run in ("", "Run", "run\n", "a/b", b"run")),
         *({"more": 1}, {"trouble": "x" * 201}),

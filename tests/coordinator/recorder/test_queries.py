@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import asdict
-from tests.coordinator.recorded_runs import random_rows, record, record_spec
+from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
@@ -101,10 +101,7 @@ def test_what_is_counted_in_part_is_counted_on(folder, opened, monkeypatch) -> N
 def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_answer(tmp_path: Path) -> None:
     rows = random_rows(300)
     made = record_spec(tmp_path / "mug", RunSpec(gripper="jaw", object="block.stl"), rows, block=100)
-    journal = made.path / "run.sqlite"
-    content = bytearray(journal.read_bytes())
-    content[content.index(rows[250:252].tobytes())] ^= 1
-    journal.write_bytes(content)
+    spoil_block(made.path / "run.sqlite", 200)
     counted = RunIndex(made.path)
     assert [counted.page(0).runs for _ in range(3)] == [[]] * 3
 

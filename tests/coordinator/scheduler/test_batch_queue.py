@@ -12,7 +12,7 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
 )
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
 from qdgrasp_protocol.messages import Result
-from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, deflated, pack
 
 SHAPE = RowShape(genes=2, joints=1)
 
@@ -20,7 +20,7 @@ SHAPE = RowShape(genes=2, joints=1)
 def result(outcomes: list[int]) -> Result:
     rows = SHAPE.empty(len(outcomes))
     rows["outcome"] = outcomes
-    return result_message(n=len(outcomes), columns=pack(rows, RESULT))
+    return result_message(n=len(outcomes), columns=deflated(pack(rows, RESULT)))
 
 
 def test_the_rows_of_a_result_are_read() -> None:
