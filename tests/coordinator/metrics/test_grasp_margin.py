@@ -97,21 +97,26 @@ def test_linear_programs_come_down_to_the_margin_of_a_tetrahedron(friction: floa
 
 @pytest.mark.parametrize("torsion", [0.0, 0.1])
 @pytest.mark.parametrize("contacts", [4, 8])
-def test_no_direction_is_reached_less_far_than_the_margin(contacts: int, torsion: float) -> None:
-    """And the least of the directions about the worst one comes down to it."""
+def test_no_sampled_direction_is_reached_less_far_than_the_margin(contacts: int, torsion: float) -> None:
+    """And the least of ever closer samples comes down to it in most grasps; in others, it ends above a
+    facet that is farther away."""
     generator = np.random.default_rng(contacts)
-    closed = 0
+    excesses = []
     for seed in range(10):
         wrenches = wrenches_of(seed, contacts, torsion)
-        found, worst, spread = ball_radius(wrenches), np.zeros(6), 1.0
-        closed += found > 0
-        for _ in range(40):
-            directions = unit(worst + spread * generator.normal(size=(3000, 6)))
+        found = ball_radius(wrenches)
+        worst, spread, least = np.zeros(6), 1.0, np.inf
+        for count in [20_000] + 40 * [500]:
+            directions = unit(worst + spread * generator.normal(size=(count, 6)))
             reached = (directions @ wrenches.T).max(axis=1)
-            assert reached.min() >= found - 1e-8 or not found
-            worst, spread = directions[reached.argmin()], spread * 0.7
-        assert reached.min() <= 0 if not found else reached.min() >= found - 1e-8
-    assert closed >= 4
+            worst, spread, least = directions[reached.argmin()], spread * 0.8, min(least, reached.min())
+        if found:
+            assert least >= found - 1e-8
+            excesses.append(least / found - 1)
+        else:
+            assert least <= 0
+    assert len(excesses) >= 4
+    assert np.median(excesses) < 0.1
 
 
 @pytest.mark.parametrize("torsion", [0.0, 0.02])
@@ -143,7 +148,9 @@ def test_contacts_in_one_place_are_as_good_as_one_of_them() -> None:
     points, normals = on_ellipsoid(3, 6)
     once = margin(points, normals)
     assert once > 0.0
-    assert margin(np.repeat(points, 2, axis=0), np.repeat(normals, 2, axis=0)) == pytest.approx(once, abs=FLOAT32)
+    assert margin(np.repeat(points, 2, axis=0), np.repeat(normals, 2, axis=0)) == pytest.approx(
+        once, abs=FLOAT32
+    )
 
 
 def test_an_eighth_of_a_turn_about_z_turns_the_pyramids_into_themselves() -> None:
