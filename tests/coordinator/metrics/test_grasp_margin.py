@@ -95,6 +95,14 @@ def test_linear_programs_come_down_to_the_margin_of_a_tetrahedron(friction: floa
     assert found == pytest.approx(min(bounds), abs=FLOAT32)
 
 
+def test_the_pyramid_and_the_torsion_of_a_contact_lie_about_its_push() -> None:
+    points, normals = on_ellipsoid(0, 5)
+    wrenches = primitive_wrenches(points, normals, 0.5, 2.0, 0.1, 8)
+    push = np.concatenate([normals, np.cross(points, normals) / 2.0], axis=1)
+    np.testing.assert_allclose(wrenches[:, :8].mean(axis=1), push, atol=1e-12)
+    np.testing.assert_allclose(wrenches[:, 8:].mean(axis=1), push, atol=1e-12)
+
+
 @pytest.mark.parametrize("torsion", [0.0, 0.1])
 @pytest.mark.parametrize("contacts", [4, 8])
 def test_no_sampled_direction_is_reached_less_far_than_the_margin(contacts: int, torsion: float) -> None:
