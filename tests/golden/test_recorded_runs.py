@@ -34,7 +34,11 @@ def test_a_finished_run_is_read(home: Path, recorded_digest: str) -> None:
     assert run.summary.complete
     assert (run.summary.successes, run.summary.grasps, run.summary.robust) == (29, 28, 21)
     assert len(run.grasps()) == 28
-    assert command(home, "digest", "finished").strip() == digests_of(home / "finished")["digest"] == recorded_digest
+    assert (
+        command(home, "digest", "finished").strip()
+        == digests_of(home / "finished")["digest"]
+        == recorded_digest
+    )
 
 
 def test_a_run_that_was_begun_has_the_first_rows(home: Path) -> None:

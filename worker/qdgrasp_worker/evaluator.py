@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -224,25 +225,24 @@ MAX_HALF = float(np.finfo(np.float16).max)
 
 
 def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspContact]:
-    """At most so many of the contacts, far from each other; forces of the others go to the nearest kept.
+    """At most so many of the contacts, far from each other, that bear the forces of all.
 
-    The first is the one with the greatest force, each next one the one farthest from all before it. A force
-    goes to the nearest contact of its own link where there is one.
+    The first is the one with the greatest force, each next one the one farthest from all before it. The force
+    of one that is left out goes to the nearest contact of its own link, or of any where its link has none.
     """
     if len(contacts) <= most:
         return list(contacts)
     points = np.array([contact.point for contact in contacts])
+    offsets = points[:, None] - points[None]
+    apart = dot(offsets, offsets)
     kept = [int(np.argmax([contact.force for contact in contacts]))]
-    distances = np.linalg.norm(points - points[kept[0]], axis=1)
     while len(kept) < most:
-        kept.append(int(distances.argmax()))
-        distances = np.minimum(distances, np.linalg.norm(points - points[kept[-1]], axis=1))
+        kept.append(int(apart[:, kept].min(axis=1).argmax()))
     forces = {place: contacts[place].force for place in kept}
-    for place in set(range(len(contacts))) - set(kept):
-        own = [each for each in kept if contacts[each].link == contacts[place].link] or kept
-        forces[min(own, key=lambda each: float(np.linalg.norm(points[each] - points[place])))] += contacts[
-            place
-        ].force
+    for place, contact in enumerate(contacts):
+        if place not in kept:
+            own = [each for each in kept if contacts[each].link == contact.link] or kept
+            forces[min(own, key=lambda each: float(apart[place, each]))] += contact.force
     return [contacts[place]._replace(force=forces[place]) for place in kept]
 
 

@@ -237,7 +237,9 @@ def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, recorde
 
 def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, recorded, runs) -> None:
     heavy = recorded("heavy", random_rows(N), "other", mass=2.5)
-    with pytest.raises(InputError, match=r"different scenes.*differ in mass \((0\.1 and 2\.5|2\.5 and 0\.1)\)"):
+    with pytest.raises(
+        InputError, match=r"different scenes.*differ in mass \((0\.1 and 2\.5|2\.5 and 0\.1)\)"
+    ):
         merge_runs([runs[0], heavy], tmp_path / "all")
     same = recorded("same", random_rows(N), "other")
     with pytest.raises(InputError, match="the scene's files or the version of qdgrasp"):
