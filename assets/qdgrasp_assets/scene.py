@@ -136,11 +136,20 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     """uint32 (f, 3), outward winding."""
 
     @property
+    def vertices(self) -> NDArray[np.float32]:
+        """(v, 3) [m]: the vertices of the surface mesh, CoM frame."""
+        return np.frombuffer(self.mesh_vertices, dtype="<f4").reshape(-1, 3)
+
+    @property
     def triangles(self) -> NDArray[np.float32]:
         """(f, 3, 3) [m]: the corners of the surface mesh's triangles, CoM frame."""
-        vertices = np.frombuffer(self.mesh_vertices, dtype="<f4").reshape(-1, 3)
-        corners: NDArray[np.float32] = vertices[np.frombuffer(self.mesh_faces, dtype="<u4").reshape(-1, 3)]
+        corners: NDArray[np.float32] = self.vertices[np.frombuffer(self.mesh_faces, "<u4").reshape(-1, 3)]
         return corners
+
+    @property
+    def radius(self) -> float:
+        """Greatest distance of the surface mesh from the centre of mass [m]."""
+        return float(np.sqrt((self.vertices.astype(np.float64) ** 2).sum(axis=1).max()))
 
 
 class Scene(Struct, frozen=True, kw_only=True):

@@ -11,6 +11,7 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.export.grasp_set import Grasps, read_run, select_grasps
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Layout, Rows
@@ -51,7 +52,17 @@ class Run:
         """The figures that `qdgrasp info` prints, counted from the journal."""
         return run_summary(self._folder)
 
-    def grasps(self, *, min_fitness: float = 1, top: int | None = None, diverse: int | None = None) -> Grasps:
+    def grasps(
+        self,
+        *,
+        min_fitness: float = 1,
+        top: int | None = None,
+        diverse: int | None = None,
+        max_penetration: float | None = None,
+        max_motion: float | None = None,
+        min_margin: float | None = None,
+        min_links: int | None = None,
+    ) -> Grasps:
         """Return the grasps found so far, as arrays.
 
         Parameters
@@ -62,6 +73,10 @@ class Run:
             At most so many, best first.
         diverse
             At most so many, well spread over positions and orientations, the best one first.
+        max_penetration, max_motion
+            Deepest penetration after closing [mm]; way of the object in the hand while it closed [mm].
+        min_margin, min_links
+            Least Ferrari-Canny margin; least number of finger links that touch.
 
         Returns
         -------
@@ -76,7 +91,8 @@ class Run:
         >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
         ...     print(grasp.number, grasp.position, grasp.quaternion_xyzw, grasp.joints)
         """
-        return select_grasps(read_run(self._folder), min_fitness, top, diverse)
+        limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+        return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits)
 
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.

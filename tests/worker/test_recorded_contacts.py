@@ -1,6 +1,5 @@
 """Settled poses and contacts of successes: they belong to the joints after closing."""
 
-
 import msgspec
 import numpy as np
 import pytest

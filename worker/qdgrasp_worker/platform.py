@@ -19,7 +19,7 @@ EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"df76f467f10c72f507b31be131048275e9b13f444de749c5f15dc693aa67f6b6": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"f632deb2cd1492427dc4d251b0605548e9f6037476c56a2d65306771848d8be4": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

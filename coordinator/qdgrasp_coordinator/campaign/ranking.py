@@ -9,6 +9,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.grasp_quality import (
+    MM,
+    object_motion,
+    recorded_margins,
+    settled_mask,
+    settled_poses,
+)
 from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage import atomic_files
@@ -22,6 +29,8 @@ RANKS_SHOWN = 10  # Grasps that are shown to a person
 RANKING_COLUMNS = (
     "rank", "eta", "nominal_fitness", "source_generation", "source_index", "source_fitness",
     "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
+    "settled_x", "settled_y", "settled_z", "settled_qx", "settled_qy", "settled_qz", "settled_qw",
+    "penetration", "motion_mm", "margin",
 )  # fmt: skip
 
 
@@ -116,6 +125,10 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
     rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known)
+    settled = settled_poses(rows)
+    moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)
+    if settled_mask(rows).any():
+        margins = recorded_margins(rows, folder.scene())
     order = np.argsort(-etas, kind="stable")
     cell = cells(rows["descriptor"][:, :3])
     return [
@@ -126,6 +139,10 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
             *msgspec.structs.astuple(source.rows[place]),
             *cell[place].tolist(),
             *rows["base_to_object"][place].tolist(),
+            *settled[place].tolist(),
+            float(rows["penetration"][place]),
+            float(moved[place]),
+            float(margins[place]),
         )
         for rank, place in enumerate(order.tolist(), start=1)
     ]

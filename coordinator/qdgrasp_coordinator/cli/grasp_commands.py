@@ -49,6 +49,10 @@ def export(
         int | None,
         typer.Option(min=1, metavar="N", help="Only N, spread as far as can be; of the best if --top."),
     ] = None,
+    max_penetration: options.MaxPenetration = None,
+    max_motion: options.MaxMotion = None,
+    min_margin: options.MinMargin = None,
+    min_links: options.MinLinks = None,
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
@@ -68,6 +72,7 @@ def export(
     Example: qdgrasp export runs/demo --format isaac -o grasps.yaml
     """
     from qdgrasp_coordinator.export.exporter import export_run  # takes its time to load
+    from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 
     with progress_messages() as tell:
         written = export_run(
@@ -77,6 +82,7 @@ def export(
             min_fitness=min_fitness,
             top=top,
             diverse=diverse,
+            limits=GraspLimits(max_penetration, max_motion, min_margin, min_links),
             frame=frame,
             negatives=negatives,
             force=force,

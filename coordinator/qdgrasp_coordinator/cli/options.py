@@ -42,6 +42,19 @@ Listen = Annotated[
 ]
 DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
 Job = Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")]
+MaxPenetration = Annotated[
+    float | None, typer.Option(min=0, metavar="MM", help="Deepest penetration after closing [mm], at most.")
+]
+MaxMotion = Annotated[
+    float | None,
+    typer.Option(min=0, metavar="MM", help="Way of the object in the hand while it closed [mm], at most."),
+]
+MinMargin = Annotated[
+    float | None, typer.Option(min=0, metavar="E", help="Ferrari-Canny margin of the contacts, at least.")
+]
+MinLinks = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="Finger links that touch after closing, at least.")
+]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 

@@ -15,6 +15,7 @@ from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.metrics.niches import niches
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.report.row_report import synergy_reader
@@ -221,6 +222,10 @@ def rerank(
     by_niche: Annotated[
         bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
     ] = False,
+    max_penetration: options.MaxPenetration = None,
+    max_motion: options.MaxMotion = None,
+    min_margin: options.MinMargin = None,
+    min_links: options.MinLinks = None,
     discard_table: Annotated[
         bool, typer.Option("--discard-table", help="Leave out hands that cut a table under the object.")
     ] = False,
@@ -255,7 +260,8 @@ def rerank(
     source = RunFolder.open(directory)
     folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
     RunFolder.check_free(folder)
-    found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None)
+    limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
     chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
     spec = rerank_spec(source, protocol, chosen)
     listening = ListenConfig(listen, security, insecure)
@@ -271,11 +277,15 @@ def rerank(
     print_result(begun, stop)
 
 
-def _grasps_of(source: RunFolder, object_pose: str | None) -> Rows:
-    """The grasps of a run, clear of a table if the object stands on one."""
+def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) -> Rows:
+    """The grasps of a run within limits, clear of a table if the object stands on one."""
     found = ranking.read_run_grasps(source)
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
+    every, found = found, found[limits.admitted(found, source.scene())]
+    if not len(found):
+        reason = limits.reason(every, source.scene())
+        raise InputError(f"{source.path} has no grasp within these limits: {reason}.")
     if object_pose is not None:
         from qdgrasp_coordinator.rendering.hand_geometry import (  # scipy takes its time
             orientation,
@@ -310,7 +320,8 @@ def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
 
 def _check_same(old: Scene, new: Scene) -> None:
     """Check that two scenes have the same hand and object, so that poses keep their meaning."""
-    hands = [msgspec.structs.asdict(scene.gripper) | {"carrier": None, "urdf": None} for scene in (old, new)]
+    other = dict.fromkeys(("carrier", "urdf", "links"))  # another protocol's, or not in scenes of 0.1.0
+    hands = [msgspec.structs.asdict(scene.gripper) | other for scene in (old, new)]
     if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
         raise InputError(
             f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "

@@ -11,6 +11,7 @@ from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
 from qdgrasp_coordinator.export.frames import frame_of
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
 from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
@@ -59,6 +60,7 @@ def export_run(
     min_fitness: int = 1,
     top: int | None = None,
     diverse: int | None = None,
+    limits: GraspLimits = NO_LIMITS,
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
@@ -66,11 +68,11 @@ def export_run(
 ) -> str:
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
-    The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`
-    and `diverse` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or "com". At most
-    `negatives` failures are written behind the grasps; None: as many as is usual in the format. `tell` is
-    called with each step that begins. Raises InputError if there is no such format or frame, there is nothing
-    to write, or it cannot be read or written.
+    The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
+    `diverse` and `limits` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or "com". At
+    most `negatives` failures are written behind the grasps; None: as many as is usual in the format. `tell`
+    is called with each step that begins. Raises InputError if there is no such format or frame, there is
+    nothing to write, or it cannot be read or written.
     """
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
@@ -83,9 +85,9 @@ def export_run(
     tell(f"reading {folder.path}")
     every = read_run(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
     tell(f"choosing from {counted(len(every), 'evaluation')}")
-    chosen = select_grasps(every, min_fitness, top, diverse)
+    chosen = select_grasps(every, min_fitness, top, diverse, limits)
     if not len(chosen):
-        raise InputError(_no_grasps(folder, every, min_fitness))
+        raise InputError(_no_grasps(folder, every, min_fitness, limits))
     failures = _failures(every, chosen, wanted)
     written = join_grasps([chosen, failures])
     tell(f"writing {counted(len(written), 'evaluation')} to {out}")
@@ -104,13 +106,16 @@ def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
     return every[places if most else places[:0]]
 
 
-def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
+def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int, limits: GraspLimits) -> str:
     successes = every[every.is_success]
     if not len(successes):
         with folder.journal() as journal:
             rows = counted(journal.count, "row")
         return f"{folder.path} has no grasp to write: there is no success among {rows}."
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
+    if best >= min_fitness:
+        good = every[every.is_success & (every.fitness >= min_fitness)]
+        return f"{folder.path} has no grasp within these limits: {limits.reason(good.rows, good.scene)}."
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
         f"{many} has {best}, and --min-fitness {best} writes those."

@@ -8,17 +8,25 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
+from qdgrasp_assets.geometry.rotation import Floats, multiply
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
+from qdgrasp_coordinator.metrics.grasp_quality import (
+    NO_LIMITS,
+    GraspLimits,
+    contact_values,
+    object_motion,
+    settled_mask,
+    settled_poses,
+)
 from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, best_first, eta, genome_numbers
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
@@ -219,14 +227,13 @@ class Grasps:
         While the hand closes the object moves, so that this pose in its frame differs from the commanded one
         (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
         """
-        poses = self.poses(COM)
-        poses[self.is_settled] = self.rows["settled"][self.is_settled]
+        poses = np.where(self.is_settled[:, None], settled_poses(self.rows), self.poses(COM))
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     @cached_property
     def is_settled(self) -> NDArray[np.bool_]:
         """(n,): True where the settled pose is recorded: of successes, in runs later than version 0.1.0."""
-        return np.asarray(self.rows["settled"].any(axis=1))
+        return settled_mask(self.rows)
 
     @cached_property
     def motion(self) -> Floats:
@@ -234,16 +241,12 @@ class Grasps:
 
         The way of its centre of mass. NaN where the settled pose is not recorded.
         """
-        before, after = self.poses(COM), self.settled_poses(COM)
-        ways = [rotate(conjugate(poses[:, 3:]), -poses[:, :3]) for poses in (before, after)]
-        cosines = np.abs((before[:, 3:] * after[:, 3:]).sum(axis=1)).clip(0.0, 1.0)
-        moved = np.column_stack([np.linalg.norm(ways[1] - ways[0], axis=1), 2.0 * np.arccos(cosines)])
-        return np.where(self.is_settled[:, None], moved, np.nan)
+        return object_motion(self.rows)
 
     @cached_property
     def contacts(self) -> "GraspContacts":
         """Contacts of the hand with the object after closing."""
-        values = self.rows["contact_points"].astype(np.float64).reshape(len(self), -1, CONTACT_VALUES)
+        values = contact_values(self.rows)
         return GraspContacts(
             np.asarray(self.rows["contact_links"]), values[..., :3], values[..., 3:6], values[..., 6]
         )
@@ -304,9 +307,13 @@ def _source_grasps(
 
 
 def select_grasps(
-    grasps: Grasps, min_fitness: float = 1, top: int | None = None, diverse: int | None = None
+    grasps: Grasps,
+    min_fitness: float = 1,
+    top: int | None = None,
+    diverse: int | None = None,
+    limits: GraspLimits = NO_LIMITS,
 ) -> Grasps:
-    """Select grasps that are good enough, of these the best, and of these well spread ones.
+    """Select grasps that are good enough and within limits, of these the best, of these well spread ones.
 
     `min_fitness` is the least number of shakes survived in the nominal evaluation, 0, 1 or 2; 0 takes all
     successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by
@@ -318,6 +325,7 @@ def select_grasps(
         if value is not None:
             _check_number(name, value, whole=True)
     chosen = grasps[grasps.is_success & (grasps.fitness >= min_fitness)]
+    chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
     if top is None and diverse is None:
         return chosen
     chosen = chosen[best_first(chosen.rows, chosen.eta)[:top]]

@@ -1,0 +1,117 @@
+"""What closing did to a grasp, from its row: motion of the object, margin, and limits to both.
+
+Rows are those of a journal or of success pages. Runs of version 0.1.0 recorded no settled pose: their motion
+and margin are NaN, which no limit admits.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, rotate
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.rows import CONTACT_VALUES, Rows
+from qdgrasp_protocol.text import counted
+
+MM = 1e-3
+TORSION = 0.005  # Of finger and object [m]: the radius of a fingertip's patch, as `physical` takes it
+
+
+def settled_mask(rows: Rows) -> NDArray[np.bool_]:
+    """(n,): True where the settled pose is recorded."""
+    return np.asarray(rows["settled"].any(axis=1))
+
+
+def settled_poses(rows: Rows) -> Floats:
+    """(n, 7): the hand's base link in the object's CoM frame after closing; NaN where it is not recorded."""
+    known = settled_mask(rows)
+    found = np.full((len(rows), 7), np.nan)
+    if known.any():
+        found[known] = rows["settled"][known]
+    return found
+
+
+def object_motion(rows: Rows) -> Floats:
+    """(n, 2): how far the object moved in the hand while it closed [m], and turned [rad]; NaN: unknown.
+
+    The way of its centre of mass, in the hand's frame.
+    """
+    before, after = rows["base_to_object"].astype(np.float64), settled_poses(rows)
+    first, last = (rotate(conjugate(poses[:, 3:]), -poses[:, :3]) for poses in (before, after))
+    cosines = np.abs((before[:, 3:] * after[:, 3:]).sum(axis=1)).clip(0.0, 1.0)
+    return np.column_stack([np.sqrt(dot(last - first, last - first)), 2.0 * np.arccos(cosines)])
+
+
+def contact_values(rows: Rows) -> Floats:
+    """(n, k, 7): point [m], normal into the object and force [N] of each contact, CoM frame."""
+    values: Floats = rows["contact_points"].astype(np.float64).reshape(len(rows), -1, CONTACT_VALUES)
+    return values
+
+
+def recorded_margins(rows: Rows, scene: Scene) -> Floats:
+    """(n,): the Ferrari-Canny margin of the recorded contacts (`grasp_margin`); NaN: none were recorded."""
+    from qdgrasp_coordinator.metrics.grasp_margin import grasp_margins  # scipy takes its time
+
+    known, values = settled_mask(rows), contact_values(rows)
+    found = np.full(len(rows), np.nan)
+    if known.any():
+        found[known] = grasp_margins(
+            values[known, :, :3],
+            values[known, :, 3:6],
+            rows["contact_links"][known] > 0,
+            friction=scene.object.lateral_friction,
+            torsion=TORSION,
+            radius=scene.object.radius,
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class GraspLimits:
+    """Limits to what closing did; None: no limit. Raises ImpossibleValue for a negative one."""
+
+    max_penetration: float | None = None
+    """[mm]."""
+    max_motion: float | None = None
+    """Of the object in the hand [mm]."""
+    min_margin: float | None = None
+    min_links: int | None = None
+    """Finger links that touch."""
+
+    def __post_init__(self) -> None:
+        for name, value in self.given.items():
+            if not 0 <= value < np.inf:
+                raise ImpossibleValue(name, value, "a number not less than 0")
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The limits that there are, by name."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def admitted(self, rows: Rows, scene: Scene) -> NDArray[np.bool_]:
+        """(n,): True for rows within all limits; margins are computed for rows within the others alone."""
+        mask = np.ones(len(rows), dtype=bool)
+        if self.max_penetration is not None:
+            mask &= rows["penetration"] <= self.max_penetration * MM
+        if self.max_motion is not None:
+            mask &= object_motion(rows)[:, 0] <= self.max_motion * MM
+        if self.min_links is not None:
+            mask &= rows["contacts"] >= self.min_links
+        if self.min_margin is not None:
+            mask[mask] = recorded_margins(rows[mask], scene) >= self.min_margin
+        return mask
+
+    def reason(self, rows: Rows, scene: Scene) -> str:
+        """Say how many of some rows each limit admits, for a person."""
+        if not settled_mask(rows).any() and {"max_motion", "min_margin"} & self.given.keys():
+            return "motion and margin are not known, the run was recorded before they were"
+        alone = {name: GraspLimits(**{name: value}) for name, value in self.given.items()}  # type: ignore[arg-type]
+        counts = {name: int(limit.admitted(rows, scene).sum()) for name, limit in alone.items()}
+        words = (f"--{name.replace('_', '-')} {self.given[name]:g} admits {n}" for name, n in counts.items())
+        return f"of {counted(len(rows), 'grasp')} {', '.join(words)}"
+
+
+NO_LIMITS = GraspLimits()
