@@ -48,7 +48,8 @@ def build_scene(spec: RunSpec) -> Scene:
     low, high = mesh.bounds
     return Scene(
         protocol=spec.protocol,
-        gripper=gripper.on_carrier(spec.protocol),
+        base=spec.base,
+        gripper=gripper.on_carrier(spec.nominal_protocol),
         object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),
