@@ -14,7 +14,7 @@ The constants, and where they are from: `evaluation_protocols.Physics`, docs/pro
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import acos, dist
+from math import acos, dist, inf
 from typing import NamedTuple
 
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
@@ -66,14 +66,15 @@ class FingerDrive:
         known = SLIDING_EFFORT if link.slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
         stiffness = limit / law.lag
+        # Bullet stops joints at limits in order, against any preload, and knows none that are reversed.
         lower, upper = sorted((link.lower, link.upper))
-        is_limited = lower < upper
+        is_reversed = link.lower > link.upper
         return cls(
             name=joint.name,
             opened=joint.opened,
             closed=joint.closed if joint.driven else joint.opened,
-            lowest=lower if is_limited else -float("inf"),
-            highest=upper if is_limited else float("inf"),
+            lowest=lower if is_reversed else -inf,
+            highest=upper if is_reversed else inf,
             limit=limit,
             stiffness=stiffness,
             damping=2 * DAMPING_RATIO * stiffness / law.frequency,
