@@ -161,7 +161,7 @@ class Physics:
     """The pair's coefficient of rolling friction [m]."""
     spinning: float = 0.005
     """The pair's coefficient of spinning friction [m]: the radius of a fingertip's patch."""
-    haste: float = 1.0
+    haste: float = 2.0
     """Factor of all closing speeds; on an object that stands still it saves steps and changes little."""
     slack: float = 0.3
     """Time to close beyond what the joints' ranges take at closing speed [s]."""
