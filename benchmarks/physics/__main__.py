@@ -92,8 +92,7 @@ class SeenEpisode(PhysicalEpisode):
     places: list[tuple[Any, Any]] = field(default_factory=list)
 
     def _closed_grasp(self, fingers: int) -> EpisodeResult:
-        motion = self.world.motion()
-        self.places.append((motion.position, motion.quaternion))
+        self.places.append(self.world.object_pose())
         return super()._closed_grasp(fingers)
 
 

@@ -51,6 +51,7 @@ VERSION = version("pybullet")
 STILL = [0.0, 0.0, 0.0]
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 Box = tuple[Vector, Vector]  # Low and high corner
 BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
@@ -93,17 +94,6 @@ class Contact(NamedTuple):
     """The first body's link."""
     distance: float
     """Negative where they penetrate [m]."""
-
-
-class Motion(NamedTuple):
-    """A body's pose and velocity, by its centre of mass."""
-
-    position: Vector
-    quaternion: tuple[float, float, float, float]
-    linear: Vector
-    """[m/s]."""
-    angular: Vector
-    """[rad/s]."""
 
 
 class Bullet:
@@ -235,18 +225,14 @@ class Bullet:
         linear: Vector = pb.getBaseVelocity(body, physicsClientId=self._client)[0]
         return linear
 
-    def motion(self, body: int) -> Motion:
-        """The pose and velocity of a body's root link, by its centre of mass."""
-        pose = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)
-        return Motion(*pose, *pb.getBaseVelocity(body, physicsClientId=self._client))
+    def pose(self, body: int) -> tuple[Vector, Quaternion]:
+        """The position [m] and quaternion of a body's root link, by its centre of mass."""
+        pose: tuple[Vector, Quaternion] = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)
+        return pose
 
     def push(self, body: int, force: Sequence[float], at: Sequence[float]) -> None:
         """Act on a body with a force [N] at a point [m], during the next step alone."""
         pb.applyExternalForce(body, BASE, force, at, pb.WORLD_FRAME, physicsClientId=self._client)
-
-    def twist(self, body: int, torque: Sequence[float]) -> None:
-        """Act on a body with a torque [Nm], during the next step alone."""
-        pb.applyExternalTorque(body, BASE, torque, pb.WORLD_FRAME, physicsClientId=self._client)
 
     def set_joints(self, body: int, joints: list[int], positions: Sequence[float]) -> None:
         """Put joints at positions, at rest."""

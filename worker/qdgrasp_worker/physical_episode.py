@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.rows import DISTURBANCES, NO_SYNERGY
-from qdgrasp_worker.bullet import BASE, UPRIGHT, Bullet, BulletLink, Motion, Vector
+from qdgrasp_worker.bullet import BASE, UPRIGHT, Bullet, BulletLink, Quaternion, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Physics
@@ -31,8 +31,7 @@ FINGERTIP_FORCE = 15.0  # Force at the fingertip of a turning joint whose drive 
 JAW_PRELOAD = 0.5  # Share of its greatest force with which each finger of a jaw grips: one drive moves both
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links; Bullet multiplies it with the object's
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
-LOST_SPEED = 2e-3  # Below it a released object rests [m/s], and at `SPIN_SPEED` [rad/s]
-SPIN_SPEED = 0.04
+REST_SPEED, REST_SPIN = 2e-3, 0.04  # Below them a released object rests [m/s, rad/s]
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -88,6 +87,14 @@ class FingerDrive:
     def duration(self) -> float:
         """Time in which it closes freely [s]."""
         return (abs(self.closed - self.opened) + self.lead) / self.speed
+
+
+class Look(NamedTuple):
+    """Where fingers and object are at a look."""
+
+    joints: list[float]
+    position: Vector
+    quaternion: Quaternion
 
 
 class JointWay(NamedTuple):
@@ -148,11 +155,11 @@ class FingerControl:
         ]
         return sum(shares) / len(shares) if shares else 0.0
 
-    def rests(self, states: Sequence[tuple[float, float]]) -> bool:
-        """Return whether no joint moves."""
+    def rests(self, before: Sequence[float], after: Sequence[float], seconds: float) -> bool:
+        """Return whether no joint has moved faster than at rest from one look to the next."""
         return all(
-            abs(velocity) < drive.rest_speed
-            for drive, (_, velocity) in zip(self.drives, states, strict=True)
+            abs(now - then) < drive.rest_speed * seconds
+            for drive, then, now in zip(self.drives, before, after, strict=True)
         )
 
 
@@ -280,18 +287,25 @@ class PhysicalWorld(World):
         along = [force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)]
         self._bullet.push(self._target.body, along, self._bullet.position(self._target.body))
 
-    def rests(self) -> bool:
-        """Return whether neither fingers nor object move."""
-        states = self._bullet.joint_motion(self._hand.body, self._hand.fingers)
-        if not self._control.rests(states):
-            return False
-        motion = self.motion()
-        still = (0.0, 0.0, 0.0)
-        return dist(motion.linear, still) < LOST_SPEED and dist(motion.angular, still) < SPIN_SPEED
+    def look(self) -> Look:
+        """Where everything is that can move."""
+        return Look(self.finger_positions(), *self._bullet.pose(self._target.body))
 
-    def motion(self) -> Motion:
-        """The object's pose and velocity; the hand does not move."""
-        return self._bullet.motion(self._target.body)
+    def rests(self, before: Look, after: Look) -> bool:
+        """Return whether neither fingers nor object have moved from one look to the next.
+
+        Places tell, not velocities: those of what is pressed together change sign at every step.
+        """
+        seconds = self.physics.look_every * self.physics.time_step
+        return (
+            self._control.rests(before.joints, after.joints, seconds)
+            and dist(before.position, after.position) < REST_SPEED * seconds
+            and angle_between(before.quaternion, after.quaternion) < REST_SPIN * seconds
+        )
+
+    def object_pose(self) -> tuple[Vector, Quaternion]:
+        """The object's position and quaternion; the hand does not move."""
+        return self._bullet.pose(self._target.body)
 
     def closing_steps(self, synergy: int) -> int:
         """The most steps that closing takes."""
@@ -315,10 +329,12 @@ class PhysicalWorld(World):
 
     def steps_to_rest(self, most: int) -> Iterator[int]:
         """Count steps until all rests, `most` at most."""
-        resting, every = 0, self.physics.look_every
+        resting, before = 0, self.look()
         for step in range(most):
-            if step and step % every == 0:
-                resting = resting + 1 if self.rests() else 0
+            if step and step % self.physics.look_every == 0:
+                now = self.look()
+                resting = resting + 1 if self.rests(before, now) else 0
+                before = now
                 if resting == RESTING_LOOKS:
                     return
             yield step
@@ -383,27 +399,27 @@ class PhysicalEpisode(Episode):
     def _survived(self) -> int:
         """Push the object along the axes of the hand; how many pushes the hand holds it through."""
         self.world.begin_pushes()
-        start = self.world.motion()
+        start = self.world.object_pose()
         directions = [(sense * x, sense * y, sense * z) for x, y, z in AXES for sense in (1.0, -1.0)]
         for survived, direction in enumerate(directions):
-            if not self._holds_against(direction, start):
+            if not self._holds_against(direction, *start):
                 return survived
         return len(directions)
 
-    def _holds_against(self, direction: Vector, start: Motion) -> bool:
+    def _holds_against(self, direction: Vector, position: Vector, quaternion: Quaternion) -> bool:
         physics = self.world.physics
         for step in range(1, physics.steps(physics.push_time) + 1):
             self.world.push(direction)
             self.world.step()
-            if step % physics.look_every == 0 and self._has_lost(start):
+            if step % physics.look_every == 0 and self._has_lost(position, quaternion):
                 return False
         return True
 
-    def _has_lost(self, start: Motion) -> bool:
-        physics, now = self.world.physics, self.world.motion()
+    def _has_lost(self, position: Vector, quaternion: Quaternion) -> bool:
+        physics, (place, turned) = self.world.physics, self.world.object_pose()
         return (
-            dist(now.position, start.position) > physics.lost_distance
-            or angle_between(now.quaternion, start.quaternion) > physics.lost_angle
+            dist(place, position) > physics.lost_distance
+            or angle_between(turned, quaternion) > physics.lost_angle
             or not self.world.is_touching()
         )
 
