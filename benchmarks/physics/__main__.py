@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from math import dist
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -44,7 +45,7 @@ RATED = {
     "robotiq_2f": {"": (5.0, 1.0)},
     "shadow": {"J1": (0.36, 1.0), "J2": (0.6, 1.0), "J3": (1.0, 1.0), "J4": (1.0, 1.0), "J5": (1.0, 1.0)},
 }
-"""Provisional ratings of drives by the end of a joint's name, where the scene has none [N or Nm, m/s or rad/s]."""
+"""Provisional ratings by the end of a joint's name, where the scene has none [N or Nm, m/s or rad/s]."""
 
 
 def rated(hand: str, joint: Joint) -> Joint:
@@ -163,7 +164,9 @@ def spread_of(one: Sequence[Judged], other: Sequence[Judged]) -> tuple[np.ndarra
     return away, turned
 
 
-def figures(hand: str, target: str, n: int, seed: int, refine: bool, changes: dict[str, Any]) -> dict[str, Any]:
+def figures(
+    hand: str, target: str, n: int, seed: int, refine: bool, changes: dict[str, Any]
+) -> dict[str, Any]:
     """The figures of a hand and an object."""
     paper_scene, scene = scene_of(hand, target, "paper"), scene_of(hand, target, "physical")
     poses = touched_poses(paper_scene, n, seed)
@@ -192,7 +195,10 @@ def figures(hand: str, target: str, n: int, seed: int, refine: bool, changes: di
     }
     if refine:
         half = replace(physics, time_step=physics.time_step / 2, look_every=2 * physics.look_every)
-        for label, other in {"half step": half, "100 its": replace(physics, iterations=2 * physics.iterations)}.items():
+        for label, other in {
+            "half step": half,
+            "100 its": replace(physics, iterations=2 * physics.iterations),
+        }.items():
             again = physical_runs(scene, other, poses)
             away, turned = spread_of(physical, again)
             row[f"same, {label}"] = np.mean(held(physical) == held(again))
@@ -209,7 +215,9 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-refine", action="store_true", help="leave out the refined runs")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="other settings of Physics")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="other settings of Physics"
+    )
     parser.add_argument("--out", help="also write the rows to this JSON file")
     asked = parser.parse_args()
     changes = {name: json.loads(value) for name, value in (each.split("=") for each in asked.set)}
@@ -217,7 +225,11 @@ def main() -> None:
     for hand in asked.hands:
         for target in asked.objects:
             rows.append(figures(hand, target, asked.poses, asked.seed, not asked.no_refine, changes))
-            print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in rows[-1].items()}), file=sys.stderr, flush=True)
+            print(
+                json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in rows[-1].items()}),
+                file=sys.stderr,
+                flush=True,
+            )
     table = Table()
     for name in rows[0]:
         table.add_column(name)
@@ -225,8 +237,7 @@ def main() -> None:
         table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
     Console(width=220).print(table)
     if asked.out:
-        with open(asked.out, "w", encoding="utf-8") as file:
-            json.dump(rows, file, indent=1)
+        Path(asked.out).write_text(json.dumps(rows, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -92,9 +92,9 @@ def nominal_protocol(protocol: str, base: str) -> str:
     return base if trial_count(protocol) else protocol
 
 
-def top_fitness(protocol: str, base: str) -> int:
-    """Return the fitness of a grasp that survives every disturbance of one evaluation."""
-    return DISTURBANCES.get(nominal_protocol(protocol, base), SHAKES)
+def disturbance_count(protocol: str) -> int:
+    """Return the number of disturbances in one evaluation of a nominal protocol."""
+    return DISTURBANCES.get(protocol, SHAKES)
 
 
 Genomes: TypeAlias = NDArray[np.float32]

@@ -18,7 +18,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.rows import nominal_protocol
+from qdgrasp_protocol.rows import disturbance_count, nominal_protocol
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -113,6 +113,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     def nominal_protocol(self) -> str:
         """The protocol of its nominal evaluations: the one that `robust` disturbs, else its own."""
         return nominal_protocol(self.protocol, self.base)
+
+    @property
+    def disturbances(self) -> int:
+        """Disturbances that a grasp meets in one evaluation: the fitness of one that survives them all."""
+        return disturbance_count(self.nominal_protocol)
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:

@@ -128,7 +128,8 @@ class Bullet:
     def load(self, urdf: Path, *, fixed: bool, meets_itself: bool = False) -> int:
         """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
 
-        Its links pass through each other, or with `meets_itself` only those that a joint connects. An AssetError if Bullet cannot read it, or a mesh that it names.
+        Its links pass through each other, or with `meets_itself` only those that a joint connects. An
+        AssetError if Bullet cannot read it, or a mesh that it names.
         """
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
         if meets_itself:
@@ -152,7 +153,8 @@ class Bullet:
                 info[12].decode(),
                 info[2] != pb.JOINT_FIXED,
                 info[2] == pb.JOINT_PRISMATIC,
-                *info[8:10],
+                info[8],
+                info[9],
                 info[16],
             )
             for info in infos
@@ -203,9 +205,7 @@ class Bullet:
 
     def set_damping(self, body: int, rate: float) -> None:
         """Let a body's velocity decay with this rate [1/s]."""
-        pb.changeDynamics(
-            body, BASE, linearDamping=rate, angularDamping=rate, physicsClientId=self._client
-        )
+        pb.changeDynamics(body, BASE, linearDamping=rate, angularDamping=rate, physicsClientId=self._client)
 
     def place(self, body: int, position: Sequence[float], quaternion: Sequence[float]) -> None:
         """Put a body's root link, by its centre of mass, at a pose."""

@@ -169,7 +169,7 @@ class Evaluator(BatchEvaluator):
 
 
 def make_world(scene: Scene, protocol: EvaluationProtocol) -> World:
-    """A world in which episodes of a protocol are simulated; an AssetError if Bullet cannot load the scene."""
+    """A world for episodes of a protocol; an AssetError if Bullet cannot load the scene."""
     return PhysicalWorld(scene, protocol.physics) if protocol.physics else World(scene)
 
 

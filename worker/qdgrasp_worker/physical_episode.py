@@ -135,11 +135,11 @@ class FingerControl:
         ):
             sense, end = way
             if sense:
-                place = (
-                    position if share is None else drive.opened + share * (drive.closed - drive.opened)
-                )
+                place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
                 ahead = min(
-                    sense * self._targets[i] + drive.speed * time_step, sense * place + drive.lead, sense * end
+                    sense * self._targets[i] + drive.speed * time_step,
+                    sense * place + drive.lead,
+                    sense * end,
                 )
                 self._targets[i] = sense * ahead
             torque = drive.stiffness * (self._targets[i] - position) - drive.damping * velocity

@@ -18,7 +18,10 @@ from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
 from qdgrasp_worker.hand_geometry import free_posture
 
-HAND_GROUP, OBJECT_GROUP = 1, 2  # Collision groups: an object meets hands only, a hand itself if it is asked to
+HAND_GROUP, OBJECT_GROUP = (
+    1,
+    2,
+)  # Collision groups: an object meets hands only, a hand itself if it is asked to
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
@@ -39,9 +42,7 @@ class HandBody:
     """
 
     def __init__(self, bullet: Bullet, gripper: SceneGripper, *, meets_itself: bool = False) -> None:
-        self.body = load_body(
-            bullet, gripper.urdf, gripper.meshes, fixed=True, meets_itself=meets_itself
-        )
+        self.body = load_body(bullet, gripper.urdf, gripper.meshes, fixed=True, meets_itself=meets_itself)
         bullet.collide(self.body, HAND_GROUP, OBJECT_GROUP | (HAND_GROUP if meets_itself else 0))
         links = bullet.links(self.body)
         moving = {link.joint: index for index, link in enumerate(links) if link.moves}
