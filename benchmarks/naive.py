@@ -18,7 +18,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Motor, pb
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.episode import OUTCOME_BY_SHAKES
+from qdgrasp_worker.episode import outcome_of
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, PROTOCOLS, TARGET_STEPS, Shake
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.world import HandBody, ObjectBody, closing_joints, finger_motor
@@ -62,7 +62,8 @@ class Naive:
         touched = self._close(int(grasps.synergies[i]))
         if not self._touching_fingers():
             return Outcome.BRUSHED if touched else Outcome.MISSED
-        return OUTCOME_BY_SHAKES[sum(self._survives(shake) for shake in self._protocol.shakes)]
+        survived = sum(self._survives(shake) for shake in self._protocol.shakes)
+        return outcome_of(survived, len(self._protocol.shakes))
 
     def _reset(self, position: NDArray[np.float32], quaternion: NDArray[np.float32]) -> None:
         carrier = [*self._hand.carrier, *self._hand.others]

@@ -46,11 +46,12 @@ def build_scene(spec: RunSpec) -> Scene:
     gripper = find_gripper(spec.gripper)
     target = find_object(spec)
     mesh, parts = target.centred_mesh, target.centred_parts
-    hand = gripper.on_carrier(spec.protocol)
+    hand = gripper.on_carrier(spec.nominal_protocol)
     surface = SURFACES[spec.protocol](mesh, parts, target.com_in_mesh, spec.surface_seed)
     low, high = mesh.bounds
     return Scene(
         protocol=spec.protocol,
+        base=spec.base,
         gripper=hand,
         object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),

@@ -36,6 +36,10 @@ class Joint(Struct, frozen=True, kw_only=True):
     """Motor velocity limit [m/s or rad/s]."""
     driven: bool = True
     """True: closes in the synergies that name it; False: held by Bullet's own motor."""
+    rated_effort: float = 0.0
+    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: `effort`."""
+    rated_velocity: float = 0.0
+    """Speed at which the real drive closes it [m/s or rad/s]; 0: not known."""
 
 
 class Synergy(Struct, frozen=True, kw_only=True):
@@ -107,6 +111,8 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     """Largest side of the box around its collision shapes, joints at zero, base frame [m]."""
     links: tuple[str, ...] = ()
     """All links from the base link on, in the order in which rows count them."""
+    disabled_collisions: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that pass through each other where the hand's links meet (protocol `physical`)."""
 
     @property
     def reach(self) -> float:
@@ -157,6 +163,8 @@ class Scene(Struct, frozen=True, kw_only=True):
 
     format: int = FORMAT
     protocol: str
+    base: str = "paper"
+    """The protocol that the trials of `robust` disturb."""
     gripper: SceneGripper
     object: SceneObject
     points: bytes

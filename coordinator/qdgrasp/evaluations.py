@@ -272,4 +272,4 @@ def evaluate(
     place.check_hands()
     with evaluations:
         rows = evaluations.journal(genomes)
-    return scores(rows, trial_count(evaluations.spec.protocol))
+    return scores(rows, trial_count(evaluations.spec.protocol), evaluations.spec.disturbances)

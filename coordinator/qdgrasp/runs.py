@@ -68,7 +68,8 @@ class Run:
         Parameters
         ----------
         min_fitness
-            Least number of shakes survived: 1 for grasps, 2 for robust ones, 0 for all successes.
+            Least number of disturbances survived: 1 for grasps, 0 for all successes; robust ones have 2,
+            or 6 in the protocol `physical`.
         top
             At most so many, best first.
         diverse

@@ -41,11 +41,11 @@ class Outcome(IntEnum):
     BRUSHED = 4
     """A finger touched the object while closing, but none does after it."""
     DROPPED = 5
-    """A finger touches the object after closing; no shake was survived (fitness 0)."""
+    """A finger touches the object after closing; it survived no disturbance (fitness 0)."""
     SHAKEN = 6
-    """One of the two shakes was survived (fitness 1)."""
+    """The grasp survived some of the disturbances of its protocol, not all."""
     HELD = 7
-    """Both shakes were survived (fitness 2): robust."""
+    """The grasp survived every disturbance of its protocol: robust."""
 
     @property
     def is_simulated(self) -> bool:
@@ -64,12 +64,12 @@ class Outcome(IntEnum):
 
     @property
     def is_grasp(self) -> bool:
-        """True if at least one shake was survived: a grasp for users and exports."""
+        """True if at least one disturbance was survived: a grasp for users and exports."""
         return self >= Outcome.SHAKEN
 
     @property
     def is_robust(self) -> bool:
-        """True if both shakes were survived."""
+        """True if every disturbance was survived."""
         return self >= Outcome.HELD
 
 
@@ -81,6 +81,21 @@ TRIAL_COUNTS = {"robust": TRIALS}
 def trial_count(protocol: str) -> int:
     """Return the number of trials besides the nominal evaluation; 0 for most protocols."""
     return TRIAL_COUNTS.get(protocol, 0)
+
+
+DISTURBANCES = {"physical": 6}
+"""Disturbances that a grasp meets after closing, six forces; elsewhere they are two shakes."""
+SHAKES = 2
+
+
+def nominal_protocol(protocol: str, base: str) -> str:
+    """Return the protocol of nominal evaluations: `base` where trials disturb it, else its own."""
+    return base if trial_count(protocol) else protocol
+
+
+def disturbance_count(protocol: str) -> int:
+    """Return the number of disturbances in one evaluation of a nominal protocol."""
+    return DISTURBANCES.get(protocol, SHAKES)
 
 
 Genomes: TypeAlias = NDArray[np.float32]
@@ -168,7 +183,7 @@ KEY = (
 GENOME = (RowColumn("genome", "<f4", "genes", "the genome, in [-1, 1]"),)
 RESULT = (
     RowColumn("outcome", "<u1", "1", "`Outcome`"),
-    RowColumn("fitness", "<f4", "1", "shakes survived: 0, 1 or 2"),
+    RowColumn("fitness", "<f4", "1", "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"),
     RowColumn("proposals", "<u2", "1", "poses that decoding screened for this row; 1 where it draws none"),
     RowColumn(
         "descriptor",

@@ -18,6 +18,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+from qdgrasp_protocol.rows import disturbance_count, nominal_protocol
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -43,8 +44,10 @@ def _dots_in_key(line: str) -> int:
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 
-ProtocolName = Literal["paper", "released", "robust"]
+ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
+BaseName = Literal["paper", "physical"]
+"""The protocols that the trials of `robust` disturb."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -77,6 +80,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     given; their defaults here are the paper's.
     """
     protocol: ProtocolName = "paper"
+    base: BaseName = "paper"
+    """The protocol that the trials of `robust` disturb; no other protocol has one."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
@@ -104,6 +109,16 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     float32 gives back.
     """
 
+    @property
+    def nominal_protocol(self) -> str:
+        """The protocol of its nominal evaluations: the one that `robust` disturbs, else its own."""
+        return nominal_protocol(self.protocol, self.base)
+
+    @property
+    def disturbances(self) -> int:
+        """Disturbances that a grasp meets in one evaluation: the fitness of one that survives them all."""
+        return disturbance_count(self.nominal_protocol)
+
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """Make a spec of plain values.
@@ -126,7 +141,13 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         except msgspec.ValidationError:
             expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
             raise ImpossibleValue(f"{where}: {key}", value, expected) from None
-    return msgspec.convert(values, RunSpec)
+    spec = msgspec.convert(values, RunSpec)
+    if spec.base != "paper" and spec.protocol != "robust":
+        raise InputError(
+            f"{where}: base = '{spec.base}' says what the trials of the protocol 'robust' disturb, and "
+            f"'{spec.protocol}' has no trials; leave base out, or take protocol = 'robust'."
+        )
+    return spec
 
 
 def read_run_spec(path: Path) -> dict[str, Any]:

@@ -54,6 +54,8 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Box = tuple[Vector, Vector]  # Low and high corner
 BASE = -1  # The index of a body's root link
+BREAKING_THRESHOLD = 0.02
+"""Bullet's default share of a shape's size at which it begins to see contacts, and forgets them."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,13 @@ class BulletLink(NamedTuple):
     joint: str
     link: str
     moves: bool
+    slides: bool = False
+    """True for a prismatic joint."""
+    lower: float = 0.0
+    """Lower limit of the joint as the URDF has it [m or rad]; it has none where that is above `upper`."""
+    upper: float = 0.0
+    parent: int = BASE
+    """The index of the link that carries it."""
 
 
 class Contact(NamedTuple):
@@ -121,12 +130,25 @@ class Bullet:
             pb.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def load(self, urdf: Path, *, fixed: bool) -> int:
+    def set_stepping(self, time_step: float, iterations: int) -> None:
+        """Set the length of a step [s], and how often the solver iterates in it."""
+        pb.setPhysicsEngineParameter(
+            fixedTimeStep=time_step, numSolverIterations=iterations, physicsClientId=self._client
+        )
+
+    def set_breaking_threshold(self, share: float) -> None:
+        """Set the share of a shape's size at which contacts are seen; it holds for the whole process."""
+        pb.setPhysicsEngineParameter(contactBreakingThreshold=share, physicsClientId=self._client)
+
+    def load(self, urdf: Path, *, fixed: bool, meets_itself: bool = False) -> int:
         """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
 
-        An AssetError if Bullet cannot read it, or a mesh that it names.
+        Its links pass through each other, or with `meets_itself` only those that a joint connects. An
+        AssetError if Bullet cannot read it, or a mesh that it names.
         """
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
+        if meets_itself:
+            flags |= pb.URDF_USE_SELF_COLLISION | pb.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         try:
             with quiet():
                 body: int = pb.loadURDF(
@@ -140,7 +162,18 @@ class Bullet:
         """All links but the root, by index."""
         count = pb.getNumJoints(body, physicsClientId=self._client)
         infos = [pb.getJointInfo(body, i, physicsClientId=self._client) for i in range(count)]
-        return [BulletLink(info[1].decode(), info[12].decode(), info[2] != pb.JOINT_FIXED) for info in infos]
+        return [
+            BulletLink(
+                info[1].decode(),
+                info[12].decode(),
+                info[2] != pb.JOINT_FIXED,
+                info[2] == pb.JOINT_PRISMATIC,
+                info[8],
+                info[9],
+                info[16],
+            )
+            for info in infos
+        ]
 
     def shaped_links(self, body: int) -> list[int]:
         """The links that have a collision shape, the root link among them."""
@@ -157,16 +190,37 @@ class Bullet:
         for link in range(BASE, pb.getNumJoints(body, physicsClientId=self._client)):
             pb.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self._client)
 
-    def set_friction(self, body: int, lateral: float, rolling: float, spinning: float) -> None:
-        """Set the friction coefficients of a body's root link."""
+    def pass_through(self, body: int, link: int, other: int) -> None:
+        """Let two links of a body pass through each other."""
+        pb.setCollisionFilterPair(body, body, link, other, 0, physicsClientId=self._client)
+
+    def set_friction(
+        self, body: int, lateral: float, rolling: float, spinning: float, link: int = BASE
+    ) -> None:
+        """Set the friction coefficients of a body's link."""
         pb.changeDynamics(
             body,
-            BASE,
+            link,
             lateralFriction=lateral,
             rollingFriction=rolling,
             spinningFriction=spinning,
             physicsClientId=self._client,
         )
+
+    def inertia(self, body: int, link: int = BASE) -> tuple[float, Vector]:
+        """The mass [kg] of a link, and its principal moments of inertia [kg m2]."""
+        info = pb.getDynamicsInfo(body, link, physicsClientId=self._client)
+        return info[0], info[2]
+
+    def set_inertia(self, body: int, mass: float, moments: Sequence[float], link: int = BASE) -> None:
+        """Set the mass [kg] of a link and its principal moments [kg m2]; a root link of mass 0 is fixed."""
+        pb.changeDynamics(body, link, mass=mass, physicsClientId=self._client)
+        if mass:  # a change of mass alone makes new moments of the shape
+            pb.changeDynamics(body, link, localInertiaDiagonal=moments, physicsClientId=self._client)
+
+    def set_damping(self, body: int, rate: float) -> None:
+        """Let a body's velocity decay with this rate [1/s]."""
+        pb.changeDynamics(body, BASE, linearDamping=rate, angularDamping=rate, physicsClientId=self._client)
 
     def place(self, body: int, position: Sequence[float], quaternion: Sequence[float]) -> None:
         """Put a body's root link, by its centre of mass, at a pose."""
@@ -195,6 +249,10 @@ class Bullet:
         linear: Vector = pb.getBaseVelocity(body, physicsClientId=self._client)[0]
         return linear
 
+    def push(self, body: int, force: Sequence[float], at: Sequence[float]) -> None:
+        """Act on a body with a force [N] at a point [m], during the next step alone."""
+        pb.applyExternalForce(body, BASE, force, at, pb.WORLD_FRAME, physicsClientId=self._client)
+
     def set_joints(self, body: int, joints: list[int], positions: Sequence[float]) -> None:
         """Put joints at positions, at rest."""
         pb.resetJointStatesMultiDof(
@@ -208,6 +266,31 @@ class Bullet:
     def joints(self, body: int, joints: list[int]) -> list[float]:
         """Positions of joints [m or rad]."""
         return [state[0] for state in pb.getJointStates(body, joints, physicsClientId=self._client)]
+
+    def joint_motion(self, body: int, joints: list[int]) -> list[tuple[float, float]]:
+        """Position [m or rad] and velocity [m/s or rad/s] of each joint."""
+        return [state[:2] for state in pb.getJointStates(body, joints, physicsClientId=self._client)]
+
+    def joint_place(self, body: int, joint: int) -> Vector:
+        """The origin of the frame of a joint's link [m]."""
+        place: Vector = pb.getLinkState(body, joint, physicsClientId=self._client)[4]
+        return place
+
+    def switch_motors_off(self, body: int, joints: list[int]) -> None:
+        """Let joints move freely, but for torques of `apply_torques`."""
+        pb.setJointMotorControlArray(
+            body,
+            joints,
+            pb.VELOCITY_CONTROL,
+            forces=[0.0] * len(joints),
+            physicsClientId=self._client,
+        )
+
+    def apply_torques(self, body: int, joints: list[int], torques: list[float]) -> None:
+        """Act on joints with forces or torques [N or Nm], during the next step alone."""
+        pb.setJointMotorControlArray(
+            body, joints, pb.TORQUE_CONTROL, forces=torques, physicsClientId=self._client
+        )
 
     def drive(self, body: int, joint: int, target: float, motor: Motor) -> None:
         """Command a joint to a position, from the next step on."""
@@ -228,12 +311,17 @@ class Bullet:
         pb.performCollisionDetection(physicsClientId=self._client)
 
     def step(self) -> None:
-        """Move on by 1/240 s."""
+        """Move on by a step, which is 1/240 s if nothing else was set."""
         pb.stepSimulation(physicsClientId=self._client)
 
     def touching(self, body: int, other: int) -> bool:
         """Return whether there is any contact between two bodies."""
         return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
+
+    def touching_links(self, body: int) -> set[tuple[int, int]]:
+        """The pairs of a body's own links between which there is a contact."""
+        points = pb.getContactPoints(body, body, physicsClientId=self._client)
+        return {(point[3], point[4]) for point in points}
 
     def contacts(self, body: int, other: int) -> list[Contact]:
         """The contacts between two bodies."""

@@ -19,8 +19,6 @@ from qdgrasp_worker.evaluation_protocols import (
 from qdgrasp_worker.world import GraspContact, World
 
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
-OUTCOME_BY_SHAKES = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
-"""The outcome of a success by the number of shakes that it survived."""
 
 
 class EpisodeResult(NamedTuple):
@@ -33,15 +31,19 @@ class EpisodeResult(NamedTuple):
     """Finger links that touch the object after closing."""
     penetration: float = 0.0
     """Deepest penetration of hand and object after closing, 0 or positive [m]."""
+    fitness: int = 0
+    """Disturbances survived."""
     settled: Sequence[float] = (0.0,) * 7
     """The hand's base link in the object's frame after closing: x y z [m], qx qy qz qw; else zeros."""
     touches: Sequence[GraspContact] = ()
     """The contacts after closing."""
 
-    @property
-    def fitness(self) -> int:
-        """Shakes survived."""
-        return max(0, self.outcome - Outcome.DROPPED)
+
+def outcome_of(survived: int, disturbances: int) -> Outcome:
+    """The outcome of a success that survived so many of the disturbances of its protocol."""
+    if not survived:
+        return Outcome.DROPPED
+    return Outcome.HELD if survived == disturbances else Outcome.SHAKEN
 
 
 def settled_pose(world: World, commanded: HandPose) -> list[float]:
@@ -78,16 +80,20 @@ class Episode:
         fingers = self._touching_fingers()
         if not fingers:
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
-        joints, depth = self.world.finger_positions(), self._penetration()
-        settled, touches = settled_pose(self.world, pose), self.world.contact_forces()
-        outcome = OUTCOME_BY_SHAKES[self._shakes_survived()]
-        return EpisodeResult(outcome, joints, len(fingers), depth, settled, touches)
+        closed = self._closed_grasp(pose, len(fingers))
+        survived = self._survived()
+        return closed._replace(outcome=outcome_of(survived, self.disturbances), fitness=survived)
+
+    @property
+    def disturbances(self) -> int:
+        """Number of disturbances that a grasp meets."""
+        return len(self.protocol.shakes)
 
     def overlaps(self, trial: TrialSetup) -> bool:
         """Place the open hand; whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
-        self.world.reset(pose, first, trial.frictions)
+        self.world.reset(pose, first, trial.frictions, trial.grip)
         overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
         if not self.protocol.free_joints_first:
             self.world.set_fingers(pose.joints)
@@ -104,13 +110,24 @@ class Episode:
             self.world.step()
         return touched
 
+    def _closed_grasp(self, pose: HandPose, fingers: int) -> EpisodeResult:
+        """Read the world as it is after closing, before any disturbance."""
+        return EpisodeResult(
+            Outcome.DROPPED,
+            self.world.finger_positions(),
+            fingers,
+            self._penetration(),
+            settled=settled_pose(self.world, pose),
+            touches=self.world.contact_forces(),
+        )
+
     def _touching_fingers(self) -> set[int]:
         return {contact.link for contact in self.world.contacts()} & self.world.finger_links
 
     def _penetration(self) -> float:
         return max([0.0, *(-contact.distance for contact in self.world.contacts())])
 
-    def _shakes_survived(self) -> int:
+    def _survived(self) -> int:
         """Shake the hand; how many of the shakes the object stays in touch with it."""
         survived = 0
         for shake in self.protocol.shakes:

@@ -1,7 +1,9 @@
 """Evaluation protocols as a table of frozen values, and the trials that disturb a grasp.
 
-Common to all protocols: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
-targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
+Common to all protocols is that there is no gravity. `paper`, `released` and `robust` on `paper` have 240
+steps a second, 100 steps of closing, then two shakes with three targets of 68 steps each; figures are those
+of the public code of Huber et al. 2024 (commit 0b8f8da). `physical` closes with bounded torques on a fixed
+object, lets it go, and pushes it along six directions (`Physics`, docs/protocols.md).
 
 In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). What
 a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
@@ -17,7 +19,9 @@ import numpy as np
 from numpy.random import Generator
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, from_euler, multiply, rotate
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol import rows
+from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_worker.decoder import HandPose
 
 FRICTION_DECIMALS = 6  # Decimals of frictions: rounded so, the ends of an interval stay as in the table
@@ -31,6 +35,8 @@ class TrialSetup:
     """In the CoM frame of the object as it lies in this trial."""
     frictions: tuple[float, float] | None = None
     """The object's coefficients of rolling and spinning friction; None: its own."""
+    grip: float = 1.0
+    """Factor of the object's lateral friction."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +47,12 @@ class Mixture:
     """Of the object's displacement along each axis [m]."""
     angle_sigma: float
     """Of each angle by which the object turns about the fixed axes x, then y, then z [rad]."""
-    rolling: tuple[float, float]
-    """The interval of its coefficient of rolling friction."""
-    spinning: tuple[float, float]
+    rolling: tuple[float, float] | None = None
+    """The interval of its coefficient of rolling friction; None: rolling and spinning keep theirs."""
+    spinning: tuple[float, float] | None = None
     """The interval of its coefficient of spinning friction."""
+    grip: tuple[float, float] | None = None
+    """The interval of the factor of its lateral friction; None: that stays."""
     seed: int = 0
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
@@ -52,8 +60,11 @@ class Mixture:
         random = np.random.default_rng([self.seed, *pose_seed(pose), number])
         position = random.normal(0.0, self.position_sigma, 3)
         quaternion = from_euler(random.normal(0.0, self.angle_sigma, (1, 3)))[0]
-        frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
-        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions)
+        frictions = None
+        if self.rolling and self.spinning:
+            frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
+        grip = draw_friction(random, self.grip) if self.grip else 1.0
+        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions, grip)
 
 
 def pose_seed(pose: HandPose) -> list[int]:
@@ -115,6 +126,66 @@ class Shake:
 
 
 @dataclass(frozen=True)
+class DriveLaw:
+    """Scale-free gains of the drives of one kind of joint, for a greatest force or torque `limit`.
+
+    kp = limit / lag, reflected inertia = kp / frequency^2, kd = 2 DAMPING_RATIO kp / frequency.
+    """
+
+    lag: float
+    """Distance of a joint from its target at which its drive gives all it can [m or rad]."""
+    frequency: float
+    """Of the drive's own motion, without friction [rad/s]."""
+    speed: float
+    """Closing speed of drives of which none is known [m/s or rad/s]."""
+    rest_speed: float
+    """Below it a joint rests [m/s or rad/s]."""
+
+
+DAMPING_RATIO = 0.7
+SLIDING = DriveLaw(lag=0.014, frequency=220.0, speed=0.1, rest_speed=2e-3)
+TURNING = DriveLaw(lag=0.23, frequency=55.0, speed=1.0, rest_speed=0.02)
+
+
+@dataclass(frozen=True)
+class Physics:
+    """The settings of `physical`."""
+
+    time_step: float = 1 / 480
+    """Length of a step [s]."""
+    iterations: int = 50
+    """Of the solver in each step."""
+    breaking_threshold: float = 0.002
+    """Share of a shape's size at which contacts are seen; a tenth of Bullet's, and cheaper."""
+    rolling: float = 1e-4
+    """The pair's coefficient of rolling friction [m]."""
+    spinning: float = 0.005
+    """The pair's coefficient of spinning friction [m]: the radius of a fingertip's patch."""
+    haste: float = 2.0
+    """Factor of all closing speeds; on an object that stands still it saves steps and changes little."""
+    slack: float = 0.3
+    """Time to close beyond what the joints' ranges take at closing speed [s]."""
+    settling: float = 0.3
+    """The most time in which a released object comes to rest [s]."""
+    damping: float = 100.0
+    """Rate at which the velocity of the released object decays meanwhile [1/s]."""
+    weight: float = 9.81
+    """Force of a push for each kilogram of the object [m/s2]: its own weight."""
+    push_time: float = 0.15
+    """How long each push lasts [s]; an object that nothing holds moves 11 cm."""
+    lost_distance: float = 0.05
+    """An object that moves farther under a push is lost [m]."""
+    lost_angle: float = radians(15.0)
+    """An object that turns farther under a push is lost [rad]."""
+    look_every: int = 8
+    """Steps between two looks whether all rests, or the object is lost."""
+
+    def steps(self, seconds: float) -> int:
+        """The number of steps in a time [s]."""
+        return round(seconds / self.time_step)
+
+
+@dataclass(frozen=True)
 class EvaluationProtocol:
     """The settings in which the protocols differ."""
 
@@ -128,6 +199,8 @@ class EvaluationProtocol:
     """Free joints take their places before the test for overlap, not after it."""
     mixture: Mixture | None = None
     """Distributions that trials from 1 on are drawn from; None: there are no trials."""
+    physics: Physics | None = None
+    """The settings of `physical`, in which nothing is shaken; None: the hand closes and shakes as above."""
 
     @property
     def trials(self) -> int:
@@ -151,4 +224,18 @@ PAPER = EvaluationProtocol(
 )
 MIXTURE = Mixture(position_sigma=0.005, angle_sigma=radians(30.0), rolling=(0.01, 0.04), spinning=(0.1, 0.4))
 ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
-PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST)}
+PHYSICAL = EvaluationProtocol(
+    "physical", (), contact_check_steps=1, ends_when_lost=True, free_joints_first=True, physics=Physics()
+)
+SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4))
+PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL)}
+ROBUST_BY_BASE = {"paper": ROBUST, "physical": replace(PHYSICAL, name="robust", mixture=SMALL_MIXTURE)}
+
+
+def scene_protocol(scene: Scene) -> EvaluationProtocol:
+    """The protocol of a scene; UnknownName if it does not exist."""
+    if scene.protocol not in PROTOCOLS:
+        raise UnknownName("protocol", scene.protocol, PROTOCOLS)
+    if scene.base not in ROBUST_BY_BASE:
+        raise UnknownName("base", scene.base, ROBUST_BY_BASE)
+    return ROBUST_BY_BASE[scene.base] if scene.protocol == ROBUST.name else PROTOCOLS[scene.protocol]

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
-from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
+from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
 from qdgrasp_worker.world import GraspContact, World
 
 REASON_LENGTH = 200
@@ -59,10 +59,8 @@ class BatchEvaluator(ABC):
     """The most rows that it is given at once."""
 
     def __init__(self, scene: Scene) -> None:
-        if scene.protocol not in PROTOCOLS:
-            raise UnknownName("protocol", scene.protocol, PROTOCOLS)
         self.scene = scene
-        self._protocol = PROTOCOLS[scene.protocol]
+        self._protocol = scene_protocol(scene)
         self._surface = ObjectSurface(scene)
         self._decoders: dict[str, Decoder] = {}
 
@@ -98,7 +96,7 @@ class Evaluator(BatchEvaluator):
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
         super().__init__(scene)
-        self._world = World(scene)
+        self._world = make_world(scene, self._protocol)
         self._shortcuts = shortcuts
         self._object = ObjectSolid(scene)
         follows = self._protocol.free_joints_first
@@ -152,7 +150,7 @@ class Evaluator(BatchEvaluator):
             place, verdict = self._try(grasps, shortlist, trial)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
             self._world.close()
-            self._world = World(self.scene)
+            self._world = make_world(self.scene, self._protocol)
             return f"{type(error).__name__}: {error}"
         return GenomeResult(place, verdict, shortlist.poses)
 
@@ -161,7 +159,7 @@ class Evaluator(BatchEvaluator):
 
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
-        episode = Episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
+        episode = make_episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
@@ -170,6 +168,24 @@ class Evaluator(BatchEvaluator):
             if trial or verdict.outcome is not Outcome.OVERLAP:
                 return place, verdict
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
+
+
+def make_world(scene: Scene, protocol: EvaluationProtocol) -> World:
+    """A world for episodes of a protocol; an AssetError if Bullet cannot load the scene."""
+    return PhysicalWorld(scene, protocol.physics) if protocol.physics else World(scene)
+
+
+def make_episode(
+    world: World,
+    protocol: EvaluationProtocol,
+    contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER,
+    *,
+    stops_early: bool = True,
+) -> Episode:
+    """The episodes of a protocol in a world that `make_world` made."""
+    if isinstance(world, PhysicalWorld):
+        return PhysicalEpisode(world, protocol, contact_filter)
+    return Episode(world, protocol, contact_filter, stops_early)
 
 
 def row_refusals(

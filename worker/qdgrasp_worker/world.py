@@ -16,13 +16,16 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
+from qdgrasp_worker.bullet import BREAKING_THRESHOLD, STILL, UPRIGHT, Bullet, Contact, Motor
 from qdgrasp_worker.contact_filter import SweptBox
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
 from qdgrasp_worker.hand_geometry import free_posture
 
-HAND_GROUP, OBJECT_GROUP = 1, 2  # Collision groups: a hand meets objects only, an object meets hands only
+HAND_GROUP, OBJECT_GROUP = (
+    1,
+    2,
+)  # Collision groups: an object meets hands only, a hand itself if it is asked to
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
@@ -42,9 +45,9 @@ class HandBody:
     An AssetError if Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
     """
 
-    def __init__(self, bullet: Bullet, gripper: SceneGripper) -> None:
-        self.body = load_body(bullet, gripper.urdf, gripper.meshes, fixed=True)
-        bullet.collide(self.body, HAND_GROUP, OBJECT_GROUP)
+    def __init__(self, bullet: Bullet, gripper: SceneGripper, *, meets_itself: bool = False) -> None:
+        self.body = load_body(bullet, gripper.urdf, gripper.meshes, fixed=True, meets_itself=meets_itself)
+        bullet.collide(self.body, HAND_GROUP, OBJECT_GROUP | (HAND_GROUP if meets_itself else 0))
         links = bullet.links(self.body)
         moving = {link.joint: index for index, link in enumerate(links) if link.moves}
         self.carrier = indices_by_name("carrier joint", (joint.name for joint in gripper.carrier), moving)
@@ -79,7 +82,9 @@ def obj_vertices(obj: bytes) -> Iterator[list[float]]:
             yield [float(word) for word in line.split()[1:4]]
 
 
-def load_body(bullet: Bullet, urdf: str, meshes: Mapping[str, bytes], *, fixed: bool) -> int:
+def load_body(
+    bullet: Bullet, urdf: str, meshes: Mapping[str, bytes], *, fixed: bool, meets_itself: bool = False
+) -> int:
     """Load a URDF with its meshes; its index in Bullet."""
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name).resolve()
@@ -91,7 +96,7 @@ def load_body(bullet: Bullet, urdf: str, meshes: Mapping[str, bytes], *, fixed: 
             path.write_bytes(content)
         file = folder / "body.urdf"
         file.write_text(urdf, encoding="utf-8")
-        return bullet.load(file, fixed=fixed)
+        return bullet.load(file, fixed=fixed, meets_itself=meets_itself)
 
 
 def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int]) -> list[int]:
@@ -126,11 +131,14 @@ FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: ever
 class World:
     """A hand on its carrier and an object, until `close`; an AssetError if one cannot be loaded."""
 
+    _breaking_threshold = BREAKING_THRESHOLD
+    _links_meet = False
+
     def __init__(self, scene: Scene) -> None:
         self._bullet = Bullet()
         with ExitStack() as undo:
             undo.callback(self._bullet.close)
-            self._hand = HandBody(self._bullet, scene.gripper)
+            self._hand = HandBody(self._bullet, scene.gripper, meets_itself=self._links_meet)
             self._target = ObjectBody(self._bullet, scene.object)
             self._prepare(scene.gripper)
             undo.pop_all()
@@ -140,21 +148,27 @@ class World:
         self._bullet.close()
 
     def reset(
-        self, pose: HandPose, posture: Sequence[float], frictions: tuple[float, float] | None = None
+        self,
+        pose: HandPose,
+        posture: Sequence[float],
+        frictions: tuple[float, float] | None = None,
+        grip: float = 1.0,
     ) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before.
 
-        `frictions` are the object's coefficients of rolling and spinning friction; None: its own.
+        `frictions` are the object's coefficients of rolling and spinning friction; None: its own. `grip` is
+        a factor of its lateral friction.
 
         In this order the same pose gives the same bits whatever came before: a collision detection with
         the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
         bullet, hand, target = self._bullet, self._hand, self._target
+        bullet.set_breaking_threshold(self._breaking_threshold)
         bullet.place(hand.body, AWAY_POSITION, UPRIGHT)
         bullet.set_joints(hand.body, self._joints, [*self._at_zero, *posture])
         bullet.place(target.body, STILL, UPRIGHT)
         bullet.halt(target.body)
-        bullet.set_friction(target.body, target.lateral_friction, *(frictions or target.frictions))
+        bullet.set_friction(target.body, grip * target.lateral_friction, *(frictions or target.frictions))
         bullet.detect()
         bullet.place(hand.body, pose.position, pose.quaternion)
         bullet.detect()
@@ -228,6 +242,10 @@ class World:
         self.opened = [joint.opened for joint in gripper.joints]
         self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
         self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))
+        self._prepare_motion(gripper)
+
+    def _prepare_motion(self, gripper: SceneGripper) -> None:
+        """Make ready all that closing needs."""
         self._closing = {
             label: self._commands(gripper, joints) for label, joints in closing_joints(gripper).items()
         }

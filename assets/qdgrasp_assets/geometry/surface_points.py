@@ -53,7 +53,12 @@ def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, s
     return SurfacePoints(points, normals[nearest_triangle(points, triangles)], low, high)
 
 
-SURFACES = {"paper": paper_surface, "released": released_surface, "robust": paper_surface}
+SURFACES = {
+    "paper": paper_surface,
+    "released": released_surface,
+    "robust": paper_surface,
+    "physical": paper_surface,
+}
 
 
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.int64]]:

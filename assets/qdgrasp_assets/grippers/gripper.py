@@ -2,7 +2,8 @@
 
 The carrier is made of virtual joints between the world and the hand, which shakes move. `released` has the
 six joints of the authors' URDFs; `paper` only the two that are used, so that the empty hand follows the
-Panda's tabled motion whatever it weighs (docs/grippers.md).
+Panda's tabled motion whatever it weighs (docs/grippers.md). `physical` shakes nothing: there the hand is
+fixed.
 """
 
 import xml.etree.ElementTree as ET
@@ -56,6 +57,7 @@ SIX_AXES = (
     CarrierAxis("rotationZ", "revolute", "0 0 1"),
 )
 TWO_AXES = (TRANSLATION_Z, ROTATION_X)
+FIXED_AXIS = CarrierAxis("carrierFixed", "fixed", "1 0 0")
 CarriedHand = tuple[Urdf, tuple[CarrierJoint, ...]]
 """A hand on its carrier: the URDF's tree and the joints that the worker commands."""
 
@@ -88,6 +90,11 @@ def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
     return _compose(hand, base, TWO_AXES, CARRIED_MASS), commands
 
 
+def fixed_carrier(robot: Urdf, base: str, _: float) -> CarriedHand:
+    """Fix the hand to a link that stands still, with its frame there whatever its own centre of mass is."""
+    return _compose(robot.subtree(base), base, (FIXED_AXIS,), 1.0), ()
+
+
 def inertia_about_x(hand: Urdf) -> float:
     """Return the hand's inertia about its base's x axis, joints at zero [kg m2].
 
@@ -105,6 +112,7 @@ CARRIERS: dict[str, Callable[[Urdf, str, float], CarriedHand]] = {
     "paper": paper_carrier,
     "released": released_carrier,
     "robust": paper_carrier,
+    "physical": fixed_carrier,
 }
 
 
@@ -138,8 +146,9 @@ def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: fl
         ET.SubElement(joint, "parent", link=parent)
         ET.SubElement(joint, "child", link=child)
         ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
-        ET.SubElement(joint, "axis", xyz=axis.axis)
-        ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)
+        if axis.kind != "fixed":
+            ET.SubElement(joint, "axis", xyz=axis.axis)
+            ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)
     robot.extend(hand.element)
     return parse_robot(hand.path, robot)
 
@@ -185,6 +194,7 @@ class Gripper:
             jaw=file.jaw and Jaw(axis=unit_vector(file.jaw.axis), opening=file.jaw.opening),
             extent=self._extent(element, meshes),
             links=self.robot.subtree(file.base_link).links,
+            disabled_collisions=file.disabled_collisions,
         )
 
     def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:
@@ -210,6 +220,8 @@ class Gripper:
             effort=joint.effort if table.effort is None else table.effort,
             velocity=joint.velocity if table.velocity is None else table.velocity,
             driven=table.driven,
+            rated_effort=table.rated_effort,
+            rated_velocity=table.rated_velocity,
         )
 
 

@@ -22,6 +22,7 @@ from qdgrasp_assets.scene import Jaw, Synergy
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
+Pairs = tuple[tuple[str, str], ...]
 KINDS: dict[Any, str] = {
     str: "text",
     bool: "true or false",
@@ -30,6 +31,7 @@ KINDS: dict[Any, str] = {
     Pair: "two numbers",
     Vector: "three numbers",
     Names: "a list of names",
+    Pairs: "a list of pairs of names",
 }
 TABLE_KINDS = {
     "joints": "tables [joints.NAME]",
@@ -107,6 +109,10 @@ class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Velocity limit [m/s or rad/s]; the URDF's by default."""
     driven: bool = True
     """False: never commanded, held by the simulator."""
+    rated_effort: float = 0.0
+    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: `effort`."""
+    rated_velocity: float = 0.0
+    """Speed at which the real drive closes it [m/s or rad/s]; 0: not known."""
 
 
 class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -134,6 +140,8 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Its axis may be of any length; None: not a two-finger hand."""
     carrier_hold_force: float = 100.0
     """Force that holds the carrier's joints in `released` [N, Nm]."""
+    disabled_collisions: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that pass through each other where the hand's links meet."""
 
     def find_urdf(self, toml: Path) -> Path | None:
         """Return the path of the URDF for this TOML; None if it is not on the asset path."""
@@ -221,6 +229,8 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     moving = {joint.name: joint for joint in hand.joints if joint.moves}
     yield from (fault for joint in hand.joints if (fault := kind_fault(joint.name, joint.kind)))
     yield from _unknown_names(robot, "finger_links", file.finger_links, hand.links)
+    pairs = [link for pair in file.disabled_collisions for link in pair]
+    yield from _unknown_names(robot, "disabled_collisions", pairs, hand.links)
     yield from _unknown_names(robot, "joints", file.joints, moving)
     yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
     for synergy in file.synergies:

@@ -122,7 +122,8 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
 def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[str, Any]:
     """Count the figures that depend on the cells and niches that several runs share."""
     scene = parts[0].folder.scene()
-    metrics, reached = SuccessMetrics(trial_count(parts[0].source.asked.protocol)), set[int]()
+    asked, reached = parts[0].source.asked, set[int]()
+    metrics = SuccessMetrics(trial_count(asked.protocol), asked.disturbances)
     archives = []
     for part in parts:
         archive = NicheArchive(synergies(scene, method(part.source.asked.method).prior))

@@ -55,7 +55,7 @@ class RankingSource(Struct, frozen=True):
 def read_run_grasps(folder: RunFolder) -> Rows:
     """Read the grasps of a run (n,) in journal order, with the fitness that its search got.
 
-    A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
+    A grasp survived a nominal disturbance; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
         priors = sorted({method(source.asked.method).prior for source in journal.sources})
@@ -124,7 +124,7 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     known = trial_count(folder.spec.protocol)
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
-    rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known)
+    rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known, folder.spec.disturbances)
     settled = settled_poses(rows)
     moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)
     if settled_mask(rows).any():

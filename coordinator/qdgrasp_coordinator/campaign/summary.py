@@ -93,7 +93,10 @@ def run_summary(folder: RunFolder) -> RunSummary:
     with folder.journal() as journal:
         if journal.sources:
             return msgspec.json.decode(journal.summary, type=RunSummary)
-        metrics, archive = SuccessMetrics(trial_count(spec.protocol)), empty_niche_archive(folder)
+        metrics, archive = (
+            SuccessMetrics(trial_count(spec.protocol), spec.disturbances),
+            empty_niche_archive(folder),
+        )
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
             **structs.asdict(found.totals),

@@ -148,6 +148,7 @@ def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
         "mass": mass if Path(object_).suffix else spec.mass,
         "friction": spec.friction if about else found.imported.friction,
         "protocol": None if spec.protocol == "paper" else spec.protocol,
+        "base": None if spec.base == "paper" else spec.base,
     }
 
 
@@ -163,6 +164,7 @@ def evaluate(
     units: options.Units = None,
     friction: options.Friction = None,
     protocol: options.ProtocolOption = None,
+    base: options.BaseOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
@@ -172,7 +174,7 @@ def evaluate(
     The file holds base_position (n, 3) [m] and base_quaternion_xyzw (n, 4) of the hand's root link and,
     where the hand has them, synergy (n,) and spread (n, 2) [rad]; -1 and NaN mean none. Written are
     valid, touched, success (bool), fitness (uint8) and more, in the order that came; with a protocol that has
-    trials also eta, the share of their shakes that was survived.
+    trials also eta, the share of their disturbances that was survived.
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
@@ -183,6 +185,7 @@ def evaluate(
         scale=scale_of(units, scale),
         friction=friction,
         protocol=protocol,
+        base=base,
     )
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
@@ -201,5 +204,5 @@ def evaluate(
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:
-        write_scores(made, rows, trial_count(spec.protocol))
+        write_scores(made, rows, trial_count(spec.protocol), spec.disturbances)
     typer.echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

@@ -26,6 +26,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     read_reference,
     released_archive,
 )
+from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
 from qdgrasp_coordinator.report.row_report import row_report
 from qdgrasp_coordinator.search.registry import METHODS
@@ -297,7 +298,7 @@ def coverage(
     with folder.journal() as journal:
         successes = journal.successes()
     positions = successes["base_to_object"][:, :3]
-    found = coverage_of(positions, successes["fitness"], entries, released_archive(scene))
+    found = coverage_of(positions, survival(successes), entries, released_archive(scene))
     if as_json:
         values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
         typer.echo(json.dumps(values))

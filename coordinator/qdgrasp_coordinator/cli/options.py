@@ -20,7 +20,13 @@ Units = Annotated[
 Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
 ProtocolOption = Annotated[
     str | None,
-    typer.Option("--protocol", help="Evaluation protocol: paper, released or robust; default paper."),
+    typer.Option(
+        "--protocol", help="Evaluation protocol: paper, physical, released or robust; default paper."
+    ),
+]
+BaseOption = Annotated[
+    str | None,
+    typer.Option("--base", help="What the trials of robust disturb: paper or physical; default paper."),
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 Successes = Annotated[

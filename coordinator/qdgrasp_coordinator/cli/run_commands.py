@@ -65,6 +65,7 @@ def run(
     friction: options.Friction = None,
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
+    base: options.BaseOption = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
     no_new_cell: options.NoNewCell = None,
@@ -109,6 +110,7 @@ def run(
         friction=friction,
         method=method,
         protocol=protocol,
+        base=base,
         evaluations=evaluations,
         successes=successes,
         no_new_cell=no_new_cell,
@@ -309,6 +311,7 @@ def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
     values = to_values(source.spec) | {
         "method": GIVEN,
         "protocol": protocol,
+        "base": "physical" if source.spec.nominal_protocol == "physical" else "paper",
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,

@@ -20,7 +20,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, best_first, eta, genome_numbers
+from qdgrasp_coordinator.metrics.scores import TrialSums, best_first, eta, genome_numbers
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
@@ -166,7 +166,7 @@ class Grasps:
 
     @property
     def fitness(self) -> NDArray[np.float32]:
-        """(n,): shakes survived in the nominal evaluation, 0, 1 or 2."""
+        """(n,): disturbances survived in the nominal evaluation: 0 to 2 shakes, or 0 to 6 forces."""
         return np.asarray(self.rows["fitness"])
 
     @property
@@ -176,13 +176,13 @@ class Grasps:
 
     @property
     def is_grasp(self) -> NDArray[np.bool_]:
-        """(n,): True if at least one shake was survived."""
+        """(n,): True if at least one disturbance was survived."""
         return np.asarray(self.rows["outcome"] >= Outcome.SHAKEN)
 
     @cached_property
     def confidence(self) -> Floats:
-        """(n,), 0 to 1, higher is better: eta if it is known, else the share of shakes survived."""
-        return np.where(np.isnan(self.eta), self.fitness / SHAKES, self.eta)
+        """(n,), 0 to 1, higher is better: eta if it is known, else the share of disturbances survived."""
+        return np.where(np.isnan(self.eta), self.fitness / self.spec.disturbances, self.eta)
 
     @cached_property
     def starts(self) -> NDArray[np.float32]:
@@ -302,7 +302,7 @@ def _source_grasps(
     etas = np.full(len(found), np.nan)
     if trials:
         places = np.searchsorted(genome_numbers(found), genome_numbers(complete))
-        etas[places] = eta(complete["fitness"], trials)
+        etas[places] = eta(complete["fitness"], trials, source.spec.disturbances)
     return np.concatenate(numbers), found, etas
 
 
@@ -315,7 +315,7 @@ def select_grasps(
 ) -> Grasps:
     """Select grasps that are good enough and within limits, of these the best, of these well spread ones.
 
-    `min_fitness` is the least number of shakes survived in the nominal evaluation, 0, 1 or 2; 0 takes all
+    `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
     successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by
     fitness); `diverse` takes so many at most, each as far as can be from those before it (`spread_places`),
     the best one first. Without both, grasps are in journal order. Raises ImpossibleValue for other numbers.

@@ -20,10 +20,13 @@ from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import join_numbers
 
 SUCCESS_WORDS = "a finger touches the object after closing"
-GRASP_WORDS = "a success that survives at least one of the two shakes: fitness 1 or 2"
-FITNESS_MEANING = "shakes survived in the nominal evaluation: 0, 1 or 2; higher is better"
+GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
+FITNESS_MEANING = (
+    "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 forces; "
+    "higher is better"
+)
 ETA_WORDS = (
-    "the share of shakes survived in all trials with disturbed pose and friction, "
+    "the share of disturbances survived in all trials with disturbed pose and friction, "
     "the estimated probability of transfer"
 )
 MESH_FILE = "the mesh file"
@@ -145,12 +148,18 @@ def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMeta
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
-        confidence=f"eta, {ETA_WORDS}; where it is not known fitness / 2"
-        if trial_count(scene.protocol)
-        else "fitness / 2",
+        confidence=_confidence_words(grasps.spec),
         scene=bundle,
         runs=runs,
     )
+
+
+def _confidence_words(spec: RunSpec) -> str:
+    share = f"fitness / {spec.disturbances}"
+    if not trial_count(spec.protocol):
+        return share
+    base = "" if spec.base == "paper" else f" under {spec.base}"
+    return f"eta{base}, {ETA_WORDS}; where it is not known {share}"
 
 
 def _source_runs(folder: RunFolder, journal: Journal) -> tuple[SourceRun, ...]:

@@ -48,7 +48,9 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("generation", rows["generation"], "of the search")
     yield GraspColumn("index", rows["index"], "in the generation")
     yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
-    yield GraspColumn("fitness", grasps.fitness, "shakes survived: 0, 1 or 2")
+    yield GraspColumn(
+        "fitness", grasps.fitness, "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
+    )
     yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
     yield GraspColumn("confidence", grasps.confidence, "0 to 1, higher is better")
     for name, values in zip(POSE, poses.T, strict=True):

@@ -29,7 +29,7 @@ class CurvePoint(Struct, frozen=True, array_like=True):
     proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
     successes: Annotated[int, "A finger touches the object after closing."]
     cells: Annotated[int, "Distinct 1 cm cells with a success."]
-    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
+    robust: Annotated[int, "Successes that survived every disturbance."]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
@@ -74,8 +74,8 @@ class RunTotals(Struct, frozen=True, kw_only=True):
     ]
     dead_ends: Annotated[int, "Genomes for which there was no pose, or none worth a simulation."]
     successes: Annotated[int, "A finger touches the object after closing."]
-    grasps: Annotated[int, "Successes that survived a shake: fitness 1 or more."]
-    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
+    grasps: Annotated[int, "Successes that survived a disturbance: fitness 1 or more."]
+    robust: Annotated[int, "Successes that survived every disturbance."]
     errors: Annotated[int, "Rows on which the simulator failed three times, trials included."]
     cells: Annotated[int, "Distinct 1 cm cells with a success; of a job their sum over its runs."]
     trials: Annotated[int, "Rows that are trials of successes; 0 where no protocol has them."]
@@ -318,12 +318,12 @@ class RunCounter:
 
     @property
     def grasps(self) -> int:
-        """Successes that survived a shake."""
+        """Successes that survived a disturbance."""
         return self._from(Outcome.SHAKEN)
 
     @property
     def robust(self) -> int:
-        """Successes that survived both shakes."""
+        """Successes that survived every disturbance."""
         return self._from(Outcome.HELD)
 
 

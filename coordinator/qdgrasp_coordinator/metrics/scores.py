@@ -1,9 +1,9 @@
 """Scores of successes over their trials, and the order of grasps from the best to the worst.
 
 Where the evaluation protocol has trials, the score of a success is their fitness in sum, known once all of
-them are recorded; elsewhere it is the nominal fitness. Over all shakes of the trials it is eta, the
+them are recorded; elsewhere it is the nominal fitness. Over all disturbances of the trials it is eta, the
 estimated probability that the grasp transfers (Huber et al. 2024, section IV: 100 trials of two shakes, so
-it is the sum over 200).
+it is the sum over 200; trials of `physical` have six forces each).
 """
 
 from collections.abc import Iterable, Iterator
@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.run_stats import success_mask, successes
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
 
-SHAKES = 2  # Shakes in each evaluation
-ROBUST = Outcome.HELD - Outcome.DROPPED  # The nominal fitness of what is held: it survived every shake
+ROBUST = Outcome.HELD - Outcome.DROPPED  # Survival of what is held, and its entry in reference sets
+
+
+def survival(rows: Rows) -> NDArray[np.uint8]:
+    """Return for successes (n,) 0: no disturbance was survived, 1: some were, 2: all."""
+    return np.asarray(rows["outcome"] - np.uint8(Outcome.DROPPED))
 
 
 class TrialSums:
@@ -33,7 +37,7 @@ class TrialSums:
     def take(self, rows: Rows) -> Rows:
         """The nominal successes whose score is known with these rows, in journal order: (n,).
 
-        Their `fitness` is the score: 0 to 2, or 0 to twice the number of trials.
+        Their `fitness` is the score: disturbances survived, in the nominal evaluation or in all trials.
         """
         found = successes(rows)
         if not self._trials:
@@ -88,9 +92,9 @@ def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
     return scores
 
 
-def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
-    """Return eta, 0 to 1, of scores (n,) over `trials` trials: (n,)."""
-    return fitness.astype(np.float64) / (SHAKES * trials)
+def eta(fitness: NDArray[np.number], trials: int, disturbances: int = SHAKES) -> NDArray[np.float64]:
+    """Return eta, 0 to 1, of scores (n,) over `trials` trials of so many disturbances each: (n,)."""
+    return fitness.astype(np.float64) / (disturbances * trials)
 
 
 def genome_numbers(rows: Rows) -> NDArray[np.uint64]:

@@ -18,13 +18,13 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import NicheArchive, NicheKeys
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, success_mask, successes
-from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, eta
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_coordinator.metrics.scores import TrialSums, eta
+from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps
 
 FITNESS_COLOURS = ("#bdb7ad", "#f2a431", "#2a73b9")
-"""Of fitness 0, 1 and 2; told apart with any colour vision, and by their lightness alone."""
-FITNESS_WORDS = ("no shake survived", "one shake survived", "both survived")  # What they mean
+"""Of survival 0, 1 and 2; told apart with any colour vision, and by their lightness alone."""
+FITNESS_WORDS = ("no disturbance survived", "some survived", "all survived")  # What they mean
 
 
 @dataclass(frozen=True)
@@ -116,15 +116,15 @@ class SuccessHistory:
         aimed = self.rows["nu"][self.rows["surface_point"].any(axis=1)].astype(np.float64)
         return np.clip(aimed - ROUNDING, 0.0, math.pi)
 
-    def cells(self, fitness: int = 0) -> StepSeries:
-        """Distinct 1 cm cells with a success of at least this fitness."""
-        chosen = self.rows["fitness"] >= fitness
+    def cells(self, least: Outcome = Outcome.DROPPED) -> StepSeries:
+        """Distinct 1 cm cells with a success of at least this outcome."""
+        chosen = self.rows["outcome"] >= least
         descriptors = self.rows["descriptor"][chosen][:, :3]
         return step_series(self.evaluations[chosen], first_occurrences(cell_keys(cells(descriptors))))
 
-    def found(self, reference: ReferenceSet, fitness: int = 0) -> StepSeries:
-        """Distinct entries of a set that were found with at least this fitness."""
-        chosen = self.rows["fitness"] >= fitness
+    def found(self, reference: ReferenceSet, least: Outcome = Outcome.DROPPED) -> StepSeries:
+        """Distinct entries of a set that were found with at least this outcome."""
+        chosen = self.rows["outcome"] >= least
         reached = cell_keys(cells(self.rows["base_to_object"][chosen][:, :3]))
         new = first_occurrences(reached) & np.isin(reached, cell_keys(reference.cells))
         return step_series(self.evaluations[chosen], new)
@@ -205,10 +205,11 @@ class SuccessMetrics:
 
     successes: int = 0
 
-    def __init__(self, trials: int = 0) -> None:
+    def __init__(self, trials: int = 0, disturbances: int = SHAKES) -> None:
         self._trials = trials
+        self._disturbances = disturbances
         self._scores = TrialSums(trials)
-        self._scored = np.zeros(1 + SHAKES * max(1, trials), dtype=np.int64)  # successes by fitness
+        self._scored = np.zeros(1 + disturbances * max(1, trials), dtype=np.int64)  # successes by fitness
         self._best: dict[int, float] = {}  # by cell
         self._bins = np.zeros(NU_SUMMARY_BINS, dtype=np.int64)
         self._near = 0
@@ -248,7 +249,7 @@ class SuccessMetrics:
         """Eta of the successes; None for a protocol without trials."""
         if not self._trials:
             return None
-        etas = eta(np.arange(len(self._scored)), self._trials)
+        etas = eta(np.arange(len(self._scored)), self._trials, self._disturbances)
         return EtaSummary(
             successes=int(self._scored.sum()),
             mean=self._mean(etas),
@@ -276,9 +277,9 @@ class Diversity(Struct, frozen=True, kw_only=True):
     niches: int
     """Those with a success."""
     grasp_niches: int
-    """Those with a grasp (fitness 1 or more)."""
+    """Those with a grasp, which survived some disturbance."""
     robust_niches: int
-    """Those with a robust grasp (fitness 2)."""
+    """Those with a robust grasp, which survived every one."""
     orientations: float | None
     """Mean number of orientation bins with a success in a cell with one, 1 to 60."""
     synergies: float | None

@@ -19,7 +19,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.metrics.scores import ROBUST
+from qdgrasp_coordinator.metrics.scores import ROBUST, survival
 from qdgrasp_coordinator.metrics.success_metrics import (
     FITNESS_COLOURS,
     FITNESS_WORDS,
@@ -139,11 +139,11 @@ def _draw_cells(axes: Axes, view: RenderedView) -> None:
     cells = counted(len(view.shown), "cell", told="{:,}".format)
     heading = f"{cells} of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
-    fitness = np.clip(view.shown["fitness"], 0, ROBUST).astype(int)
+    survived = survival(view.shown)
     for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
         height = -0.03 - 0.055 * (ROBUST - best)
         axes.text(0.0, height, "\u25a0", color=colour, size=15, transform=axes.transAxes, va="center")
-        words = f"{int((fitness == best).sum()):,}  {word}"
+        words = f"{int((survived == best).sum()):,}  {word}"
         axes.text(0.045, height, words, color=FAINT, size=12, transform=axes.transAxes, va="center")
 
 

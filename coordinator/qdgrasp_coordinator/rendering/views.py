@@ -14,7 +14,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
-from qdgrasp_coordinator.metrics.scores import ROBUST
+from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
     RAYS_PER_PIXEL,
@@ -160,7 +160,7 @@ def view_of_cells(
     fitness.
     """
     places = cells(best["descriptor"][:, :3])
-    hues = hues_of_fitness(best["fitness"]) if hues is None else hues
+    hues = hues_of_survival(survival(best)) if hues is None else hues
     body = object_mesh(scene)
     image = LayeredImage(_camera([body, _cubes(places)], azimuth, pixels))
     right, _, toward = image.camera.project(places / PER_METRE).T
@@ -171,10 +171,10 @@ def view_of_cells(
     return RenderedView(image.composed(), image.camera, best, bool(kept.all()))
 
 
-def hues_of_fitness(best: NDArray[np.number]) -> Floats:
-    """Return the colours (n, 3) of cells by their best fitness (n,)."""
+def hues_of_survival(best: NDArray[np.uint8]) -> Floats:
+    """Return the colours (n, 3) of cells by the survival (n,) of their best successes."""
     colours = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])
-    return np.asarray(colours[np.clip(best, 0, ROBUST).astype(int)])
+    return np.asarray(colours[best])
 
 
 def best_in_cells(successes: Rows) -> Rows:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.scores import ROBUST, eta, scored_successes
+from qdgrasp_coordinator.metrics.scores import ROBUST, eta, scored_successes, survival
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
 from qdgrasp_coordinator.rendering.drawings import axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
-from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_fitness, view_of_cells
+from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
 from qdgrasp_coordinator.report.claims import ConfidenceInterval, near_nu_interval
 from qdgrasp_coordinator.report.figure_grid import (
     CONTEXT,
@@ -286,7 +286,7 @@ class RunVoxels:
     best: Rows
     """(n,): the fittest success of each cell, of equals the first; `fitness` sums its trials."""
     eta: NDArray[np.float64] | None
-    """(n,): share of shakes survived in all trials; None where the protocol has none."""
+    """(n,): share of disturbances survived in all trials; None where the protocol has none."""
 
     @property
     def worth(self) -> NDArray[np.float64]:
@@ -327,7 +327,8 @@ def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     with folder.journal() as journal:
         found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), trials)])
     best = best_in_cells(found)
-    return RunVoxels(name, run, folder.scene(), best, eta(best["fitness"], trials) if trials else None)
+    etas = eta(best["fitness"], trials, run.spec.disturbances) if trials else None
+    return RunVoxels(name, run, folder.scene(), best, etas)
 
 
 def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
@@ -346,7 +347,7 @@ def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
     )
     for number, one in enumerate(shown):
         axes = grid.axes(*divmod(number, columns))
-        hues = hues_of_fitness(one.best["fitness"]) if one.eta is None else _hues_of_eta(one.eta)
+        hues = hues_of_survival(survival(one.best)) if one.eta is None else _hues_of_eta(one.eta)
         view = view_of_cells(one.scene, one.best, best_azimuth(one.scene, one.best), VOXEL_PIXELS, hues)
         run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
         run += "" if one.run.complete else ", unfinished"
@@ -368,7 +369,7 @@ def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
 def _voxel_counts(one: RunVoxels, is_uncut: bool) -> str:
     cut = "" if is_uncut else "; cut open"
     if one.eta is None:
-        return f"{len(one.best):,} cells, {int((one.best['fitness'] == ROBUST).sum()):,} robust{cut}"
+        return f"{len(one.best):,} cells, {int((survival(one.best) == ROBUST).sum()):,} robust{cut}"
     return f"{len(one.best):,} cells, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"
 
 

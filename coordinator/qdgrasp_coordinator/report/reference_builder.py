@@ -112,7 +112,7 @@ def _add(sets: SetsByObject, new: ReferenceSet, where: Path, mixed: bool) -> Non
 
 
 def _best_cells(found: Rows) -> ReachedCells:
-    """Return the cells of nominal successes, and the most shakes that one in each survived."""
+    """Return the cells of nominal successes, and the best survival in each: 0, 1 or 2."""
     positions = found["base_to_object"][:, :3]
     return best_per_cell(cells(positions), found["outcome"] - np.uint8(Outcome.DROPPED))
 

@@ -25,6 +25,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome, trial_count
+from qdgrasp_protocol.spec import RunSpec
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 ContextKey = tuple[Path, float, str, int]
@@ -54,11 +55,15 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
     sources = journal.sources
     if not sources:
-        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder)),))
+        return _context(folder.spec, ((0, synergy_reader(folder)),))
     scene, asked = folder.scene(), [source.asked for source in sources]
     ends = accumulate(source.kept for source in sources)
     named = (synergies(scene, method(spec.method).prior) for spec in asked)
-    return RowContext(trial_count(asked[0].protocol), tuple(zip(ends, named, strict=True)))
+    return _context(asked[0], tuple(zip(ends, named, strict=True)))
+
+
+def _context(spec: RunSpec, parts: tuple[tuple[int, SynergyReader], ...]) -> RowContext:
+    return RowContext(trial_count(spec.protocol), spec.disturbances, parts)
 
 
 ROWS_READ_AT_ONCE = 1 << 16
@@ -70,9 +75,9 @@ OUTCOME_MEANINGS = {
     Outcome.OVERLAP: "the open hand overlaps the object",
     Outcome.MISSED: "no finger touched the object",
     Outcome.BRUSHED: "a finger touched while closing, none after it",
-    Outcome.DROPPED: "a finger touches after closing; no shake was survived",
-    Outcome.SHAKEN: "one of the two shakes was survived",
-    Outcome.HELD: "both shakes were survived",
+    Outcome.DROPPED: "a finger touches after closing; no disturbance was survived",
+    Outcome.SHAKEN: "some of the disturbances were survived",
+    Outcome.HELD: "every disturbance was survived",
 }
 
 
@@ -228,7 +233,9 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
     values |= {
         "scale": spec.scale or 1.0,
         "trials": len(repeats),
-        "eta": float(eta(np.array([sum(repeats)]), repeats_known)[0]) if is_scored else None,
+        "eta": float(eta(np.array([sum(repeats)]), repeats_known, spec.disturbances)[0])
+        if is_scored
+        else None,
     }
     return msgspec.convert(values, RowReport)
 

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget
 from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
-from qdgrasp_coordinator.metrics.scores import ROBUST
 from qdgrasp_coordinator.metrics.success_metrics import (
     NEAR_NU,
     Diversity,
@@ -30,7 +29,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Rows, trial_count
+from qdgrasp_protocol.rows import Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
 
 SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends")
@@ -67,11 +66,11 @@ class RunHistory:
     cells: StepSeries
     """Distinct 1 cm cells with a success."""
     robust_cells: StepSeries
-    """Those with a success of fitness 2."""
+    """Those with a robust success."""
     found: StepSeries | None
     """Distinct entries of the reference set."""
     robust_found: StepSeries | None
-    """Those of fitness 2, found with fitness 2."""
+    """Those of fitness 2, found by robust successes."""
     published: StepSeries | None
     """Entries as the released code counts them; None for a hand that it does not have."""
     diversity: Diversity
@@ -119,7 +118,10 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     with folder.journal() as journal:
         if not _has_curves(journal, spec):
             journal.check_whole()
-        metrics, niches = SuccessMetrics(trial_count(spec.protocol)), empty_niche_archive(folder)
+        metrics, niches = (
+            SuccessMetrics(trial_count(spec.protocol), spec.disturbances),
+            empty_niche_archive(folder),
+        )
         found: list[SuccessHistory] = []
         blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
         sums = _run_sums(journal, spec, blocks)
@@ -132,9 +134,9 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         **sums,
         successes=metrics.successes,
         cells=history.cells(),
-        robust_cells=history.cells(fitness=ROBUST),
+        robust_cells=history.cells(Outcome.HELD),
         found=None if known is None else history.found(known),
-        robust_found=None if known is None else history.found(known.robust, fitness=ROBUST),
+        robust_found=None if known is None else history.found(known.robust, Outcome.HELD),
         published=None if known is None or archive is None else history.published(known, archive),
         diversity=diversity(niches),
         qd_score=metrics.qd_score,

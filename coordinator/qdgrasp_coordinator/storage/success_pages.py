@@ -11,7 +11,17 @@ from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta, known_scores
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage
-from qdgrasp_protocol.rows import NO_SYNERGY, RESULT, RowColumn, Rows, RowShape, deflated, pack, unpack
+from qdgrasp_protocol.rows import (
+    NO_SYNERGY,
+    RESULT,
+    SHAKES,
+    RowColumn,
+    Rows,
+    RowShape,
+    deflated,
+    pack,
+    unpack,
+)
 
 NO_ETA = -1.0  # Placeholder for an eta that is not known
 
@@ -22,6 +32,8 @@ class RowContext:
 
     trials: int = 0
     """Number of trials of a success."""
+    disturbances: int = SHAKES
+    """Number of disturbances in each."""
     parts: tuple[tuple[int, SynergyReader], ...] = ((0, UNKNOWN_SYNERGIES),)
     """Readers of synergies, each with the number behind the last row that it holds for.
 
@@ -41,13 +53,13 @@ class RowContext:
         """Return eta of each nominal success in consecutive rows (n,); `NO_ETA`: trials are missing."""
         if not self.trials:
             return np.full(int(np.count_nonzero(success_mask(rows))), NO_ETA)
-        return np.nan_to_num(eta(known_scores(rows, self.trials), self.trials), nan=NO_ETA)
+        return np.nan_to_num(eta(known_scores(rows, self.trials), self.trials, self.disturbances), nan=NO_ETA)
 
 
 SUCCESS_COLUMNS = (
     RowColumn("number", "<u4", "1", "the row's number in the journal"),
     RowColumn("outcome", "<u1", "1", "`Outcome`"),
-    RowColumn("fitness", "<f4", "1", "shakes survived: 0, 1 or 2; the sum over the trials is not in it"),
+    RowColumn("fitness", "<f4", "1", "disturbances survived; the sum over the trials is not in it"),
     RowColumn(
         "descriptor", "<f4", "3", "the hand's commanded position [m], CoM frame: what cells are made of"
     ),

@@ -34,6 +34,8 @@ PHASE_WORDS = {
     "closing": "closing, {seconds:.2f} s",
     "shake z": "shake along z, {seconds:.2f} s",
     "shake x": "shake about x, {seconds:.2f} s",
+    "settling": "settling, {seconds:.2f} s",
+    "pushes": "pushes, {seconds:.2f} s",
 }
 
 

@@ -10,7 +10,8 @@ from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import BASE
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.evaluation_protocols import Shake
+from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake
+from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World
@@ -19,9 +20,9 @@ STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
-    "all": ("placed", "closing", "shake z", "shake x"),
-    "closing": ("placed", "closing"),
-    "shakes": ("shake z", "shake x"),
+    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes"),
+    "closing": ("placed", "closing", "settling"),
+    "shakes": ("shake z", "shake x", "pushes"),
 }
 
 
@@ -63,9 +64,10 @@ class RecordingWorld(World):
     _is_watching = False  # while the world is made its hand closes on nothing
     _phase: Phase = "placed"
     _step = 0
+    _parts, _parts_of_step = 0, 1
 
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, *settings: Physics) -> None:
+        super().__init__(scene, *settings)
         links = self._bullet.links(self._hand.body)
         self.joints = [links[joint].joint for joint in self._joints]
         """The names of all joints that move."""
@@ -74,10 +76,14 @@ class RecordingWorld(World):
         self._is_watching = True
 
     def reset(
-        self, pose: HandPose, posture: Sequence[float], frictions: tuple[float, float] | None = None
+        self,
+        pose: HandPose,
+        posture: Sequence[float],
+        frictions: tuple[float, float] | None = None,
+        grip: float = 1.0,
     ) -> None:
         """Put hand and object in place, and forget what was remembered."""
-        super().reset(pose, posture, frictions)
+        super().reset(pose, posture, frictions, grip)
         self._root = pose.position, pose.quaternion
         if self._is_watching:
             self.snapshots.clear()
@@ -102,14 +108,16 @@ class RecordingWorld(World):
             self._begin(PHASE_BY_SHAKE[shake.joint])
 
     def step(self) -> None:
-        """Move on by 1/240 s."""
+        """Move on by a step."""
         super().step()
         if self._is_watching:
-            self._step += 1
-            self.snapshots.append(self._now())
+            self._parts += 1
+            if self._parts % self._parts_of_step == 0:
+                self._step += 1
+                self.snapshots.append(self._now())
 
     def _begin(self, phase: Phase) -> None:
-        self._phase, self._step = phase, 0
+        self._phase, self._step, self._parts = phase, 0, 0
         self.snapshots.append(self._now())
 
     def _now(self) -> Snapshot:
@@ -122,3 +130,24 @@ class RecordingWorld(World):
             renderer.body_pose(self._bullet, target),
             renderer.contact_points(self._bullet, hand, target, self._links, self.finger_links),
         )
+
+
+class RecordingPhysicalWorld(RecordingWorld, PhysicalWorld):
+    """A world of `physical` that records its last evaluation."""
+
+    _parts_of_step = 2  # its steps are half as long
+
+    def release(self) -> None:
+        """Let the object go."""
+        super().release()
+        self._begin("settling")
+
+    def begin_pushes(self) -> None:
+        """Let all targets stay."""
+        super().begin_pushes()
+        self._begin("pushes")
+
+
+def recording_world(scene: Scene, protocol: EvaluationProtocol) -> RecordingWorld:
+    """A world that records episodes of a protocol; an AssetError if Bullet cannot load the scene."""
+    return RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingWorld(scene)

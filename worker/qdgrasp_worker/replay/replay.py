@@ -34,14 +34,15 @@ from qdgrasp_protocol.replay_messages import (
 )
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
-from qdgrasp_worker.episode import Episode, EpisodeResult
-from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.episode import EpisodeResult
+from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
+from qdgrasp_worker.evaluator import make_episode
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
-    RecordingWorld,
     TimedSnapshot,
     animation,
+    recording_world,
     still_snapshot,
 )
 from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
@@ -57,8 +58,9 @@ class EpisodeReplay:
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
         self._request = request
-        with closing(RecordingWorld(scene)) as world:
-            episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
+        protocol = scene_protocol(scene)
+        with closing(recording_world(scene, protocol)) as world:
+            episode = make_episode(world, protocol, stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
             self.snapshots = world.snapshots
             self._joints = world.joints
@@ -119,7 +121,7 @@ def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
     """The grasp to simulate, disturbed by its trial."""
     genome = np.array([request.genome], dtype=np.float32)
     grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
-    return PROTOCOLS[scene.protocol].trial(grasp, request.trial)
+    return scene_protocol(scene).trial(grasp, request.trial)
 
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
