@@ -35,6 +35,10 @@ class Joint(Struct, frozen=True, kw_only=True):
     """Motor velocity limit [m/s or rad/s]."""
     driven: bool = True
     """True: closes in the synergies that name it; False: held by Bullet's own motor."""
+    rated_effort: float = 0.0
+    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: not stated."""
+    rated_velocity: float = 0.0
+    """Speed at which the real hand closes [m/s or rad/s]; 0: not stated."""
 
 
 class Synergy(Struct, frozen=True, kw_only=True):
@@ -104,6 +108,8 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     """None: not a two-finger hand."""
     extent: float
     """Largest side of the box around its collision shapes, joints at zero, base frame [m]."""
+    disabled_collisions: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that may overlap, besides a joint's parent and child."""
 
     @property
     def reach(self) -> float:

@@ -1,4 +1,4 @@
-"""Checks of a gripper's file against its hand's geometry: faults and unlikely values."""
+"""Checks of a gripper's file against its hand's geometry, and the links that may overlap."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME, ClosingMotion, interpolate_posture
 from qdgrasp_assets.grippers.gripper_file import GripperFile
-from qdgrasp_assets.grippers.hand_model import HandModel, find_fingers, overlap_depth
+from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
@@ -171,7 +171,7 @@ SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the cl
 
 def posture_notes(hand: HandPostures) -> tuple[str, ...]:
     """Return the notes on a gripper's file."""
-    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
+    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand), *_rating_notes(hand))
 
 
 def _approach_notes(hand: HandPostures) -> Iterator[str]:
@@ -248,3 +248,104 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
     pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
     if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
         yield f"in each other in every posture, as links of one linkage are: {linked}"
+
+
+STRONGEST_FINGER = 300.0
+"""Force at a fingertip above which an effort cannot be true [N]; Robotiq's 2F-85 grips with 235 N."""
+FASTEST_CLOSING = 0.1  # Time below which no real hand closes [s]; the Shadow hand's takes 0.2 s at the least
+
+
+def _rating_notes(hand: HandPostures) -> Iterator[str]:
+    rated = {name: table for name, table in hand.file.joints.items() if name in hand.body.moving}
+    forces = {
+        name: fingertip_force(hand, name, table.rated_effort)
+        for name, table in rated.items()
+        if table.rated_effort is not None
+    }
+    if strong := [name for name, force in forces.items() if force > STRONGEST_FINGER]:
+        name = max(strong, key=forces.__getitem__)
+        yield (
+            f"the rated_effort of {', '.join(strong)} cannot be true: {name} would press with "
+            f"{forces[name]:.0f} N at the end of its finger, and no hand does with more than "
+            f"{STRONGEST_FINGER:.0f} N; take it from the data sheet of the hand"
+        )
+    times = {
+        name: abs(hand.closing.closed[name] - table.open) / table.rated_velocity
+        for name, table in rated.items()
+        if table.rated_velocity is not None and name in hand.closing.closed
+    }
+    if fast := [name for name, time in times.items() if 0 < time < FASTEST_CLOSING]:
+        name = min(fast, key=times.__getitem__)
+        yield (
+            f"the rated_velocity of {', '.join(fast)} cannot be true: {name} would close in "
+            f"{times[name]:.2g} s, and no hand does in less than {FASTEST_CLOSING:g} s; take it from the "
+            "data sheet of the hand"
+        )
+
+
+def fingertip_force(hand: HandPostures, name: str, effort: float) -> float:
+    """Return the force of a joint's effort [N or Nm] at the far end of what it moves [N].
+
+    Of a revolute joint that is the effort over the largest distance from its axis, in the open posture. Zero
+    where it moves no shape.
+    """
+    body, posture = hand.body, hand.posture(0.0)
+    joint = body.joint(name)
+    frame = body.robot.forward(posture)[joint.child]
+    beyond = [link for link in body.robot.subtree(joint.child).links if link in body.parts]
+    if not beyond or joint.kind == "prismatic":
+        return effort if beyond else 0.0
+    arms = np.cross(body.corners(beyond, posture) - frame[:3, 3], frame[:3, :3] @ joint.axis)
+    reach = float(np.linalg.norm(arms, axis=1).max())
+    return effort / reach if reach > 0 else 0.0
+
+
+TOUCHING = 3e-3
+"""Distance from which links may be pushed apart [m]: Bullet adds 1 mm to each hull, and sees contacts ahead."""
+SAMPLED_POSTURES = 40
+MOST_CLEAR = 2  # Largest number of them in which links that overlap in nearly every posture are apart
+LinkPair = tuple[str, str]
+
+
+def overlapping_pairs(hand: HandPostures) -> tuple[LinkPair, ...]:
+    """Return the pairs of links that overlap when open, or in nearly every sampled posture.
+
+    So do those within `TOUCHING`. Their collisions are to be disabled, as MoveIt's setup does: an engine
+    would push them apart before the hand has touched anything. Links of one joint, parent and child, are left out. A pair that overlaps in
+    some postures only is not among them: it is what must collide.
+    """
+    joined = {frozenset((joint.parent, joint.child)) for joint in hand.body.robot.joints}
+    pairs = [pair for pair in combinations(hand.body.parts, 2) if frozenset(pair) not in joined]
+    opened = hand.body.parts_at(hand.posture(0.0))
+    found = {pair for pair in pairs if _do_overlap(opened, pair)}
+    clear = {pair: 0 for pair in pairs if pair not in found}
+    for posture in sampled_postures(hand):
+        placed = hand.body.parts_at(posture)
+        clear = {pair: times + (not _do_overlap(placed, pair)) for pair, times in clear.items()}
+        clear = {pair: times for pair, times in clear.items() if times <= MOST_CLEAR}
+    return tuple(pair for pair in pairs if pair in found or pair in clear)
+
+
+def sampled_postures(hand: HandPostures) -> Iterator[dict[str, float]]:
+    """Yield seeded random postures: each joint somewhere on its way, free joints in their ranges.
+
+    Joints that follow others are as far on their way as these.
+    """
+    random = np.random.default_rng(0)
+    opened, closed, followers = hand.closing.opened, hand.closing.closed, hand.body.followers
+    for _ in range(SAMPLED_POSTURES):
+        shares = {name: random.random() for name in opened}
+        leaders = {name: followers[name].leader if name in followers else name for name in opened}
+        posture = {
+            name: place + shares[leaders[name]] * (closed.get(name, place) - place)
+            for name, place in opened.items()
+        }
+        genes = hand.file.free_joints.items()
+        free = {name: each.low + random.random() * (each.high - each.low) for name, each in genes}
+        yield {**posture, **free}
+
+
+def _do_overlap(placed: dict[str, tuple[ConvexSolid, ...]], pair: LinkPair) -> bool:
+    one, other = pair
+    grown = [part.grown(TOUCHING) for part in placed[one]]
+    return any(first.depth(second) > 0 for first, second in product(grown, placed[other]))
