@@ -270,7 +270,7 @@ def _rating_notes(hand: HandPostures) -> Iterator[str]:
 
 
 def _impossible(rating: str, would: str, values: dict[str, float], most: float) -> Iterator[str]:
-    """Yield a sentence if any of the values at fingertips, by joint, is above the greatest known."""
+    """Yield a sentence if a fingertip's value, by joint, is above the greatest known."""
     if beyond := [name for name, value in values.items() if value > most]:
         name = max(beyond, key=values.__getitem__)
         more = f" (and {counted(len(beyond) - 1, 'other joint')})" if len(beyond) > 1 else ""
@@ -281,7 +281,7 @@ def _impossible(rating: str, would: str, values: dict[str, float], most: float) 
 
 
 def fingertip_arm(hand: HandPostures, name: str) -> float:
-    """Return the largest distance from a joint's axis of the shapes that it turns, hand open [m].
+    """Return the largest distance from a joint's axis of what it turns, hand open [m].
 
     An effort over it is a force at the fingertip, a velocity times it a speed. 1 for a prismatic joint; 0
     where it moves no shape.
@@ -297,7 +297,7 @@ def fingertip_arm(hand: HandPostures, name: str) -> float:
 
 
 TOUCHING = 3e-3
-"""Distance from which links may be pushed apart [m]: Bullet adds 1 mm to each hull, and sees contacts ahead."""
+"""Distance below which links count as overlapping [m]: Bullet adds 1 mm to each hull, and looks ahead."""
 SAMPLED_POSTURES = 40
 MOST_CLEAR = 2  # Largest number of them in which links that overlap in nearly every posture are apart
 LinkPair = tuple[str, str]
@@ -306,9 +306,9 @@ LinkPair = tuple[str, str]
 def overlapping_pairs(hand: HandPostures) -> tuple[LinkPair, ...]:
     """Return the pairs of links that overlap when open, or in nearly every sampled posture.
 
-    So do those within `TOUCHING`. Their collisions are to be disabled, as MoveIt's setup does: an engine
-    would push them apart before the hand has touched anything. Links of one joint, parent and child, are left out. A pair that overlaps in
-    some postures only is not among them: it is what must collide.
+    Their collisions are to be disabled, as MoveIt's setup does: an engine would push them apart before the
+    hand has touched anything. A joint's parent and child are left out. Links that overlap in some postures
+    only are not among them: these must collide.
     """
     joined = {frozenset((joint.parent, joint.child)) for joint in hand.body.robot.joints}
     pairs = [pair for pair in combinations(hand.body.parts, 2) if frozenset(pair) not in joined]
@@ -316,6 +316,8 @@ def overlapping_pairs(hand: HandPostures) -> tuple[LinkPair, ...]:
     found = {pair for pair in pairs if _do_overlap(opened, pair)}
     clear = {pair: 0 for pair in pairs if pair not in found}
     for posture in sampled_postures(hand):
+        if not clear:
+            break
         placed = hand.body.parts_at(posture)
         clear = {pair: times + (not _do_overlap(placed, pair)) for pair, times in clear.items()}
         clear = {pair: times for pair, times in clear.items() if times <= MOST_CLEAR}
@@ -323,7 +325,7 @@ def overlapping_pairs(hand: HandPostures) -> tuple[LinkPair, ...]:
 
 
 def sampled_postures(hand: HandPostures) -> Iterator[dict[str, float]]:
-    """Yield seeded random postures: each joint somewhere on its way, free joints in their ranges.
+    """Yield seeded random postures: joints on their ways, free joints in their ranges.
 
     Joints that follow others are as far on their way as these.
     """

@@ -290,7 +290,8 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label in ("rated_effort", "rated_velocity"):
         rating = getattr(table, label)
         if rating is not None and rating <= 0:
-            yield f"joints.{joint.name}.{label} must be greater than 0, got {rating:g}; leave it out if unknown"
+            field = f"joints.{joint.name}.{label}"
+            yield f"{field} must be greater than 0, got {rating:g}; leave it out if it is unknown"
 
 
 def _limit_faults(joint: UrdfJoint, field: str, position: float) -> Iterator[str]:
