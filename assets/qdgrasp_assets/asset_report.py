@@ -249,6 +249,10 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
     fingers: int = 0
     finger_links: tuple[str, ...] = ()
     synergies: tuple[str, ...] = ()
+    rated: int = 0
+    """Number of joints with ratings of the real drive."""
+    ratings_source: str = ""
+    disabled_collisions: tuple[tuple[str, str], ...] = ()
     mass: float | None = None
     """[kg]"""
     extents: tuple[float, float, float] | None = None
@@ -274,6 +278,10 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
             yield "fingers", f"{self.fingers}, with {counted(len(self.finger_links), 'finger link')}"
             if self.synergies:
                 yield "synergies", ", ".join(self.synergies)
+            yield "ratings", f"of {counted(self.rated, 'joint')}: {self.ratings_source}"
+            if self.disabled_collisions:
+                pairs = (f"'{one}' and '{other}'" for one, other in self.disabled_collisions)
+                yield "may overlap", ", ".join(pairs)
             yield "licence", self.licence
         if self.extents is not None:
             yield "size", f"{' x '.join(f'{side:.4f}' for side in self.extents)} m, open"
@@ -354,6 +362,9 @@ def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
         fingers=len(hand.closing.fingers),
         finger_links=file.finger_links,
         synergies=tuple(synergy.name for synergy in file.synergies),
+        rated=sum(table.rated_effort is not None for table in file.joints.values()),
+        ratings_source=file.ratings_source,
+        disabled_collisions=file.disabled_collisions,
         mass=body.robot.mass,
         extents=vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0),
         parts=sum(map(len, body.parts.values())),

@@ -37,9 +37,9 @@ class Joint(Struct, frozen=True, kw_only=True):
     driven: bool = True
     """True: closes in the synergies that name it; False: held by Bullet's own motor."""
     rated_effort: float = 0.0
-    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: `effort`."""
+    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: not stated."""
     rated_velocity: float = 0.0
-    """Speed at which the real drive closes it [m/s or rad/s]; 0: not known."""
+    """Speed at which the real hand closes [m/s or rad/s]; 0: not stated."""
 
 
 class Synergy(Struct, frozen=True, kw_only=True):
@@ -112,7 +112,7 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     links: tuple[str, ...] = ()
     """All links from the base link on, in the order in which rows count them."""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
-    """Pairs of links that pass through each other where the hand's links meet (protocol `physical`)."""
+    """Pairs of links that may overlap, besides a joint's parent and child."""
 
     @property
     def reach(self) -> float:

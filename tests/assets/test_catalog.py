@@ -1,6 +1,7 @@
 import subprocess
 import sys
 
+import msgpack
 import numpy as np
 import pytest
 import trimesh
@@ -43,6 +44,15 @@ def test_a_scene_is_the_same_bytes_in_a_fresh_process():
 def test_a_scene_survives_its_bundle():
     made = scene()
     assert unpack_scene(pack_scene(made).payload) == made
+
+
+def test_a_bundle_that_was_packed_before_hands_had_ratings_is_read():
+    made = scene()
+    values = msgpack.unpackb(pack_scene(made).payload)
+    del values["gripper"]["disabled_collisions"]
+    for joint in values["gripper"]["joints"]:
+        del joint["rated_effort"], joint["rated_velocity"]
+    assert unpack_scene(msgpack.packb(values)) == made
 
 
 def test_the_surface_seed_is_part_of_the_scene():

@@ -12,6 +12,7 @@ from msgspec import UNSET, Struct, structs
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import ClosingMotion, find_closing, joint_motor, pinches
+from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
 from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf
@@ -20,6 +21,10 @@ from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.text import counted
 
 AS_TOLD = "as told"
+RATINGS_REASON = (
+    "where the rated_effort and rated_velocity of the joints come from: replace them by those of the data "
+    "sheet, and name it"
+)
 ROUNDING = 1e-6  # Resolution to which limits are written
 
 
@@ -104,7 +109,9 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         synergies=tuple(Synergy(name=name, joints=group) for name, group in synergies.items()),
         free_joints=free,
         jaw=jaw,
+        ratings_source="the URDF's limits, not compared with a data sheet",
     )
+    file = structs.replace(file, disabled_collisions=overlapping_pairs(HandPostures(file, body)))
     licence_advice = "" if overrides.licence else ", so state it"
     reasons = {
         "licence": f"of the hand's files; it goes into every export{licence_advice}",
@@ -113,6 +120,8 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         "palm_offset": offset_reason,
         "standoff": standoff_reason,
         "finger_links": links_reason,
+        "ratings_source": RATINGS_REASON,
+        "disabled_collisions": "pairs of links that overlap when the hand is open, or wherever it is",
         "jaw": jaw_reason,
         "synergies": synergies_reason,
         "free_joints": free_reason,
@@ -199,7 +208,16 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
     elif name in closing.fixed_joints:
         notes = (closing.fixed_joints[name], *notes)
     target = None if closed == opened else closed
-    return JointTable(open=opened, closed=target, effort=effort, velocity=velocity), "; ".join(notes)
+    joint = body.joint(name)
+    table = JointTable(
+        open=opened,
+        closed=target,
+        effort=effort,
+        velocity=velocity,
+        rated_effort=effort or joint.effort,
+        rated_velocity=joint.velocity if joint.velocity > 0 else velocity,
+    )
+    return table, "; ".join(notes)
 
 
 LINE_WIDTH = 108
@@ -207,7 +225,10 @@ TOML_HEAD = """\
 What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
 What the keys mean: docs/grippers.md.
 After a change: qdgrasp gripper check {name} --picture pictures"""
-PLAIN_KEYS = ("licence", "base_link", "approach_axis", "palm_offset", "standoff", "finger_links")
+PLAIN_KEYS = (
+    "licence", "base_link", "approach_axis", "palm_offset", "standoff", "finger_links", "ratings_source",
+    "disabled_collisions",
+)  # fmt: skip
 KEY_UNITS = {"palm_offset": " [m]", "standoff": " [m]"}
 
 

@@ -1,4 +1,4 @@
-"""Checks of a gripper's file against its hand's geometry: faults and unlikely values."""
+"""Checks of a gripper's file against its hand's geometry, and the links that may overlap."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME, ClosingMotion, interpolate_posture
 from qdgrasp_assets.grippers.gripper_file import GripperFile
-from qdgrasp_assets.grippers.hand_model import HandModel, find_fingers, overlap_depth
+from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
@@ -171,7 +171,7 @@ SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the cl
 
 def posture_notes(hand: HandPostures) -> tuple[str, ...]:
     """Return the notes on a gripper's file."""
-    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
+    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand), *_rating_notes(hand))
 
 
 def _approach_notes(hand: HandPostures) -> Iterator[str]:
@@ -248,3 +248,102 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
     pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
     if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
         yield f"in each other in every posture, as links of one linkage are: {linked}"
+
+
+STRONGEST_FINGER = 300.0
+"""Force at a fingertip above which an effort cannot be true [N]; Robotiq's 2F-85 grips with 235 N."""
+FASTEST_FINGER = 3.0
+"""Speed of a fingertip above which a velocity cannot be true [m/s].
+
+The tendons of the pneumatic Adroit hand move a finger of 0.1 m from limit to limit in 70 ms, 2.2 m/s.
+"""
+
+
+def _rating_notes(hand: HandPostures) -> Iterator[str]:
+    arms = {name: arm for name in hand.file.joints if (arm := fingertip_arm(hand, name))}
+    efforts = {name: hand.file.joints[name].rated_effort or 0.0 for name in arms}
+    velocities = {name: hand.file.joints[name].rated_velocity or 0.0 for name in arms}
+    forces = {name: effort / arms[name] for name, effort in efforts.items()}
+    speeds = {name: velocity * arms[name] for name, velocity in velocities.items()}
+    yield from _impossible("rated_effort", "press with {:.0f} N", forces, STRONGEST_FINGER)
+    yield from _impossible("rated_velocity", "move at {:.3g} m/s", speeds, FASTEST_FINGER)
+
+
+def _impossible(rating: str, would: str, values: dict[str, float], most: float) -> Iterator[str]:
+    """Yield a sentence if a fingertip's value, by joint, is above the greatest known."""
+    if beyond := [name for name, value in values.items() if value > most]:
+        name = max(beyond, key=values.__getitem__)
+        more = f" (and {counted(len(beyond) - 1, 'other joint')})" if len(beyond) > 1 else ""
+        yield (
+            f"the {rating} of {name}{more} cannot be true: the end of its finger would "
+            f"{would.format(values[name])}, and no hand's does above {most:g}; take it from the data sheet"
+        )
+
+
+def fingertip_arm(hand: HandPostures, name: str) -> float:
+    """Return the largest distance from a joint's axis of what it turns, hand open [m].
+
+    An effort over it is a force at the fingertip, a velocity times it a speed. 1 for a prismatic joint; 0
+    where it moves no shape.
+    """
+    body, posture = hand.body, hand.posture(0.0)
+    joint = body.joint(name)
+    frame = body.robot.forward(posture)[joint.child]
+    corners = body.corners(body.robot.subtree(joint.child).links, posture)
+    if not len(corners) or joint.kind == "prismatic":
+        return float(len(corners) > 0)
+    turned = np.cross(corners - frame[:3, 3], frame[:3, :3] @ joint.axis)
+    return float(np.linalg.norm(turned, axis=1).max())
+
+
+TOUCHING = 3e-3
+"""Distance below which links count as overlapping [m]: Bullet adds 1 mm to each hull, and looks ahead."""
+SAMPLED_POSTURES = 40
+MOST_CLEAR = 2  # Largest number of them in which links that overlap in nearly every posture are apart
+LinkPair = tuple[str, str]
+
+
+def overlapping_pairs(hand: HandPostures) -> tuple[LinkPair, ...]:
+    """Return the pairs of links that overlap when open, or in nearly every sampled posture.
+
+    Their collisions are to be disabled, as MoveIt's setup does: an engine would push them apart before the
+    hand has touched anything. A joint's parent and child are left out. Links that overlap in some postures
+    only are not among them: these must collide.
+    """
+    joined = {frozenset((joint.parent, joint.child)) for joint in hand.body.robot.joints}
+    pairs = [pair for pair in combinations(hand.body.parts, 2) if frozenset(pair) not in joined]
+    opened = hand.body.parts_at(hand.posture(0.0))
+    found = {pair for pair in pairs if _do_overlap(opened, pair)}
+    clear = {pair: 0 for pair in pairs if pair not in found}
+    for posture in sampled_postures(hand):
+        if not clear:
+            break
+        placed = hand.body.parts_at(posture)
+        clear = {pair: times + (not _do_overlap(placed, pair)) for pair, times in clear.items()}
+        clear = {pair: times for pair, times in clear.items() if times <= MOST_CLEAR}
+    return tuple(pair for pair in pairs if pair in found or pair in clear)
+
+
+def sampled_postures(hand: HandPostures) -> Iterator[dict[str, float]]:
+    """Yield seeded random postures: joints on their ways, free joints in their ranges.
+
+    Joints that follow others are as far on their way as these.
+    """
+    random = np.random.default_rng(0)
+    opened, closed, followers = hand.closing.opened, hand.closing.closed, hand.body.followers
+    for _ in range(SAMPLED_POSTURES):
+        shares = {name: random.random() for name in opened}
+        leaders = {name: followers[name].leader if name in followers else name for name in opened}
+        posture = {
+            name: place + shares[leaders[name]] * (closed.get(name, place) - place)
+            for name, place in opened.items()
+        }
+        genes = hand.file.free_joints.items()
+        free = {name: each.low + random.random() * (each.high - each.low) for name, each in genes}
+        yield {**posture, **free}
+
+
+def _do_overlap(placed: dict[str, tuple[ConvexSolid, ...]], pair: LinkPair) -> bool:
+    one, other = pair
+    grown = [part.grown(TOUCHING) for part in placed[one]]
+    return any(first.depth(second) > 0 for first, second in product(grown, placed[other]))

@@ -114,6 +114,8 @@ CARRIERS: dict[str, Callable[[Urdf, str, float], CarriedHand]] = {
     "robust": paper_carrier,
     "physical": fixed_carrier,
 }
+RATED = "physical"
+"""Evaluation protocol whose scenes hold the ratings of the real drives, and the disabled collisions."""
 
 
 def _carrier_command(axis: CarrierAxis, hold_force: float, scale: float) -> CarrierJoint:
@@ -171,7 +173,7 @@ class Gripper:
 
     def on_carrier(self, protocol: str) -> SceneGripper:
         """Mount the hand for a protocol; `AssetError` if a mesh is missing, empty or unreadable."""
-        file = self.file
+        file, is_rated = self.file, protocol == RATED
         urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = without_visuals(urdf).bundled()
         return SceneGripper(
@@ -182,7 +184,7 @@ class Gripper:
             meshes=meshes,
             base_link=file.base_link,
             carrier=carrier,
-            joints=tuple(self._joint(name, table) for name, table in file.joints.items()),
+            joints=tuple(self._joint(name, table, is_rated) for name, table in file.joints.items()),
             finger_links=file.finger_links,
             synergies=file.synergies,
             free_joints=tuple(
@@ -194,7 +196,7 @@ class Gripper:
             jaw=file.jaw and Jaw(axis=unit_vector(file.jaw.axis), opening=file.jaw.opening),
             extent=self._extent(element, meshes),
             links=self.robot.subtree(file.base_link).links,
-            disabled_collisions=file.disabled_collisions,
+            disabled_collisions=file.disabled_collisions if is_rated else (),
         )
 
     def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:
@@ -210,7 +212,7 @@ class Gripper:
                 f"{type(error).__name__}: {error}."
             ) from None
 
-    def _joint(self, name: str, table: JointTable) -> Joint:
+    def _joint(self, name: str, table: JointTable, is_rated: bool) -> Joint:
         joint = self.robot.joint(name)
         assert joint is not None  # noqa: S101  # `read_gripper` has checked it
         return Joint(
@@ -220,8 +222,8 @@ class Gripper:
             effort=joint.effort if table.effort is None else table.effort,
             velocity=joint.velocity if table.velocity is None else table.velocity,
             driven=table.driven,
-            rated_effort=table.rated_effort,
-            rated_velocity=table.rated_velocity,
+            rated_effort=(table.rated_effort or 0.0) if is_rated else 0.0,
+            rated_velocity=(table.rated_velocity or 0.0) if is_rated else 0.0,
         )
 
 

@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from qdgrasp_assets.scene import Jaw, Synergy
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
-Pairs = tuple[tuple[str, str], ...]
+NamePairs = tuple[tuple[str, str], ...]
 KINDS: dict[Any, str] = {
     str: "text",
     bool: "true or false",
@@ -31,7 +32,7 @@ KINDS: dict[Any, str] = {
     Pair: "two numbers",
     Vector: "three numbers",
     Names: "a list of names",
-    Pairs: "a list of pairs of names",
+    NamePairs: "a list of pairs of names",
 }
 TABLE_KINDS = {
     "joints": "tables [joints.NAME]",
@@ -109,10 +110,10 @@ class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Velocity limit [m/s or rad/s]; the URDF's by default."""
     driven: bool = True
     """False: never commanded, held by the simulator."""
-    rated_effort: float = 0.0
-    """Greatest force or torque of the real drive at this joint [N or Nm]; 0: `effort`."""
-    rated_velocity: float = 0.0
-    """Speed at which the real drive closes it [m/s or rad/s]; 0: not known."""
+    rated_effort: float | None = None
+    """Greatest force or torque of the real drive at this joint [N or Nm]; None: not stated."""
+    rated_velocity: float | None = None
+    """Speed at which the real hand closes [m/s or rad/s]; None: not stated."""
 
 
 class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -140,8 +141,10 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Its axis may be of any length; None: not a two-finger hand."""
     carrier_hold_force: float = 100.0
     """Force that holds the carrier's joints in `released` [N, Nm]."""
+    ratings_source: str = "not stated"
+    """Origin of `rated_effort` and `rated_velocity`: data sheet, document, edition."""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
-    """Pairs of links that pass through each other where the hand's links meet."""
+    """Pairs of links that may overlap (MoveIt's term); a joint's parent and child always may."""
 
     def find_urdf(self, toml: Path) -> Path | None:
         """Return the path of the URDF for this TOML; None if it is not on the asset path."""
@@ -229,10 +232,9 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     moving = {joint.name: joint for joint in hand.joints if joint.moves}
     yield from (fault for joint in hand.joints if (fault := kind_fault(joint.name, joint.kind)))
     yield from _unknown_names(robot, "finger_links", file.finger_links, hand.links)
-    pairs = [link for pair in file.disabled_collisions for link in pair]
-    yield from _unknown_names(robot, "disabled_collisions", pairs, hand.links)
     yield from _unknown_names(robot, "joints", file.joints, moving)
     yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
+    yield from _pair_faults(file, robot, hand)
     for synergy in file.synergies:
         yield from _unknown_names(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
     for name in moving:
@@ -265,6 +267,15 @@ def _unknown_names(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[
             )
 
 
+def _pair_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
+    pairs, field = file.disabled_collisions, "disabled_collisions"
+    yield from _unknown_names(robot, field, dict.fromkeys(chain.from_iterable(pairs)), hand.links)
+    for link in (one for one, other in pairs if one == other):
+        yield f"{field} pairs the link '{link}' with itself; name two links"
+    for first, second in _duplicates(tuple(sorted(pair)) for pair in pairs):
+        yield f"{field} names '{first}' and '{second}' more than once; name each pair once"
+
+
 def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label, position in (("open", table.open), ("closed", table.closed)):
         if position is not None:
@@ -276,6 +287,11 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
                 f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "
                 f"so give {label} in [joints.{joint.name}]"
             )
+    for label in ("rated_effort", "rated_velocity"):
+        rating = getattr(table, label)
+        if rating is not None and rating <= 0:
+            field = f"joints.{joint.name}.{label}"
+            yield f"{field} must be greater than 0, got {rating:g}; leave it out if it is unknown"
 
 
 def _limit_faults(joint: UrdfJoint, field: str, position: float) -> Iterator[str]:
@@ -302,7 +318,7 @@ def _synergy_faults(file: GripperFile) -> Iterator[str]:
                 )
 
 
-def _duplicates(names: Iterable[str]) -> list[str]:
+def _duplicates(names: Iterable[Any]) -> list[Any]:
     return sorted(name for name, times in Counter(names).items() if times > 1)
 
 

@@ -101,6 +101,13 @@ class ConvexSolid:
         solid.planes = np.column_stack([normals, self.planes[:, 3] - normals @ frame[:3, 3]])
         return solid
 
+    def grown(self, distance: float) -> "ConvexSolid":
+        """Return the hull with its planes moved outward by `distance` [m]; its corners stay."""
+        solid = object.__new__(ConvexSolid)
+        solid.corners, solid.low, solid.high = self.corners, self.low - distance, self.high + distance
+        solid.planes = self.planes - [0.0, 0.0, 0.0, distance]
+        return solid
+
     def depth(self, other: "ConvexSolid") -> float:
         """Return the diameter of the largest ball that is in both [m]; 0 where they are apart."""
         if (self.low > other.high).any() or (other.low > self.high).any():

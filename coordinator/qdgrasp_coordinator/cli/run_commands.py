@@ -321,10 +321,16 @@ def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
     return run_spec(values, "rerank")
 
 
+OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
+"""What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""
+
+
 def _check_same(old: Scene, new: Scene) -> None:
     """Check that two scenes have the same hand and object, so that poses keep their meaning."""
-    other = dict.fromkeys(("carrier", "urdf", "links"))  # another protocol's, or not in scenes of 0.1.0
-    hands = [msgspec.structs.asdict(scene.gripper) | other for scene in (old, new)]
+    others = dict.fromkeys(OF_A_PROTOCOL)
+    hands = [msgspec.structs.asdict(scene.gripper) | others for scene in (old, new)]
+    for hand, scene in zip(hands, (old, new), strict=True):
+        hand["joints"] = [(each.name, each.opened, each.closed, each.driven) for each in scene.gripper.joints]
     if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
         raise InputError(
             f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "

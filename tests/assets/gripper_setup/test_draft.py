@@ -4,7 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from tests.assets.example_hands import BOX, INERTIA
+from tests.assets.example_hands import BOX, INERTIA, LID
 
 from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import GRIPPERS, find_gripper
@@ -133,6 +133,23 @@ def test_a_motor_that_is_too_slow_or_too_strong_is_given_another(jaw_urdf, edit)
     assert found.file.joints["slide"].velocity == pytest.approx(0.12)
     assert "60000 N" in found.reasons["joints.slide"]
     assert "would not close it in 0.42 s" in found.reasons["joints.slide"]
+
+
+def test_the_limits_of_the_urdf_are_taken_for_ratings(jaw_urdf, edit):
+    found = guessed(jaw_urdf)
+    assert (found.file.joints["slide"].rated_effort, found.file.joints["slide"].rated_velocity) == (60.0, 0.2)
+    assert "not compared with a data sheet" in found.file.ratings_source
+    edit(jaw_urdf, 'effort="60" velocity="0.2"', 'effort="600" velocity="0.01"')
+    (note,) = (note for note in examine(own_file(jaw_urdf), "own").notes if "rated" in note)
+    assert note.startswith("the rated_effort of slide (and 1 other joint) cannot be true")
+    assert guessed(jaw_urdf).file.joints["slide"].rated_velocity == 0.01  # though it is too slow to evaluate
+
+
+def test_links_that_overlap_are_written_into_the_file_as_such_that_may(jaw_urdf, edit):
+    edit(jaw_urdf, "</robot>", f"{LID}</robot>")
+    found = guessed(jaw_urdf)
+    assert found.file.disabled_collisions == (("palm", "lid"),)
+    assert 'disabled_collisions = [["palm", "lid"]]' in draft_toml(found, "own.toml")
 
 
 def test_what_is_told_is_not_guessed(jaw_urdf):

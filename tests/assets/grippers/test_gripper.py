@@ -33,6 +33,7 @@ def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
     assert (gripper.name, gripper.source) == ("claw", "claw.toml")
 
 
+PAIRS = "disabled_collisions = ["
 HELD_BY = "carrier_hold_force must be greater than 0, got"
 IN_TOML = (
     ("[joints.bend]", "[joints.bent]", "joints names 'bent', which"),
@@ -47,6 +48,27 @@ IN_TOML = (
     ),
     ("closed = 1.2", "closed = 1.6", r"closed is 1.6, outside the URDF's limits 0 to 1.5"),
     ("closed = 1.2", "closed = 1.2\neffort = 0.0", "effort of the joint 'bend' must be greater"),
+    (
+        "closed = 1.2",
+        "rated_effort = 0.0",
+        r"joints\.bend\.rated_effort must be greater than 0, got 0; leave",
+    ),
+    ("closed = 1.2", "rated_velocity = -1", r"joints\.bend\.rated_velocity must be greater than 0, got -1"),
+    ("closed = 1.2", "rated_effort = nan", r"joints\.bend\.rated_effort must be a finite number, got nan"),
+    ("closed = 1.2", 'rated_effort = "70 N"', r"joints\.bend\.rated_effort must be a number, got '70 N'"),
+    ("palm_offset", "ratings_source = 3\npalm_offset", "ratings_source must be text, got 3"),
+    ("palm_offset", f"{PAIRS}['palm', 'thumb']]\npalm_offset", "disabled_collisions names 'thumb', which"),
+    ("palm_offset", f"{PAIRS}['palm', 'palm']]\npalm_offset", "pairs the link 'palm' with itself; name two"),
+    (
+        "palm_offset",
+        f"{PAIRS}['palm', 'finger'], ['finger', 'palm']]\npalm_offset",
+        "disabled_collisions names 'finger' and 'palm' more than once",
+    ),
+    (
+        "palm_offset",
+        "disabled_collisions = ['palm']\npalm_offset",
+        r"disabled_collisions must be a list of pairs of names, got \['palm'\]",
+    ),
     ("closed = 1.2", 'closed = "shut"', r"joints\.bend\.closed must be a number, got 'shut'"),
     ("closed = 1.2", "driven = 1", r"joints\.bend\.driven must be true or false, got 1"),
     ("[0.0, 0.03]", "[0.0]", r"standoff must be two numbers, got \[0\.0\]"),
@@ -257,6 +279,32 @@ def test_impossible_jaws_synergies_and_free_joints_are_refused(claw: Path, more:
 
 def test_the_extent_is_the_largest_side_of_the_hand_alone_at_zero(claw: Path) -> None:
     assert read(claw).on_carrier("released").extent == pytest.approx(0.11)
+
+
+RATED = "closed = 1.2\nrated_effort = 0.5\nrated_velocity = 1.5"
+
+
+@pytest.mark.parametrize(
+    ("protocols", "held"),
+    [
+        (("physical",), (0.5, 1.5, (("palm", "finger"),))),
+        (("robust",), (0.0, 0.0, ())),
+        (("paper",), (0.0, 0.0, ())),
+        (("released",), (0.0, 0.0, ())),
+    ],
+)
+def test_only_physical_is_given_the_ratings_and_the_links_that_may_overlap(claw, edit, protocols, held):
+    edit(claw, "closed = 1.2", RATED)
+    edit(claw, "palm_offset", f"{PAIRS}['palm', 'finger']]\npalm_offset")
+    hand = read(claw).on_carrier(*protocols)
+    (joint,) = hand.joints
+    assert (joint.effort, joint.velocity) == (10.0, 2.0)
+    assert (joint.rated_effort, joint.rated_velocity, hand.disabled_collisions) == held
+
+
+def test_ratings_that_are_not_stated_are_zero(claw):
+    (joint,) = read(claw).on_carrier("physical").joints
+    assert (joint.rated_effort, joint.rated_velocity) == (0.0, 0.0)
 
 
 def carried(name: str, protocol: str):
