@@ -116,7 +116,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     @property
     def disturbances(self) -> int:
-        """Disturbances that a grasp meets in one evaluation: the fitness of one that survives them all."""
+        """Disturbances in one evaluation: the fitness of a grasp that survives them all."""
         return disturbance_count(self.nominal_protocol)
 
 

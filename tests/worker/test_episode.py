@@ -22,6 +22,7 @@ PALM, FINGER, OTHER_FINGER = 5, 6, 7
 POSE = HandPose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
 FRICTIONS = 0.03, 0.2
 SHAKE_STEPS = 3 * TARGET_STEPS
+SHAKING = [protocol for protocol in PROTOCOLS.values() if protocol.shakes]
 SHAKE_A = CLOSING_STEPS
 SHAKE_B = CLOSING_STEPS + SHAKE_STEPS
 END = CLOSING_STEPS + 2 * SHAKE_STEPS
@@ -39,7 +40,7 @@ class WrittenWorld:
     finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
     opened: tuple[float, ...] = (0.04, 0.04)
 
-    def reset(self, pose, posture, frictions):
+    def reset(self, pose, posture, frictions, grip):
         self.told.append(("reset", list(posture), frictions))
 
     def set_fingers(self, posture):
@@ -79,8 +80,8 @@ def run(world: WrittenWorld, protocol=PAPER) -> EpisodeResult:
 GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=lambda protocol: protocol.name)
-class TestEveryProtocol:
+@pytest.mark.parametrize("protocol", SHAKING, ids=lambda protocol: protocol.name)
+class TestEveryProtocolThatShakes:
     def test_a_hand_inside_the_object_overlaps_and_nothing_moves(self, protocol):
         world = WrittenWorld(during(0, END, Contact(PALM, -1e-6)))
         assert run(world, protocol) == EpisodeResult(Outcome.OVERLAP, POSE.joints)
@@ -110,8 +111,7 @@ class TestEveryProtocol:
 
     def test_an_object_held_through_both_shakes_is_held(self, protocol):
         verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
-        assert verdict == EpisodeResult(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003)
-        assert verdict.fitness == 2
+        assert verdict == EpisodeResult(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003, fitness=2)
 
     def test_a_palm_is_enough_to_hold_through_a_shake(self, protocol):
         def touching(step):

@@ -137,11 +137,11 @@ class Bullet:
         )
 
     def set_breaking_threshold(self, share: float) -> None:
-        """Set the share of a shape's size at which contacts are seen; it holds for the whole process."""
+        """Set the share of a shape's size at which contacts are seen, in the whole process."""
         pb.setPhysicsEngineParameter(contactBreakingThreshold=share, physicsClientId=self._client)
 
     def load(self, urdf: Path, *, fixed: bool, meets_itself: bool = False) -> int:
-        """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
+        """Load a URDF without its visual shapes, with the inertias of its collision shapes.
 
         Its links pass through each other, or with `meets_itself` only those that a joint connects. An
         AssetError if Bullet cannot read it, or a mesh that it names.
@@ -213,7 +213,7 @@ class Bullet:
         return info[0], info[2]
 
     def set_inertia(self, body: int, mass: float, moments: Sequence[float], link: int = BASE) -> None:
-        """Set the mass [kg] of a link and its principal moments [kg m2]; a root link of mass 0 is fixed."""
+        """Set the mass [kg] and principal moments [kg m2] of a link; mass 0 fixes a root link."""
         pb.changeDynamics(body, link, mass=mass, physicsClientId=self._client)
         if mass:  # a change of mass alone makes new moments of the shape
             pb.changeDynamics(body, link, localInertiaDiagonal=moments, physicsClientId=self._client)

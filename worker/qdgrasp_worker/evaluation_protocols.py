@@ -126,10 +126,11 @@ class Shake:
 
 
 @dataclass(frozen=True)
-class DriveLaw:
-    """Scale-free gains of the drives of one kind of joint, for a greatest force or torque `limit`.
+class DriveGains:
+    """Scale-free gains of the drives of one kind of joint.
 
-    kp = limit / lag, reflected inertia = kp / frequency^2, kd = 2 DAMPING_RATIO kp / frequency.
+    With the greatest force or torque `limit` of a drive kp = limit / lag, its reflected inertia is
+    kp / frequency^2, and kd = 2 DAMPING_RATIO kp / frequency.
     """
 
     lag: float
@@ -143,8 +144,8 @@ class DriveLaw:
 
 
 DAMPING_RATIO = 0.7
-SLIDING = DriveLaw(lag=0.014, frequency=220.0, speed=0.1, rest_speed=2e-3)
-TURNING = DriveLaw(lag=0.23, frequency=55.0, speed=1.0, rest_speed=0.02)
+SLIDING = DriveGains(lag=0.014, frequency=220.0, speed=0.1, rest_speed=2e-3)
+TURNING = DriveGains(lag=0.23, frequency=55.0, speed=1.0, rest_speed=0.02)
 
 
 @dataclass(frozen=True)
@@ -229,13 +230,15 @@ PHYSICAL = EvaluationProtocol(
 )
 SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4))
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL)}
-ROBUST_BY_BASE = {"paper": ROBUST, "physical": replace(PHYSICAL, name="robust", mixture=SMALL_MIXTURE)}
+ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_MIXTURE)}
 
 
 def scene_protocol(scene: Scene) -> EvaluationProtocol:
     """The protocol of a scene; UnknownName if it does not exist."""
     if scene.protocol not in PROTOCOLS:
         raise UnknownName("protocol", scene.protocol, PROTOCOLS)
+    if scene.protocol != ROBUST.name or scene.base == PAPER.name:
+        return PROTOCOLS[scene.protocol]
     if scene.base not in ROBUST_BY_BASE:
-        raise UnknownName("base", scene.base, ROBUST_BY_BASE)
-    return ROBUST_BY_BASE[scene.base] if scene.protocol == ROBUST.name else PROTOCOLS[scene.protocol]
+        raise UnknownName("base", scene.base, [PAPER.name, *ROBUST_BY_BASE])
+    return ROBUST_BY_BASE[scene.base]

@@ -1,4 +1,4 @@
-"""Episodes of `physical`: close with bounded torques on a fixed object, let it go, push it six ways.
+"""Episodes of `physical`: close on a fixed object with bounded torques, release and push it.
 
 The constants, and where they are from: `evaluation_protocols.Physics`, docs/protocols.md.
 
@@ -61,10 +61,10 @@ class FingerDrive:
     @classmethod
     def of(cls, joint: Joint, link: BulletLink, reach: float, *, in_jaw: bool, haste: float) -> "FingerDrive":
         """The drive of a joint that reaches `reach` [m] to the farthest point that it moves."""
-        law = SLIDING if link.slides else TURNING
+        gains = SLIDING if link.slides else TURNING
         known = SLIDING_EFFORT if link.slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
-        stiffness = limit / law.lag
+        stiffness = limit / gains.lag
         # Bullet stops joints at limits in order, against any preload, and knows none that are reversed.
         lower, upper = sorted((link.lower, link.upper))
         is_reversed = link.lower > link.upper
@@ -76,11 +76,11 @@ class FingerDrive:
             highest=upper if is_reversed else inf,
             limit=limit,
             stiffness=stiffness,
-            damping=2 * DAMPING_RATIO * stiffness / law.frequency,
-            inertia=stiffness / law.frequency**2,
-            lead=law.lag * (JAW_PRELOAD if in_jaw else 1.0),
-            speed=haste * (joint.rated_velocity or law.speed),
-            rest_speed=law.rest_speed,
+            damping=2 * DAMPING_RATIO * stiffness / gains.frequency,
+            inertia=stiffness / gains.frequency**2,
+            lead=gains.lag * (JAW_PRELOAD if in_jaw else 1.0),
+            speed=haste * (joint.rated_velocity or gains.speed),
+            rest_speed=gains.rest_speed,
         )
 
     @property
@@ -89,16 +89,16 @@ class FingerDrive:
         return (abs(self.closed - self.opened) + self.lead) / self.speed
 
 
-class Look(NamedTuple):
-    """Where fingers and object are at a look."""
+class PosesNow(NamedTuple):
+    """Places of all that can move."""
 
     joints: list[float]
     position: Vector
     quaternion: Quaternion
 
 
-class JointWay(NamedTuple):
-    """Where a joint's target goes."""
+class TargetMotion(NamedTuple):
+    """Direction and end of the motion of a joint's target."""
 
     sense: int
     """+1 or -1; 0: it stays."""
@@ -112,19 +112,19 @@ class FingerControl:
         self.drives = drives
         self.is_coupled = is_coupled
         self._targets = [drive.opened for drive in drives]
-        self._ways = [JointWay(0, drive.opened) for drive in drives]
+        self._ways = [TargetMotion(0, drive.opened) for drive in drives]
 
     def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
         """Let the targets of the joints `closing` walk from `posture`; the others hold theirs."""
         self._targets = list(posture)
         self._ways = [
-            joint_way(drive, place) if drive.name in closing else JointWay(0, place)
+            target_motion(drive, place) if drive.name in closing else TargetMotion(0, place)
             for drive, place in zip(self.drives, posture, strict=True)
         ]
 
     def stop(self) -> None:
         """Let all targets stay where they are."""
-        self._ways = [JointWay(0, target) for target in self._targets]
+        self._ways = [TargetMotion(0, target) for target in self._targets]
 
     def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
         """Walk on; the force or torque of each joint by its position and velocity."""
@@ -163,10 +163,10 @@ class FingerControl:
         )
 
 
-def joint_way(drive: FingerDrive, place: float) -> JointWay:
+def target_motion(drive: FingerDrive, place: float) -> TargetMotion:
     """The way of a joint from `place` beyond its closed position, within its limits."""
     sense = (drive.closed > place) - (drive.closed < place)
-    return JointWay(sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest))
+    return TargetMotion(sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest))
 
 
 class PhysicalWorld(World):
@@ -281,17 +281,17 @@ class PhysicalWorld(World):
         bullet.step()
 
     def push(self, direction: Vector) -> None:
-        """Act on the object with its weight along a direction of the hand's frame, during the next step."""
+        """Push the object with its weight, during the next step, along a direction in hand frame."""
         force = self._mass * self.physics.weight
         (a, b, c), (x, y, z) = self._axes, direction
         along = [force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)]
         self._bullet.push(self._target.body, along, self._bullet.position(self._target.body))
 
-    def look(self) -> Look:
-        """Where everything is that can move."""
-        return Look(self.finger_positions(), *self._bullet.pose(self._target.body))
+    def look(self) -> PosesNow:
+        """The places of all that can move, as they are now."""
+        return PosesNow(self.finger_positions(), *self._bullet.pose(self._target.body))
 
-    def rests(self, before: Look, after: Look) -> bool:
+    def rests(self, before: PosesNow, after: PosesNow) -> bool:
         """Return whether neither fingers nor object have moved from one look to the next.
 
         Places tell, not velocities: those of what is pressed together change sign at every step.

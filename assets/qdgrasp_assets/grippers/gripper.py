@@ -91,7 +91,7 @@ def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
 
 
 def fixed_carrier(robot: Urdf, base: str, _: float) -> CarriedHand:
-    """Fix the hand to a link that stands still, with its frame there whatever its own centre of mass is."""
+    """Fix the hand to a link that stands still and has its centre of mass in the hand's frame."""
     return _compose(robot.subtree(base), base, (FIXED_AXIS,), 1.0), ()
 
 

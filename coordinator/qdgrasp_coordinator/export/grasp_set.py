@@ -181,7 +181,7 @@ class Grasps:
 
     @cached_property
     def confidence(self) -> Floats:
-        """(n,), 0 to 1, higher is better: eta if it is known, else the share of disturbances survived."""
+        """(n,), 0 to 1, higher is better: eta where known, else the share of disturbances survived."""
         return np.where(np.isnan(self.eta), self.fitness / self.spec.disturbances, self.eta)
 
     @cached_property

@@ -93,7 +93,7 @@ def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
 
 
 def eta(fitness: NDArray[np.number], trials: int, disturbances: int = SHAKES) -> NDArray[np.float64]:
-    """Return eta, 0 to 1, of scores (n,) over `trials` trials of so many disturbances each: (n,)."""
+    """Return eta, 0 to 1, of scores (n,) over trials with so many disturbances each: (n,)."""
     return fitness.astype(np.float64) / (disturbances * trials)
 
 

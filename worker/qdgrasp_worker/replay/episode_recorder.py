@@ -149,5 +149,5 @@ class RecordingPhysicalWorld(RecordingWorld, PhysicalWorld):
 
 
 def recording_world(scene: Scene, protocol: EvaluationProtocol) -> RecordingWorld:
-    """A world that records episodes of a protocol; an AssetError if Bullet cannot load the scene."""
+    """A world that records episodes; an AssetError if Bullet cannot load the scene."""
     return RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingWorld(scene)

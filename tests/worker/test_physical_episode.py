@@ -1,0 +1,156 @@
+"""Episodes of `physical` in Bullet: what is held, what the joints do, and that it forgets."""
+
+from contextlib import closing
+
+import msgspec
+import numpy as np
+import pytest
+from tests.worker.genomes import draw, elsewhere, evaluated, outcomes, results
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.episode import EpisodeResult
+from qdgrasp_worker.evaluation_protocols import PHYSICAL, SMALL_MIXTURE, TrialSetup
+from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
+from qdgrasp_worker.physical_episode import PhysicalWorld
+
+ABOVE = HandPose([0.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
+"""The Panda over the cube, its fingers around the middle."""
+LIMIT_TOLERANCE = 2e-3  # How far preload may push a joint past a limit at rest [m or rad]
+FINGER_TOLERANCE = 1e-3  # How deep fingers that rest on each other may be inside each other [m]
+HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow")
+
+
+def physical(friction: float | None = None) -> Scene:
+    return build_scene(RunSpec(gripper="panda", object="rubiks_cube", protocol="physical", friction=friction))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return physical()
+
+
+def judged(scene: Scene, pose: HandPose = ABOVE) -> EpisodeResult:
+    with closing(make_world(scene, PHYSICAL)) as world:
+        return make_episode(world, PHYSICAL).run(TrialSetup(pose))
+
+
+def test_a_cube_between_the_fingers_of_a_panda_is_held_against_every_push(scene):
+    verdict = judged(scene)
+    assert (verdict.outcome, verdict.fitness, verdict.contacts) == (Outcome.HELD, 6, 2)
+    assert verdict.penetration < 1e-3
+    assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
+
+
+def test_a_slippery_cube_is_not(scene):
+    assert judged(physical(friction=0.05)).outcome < Outcome.HELD
+
+
+def test_a_jaw_centres_what_it_holds(scene):
+    aside = HandPose([0.0, 0.005, 0.1], ABOVE.quaternion, ABOVE.joints, NO_SYNERGY)
+    verdict = judged(scene, aside)
+    assert verdict.outcome == Outcome.HELD
+    assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_hand_that_closes_on_nothing_keeps_its_limits_and_its_fingers_apart(hand, make_scene):
+    scene = make_scene(hand, "rubiks_cube", "physical")
+    with closing(make_world(scene, PHYSICAL)) as world:
+        assert isinstance(world, PhysicalWorld)
+        end = np.array(world.closing(world.opened, NO_SYNERGY)[-1])
+        limits = [world._bullet.links(world._hand.body)[joint][4:6] for joint in world._hand.fingers]
+        low, high = np.array(limits).T
+        assert (end >= low - LIMIT_TOLERANCE).all()
+        assert (end <= high + LIMIT_TOLERANCE).all()
+        itself = world._bullet.contacts(world._hand.body, world._hand.body)
+        assert all(contact.distance > -FINGER_TOLERANCE for contact in itself)
+        driven = [joint.opened != joint.closed for joint in scene.gripper.joints]
+        assert (end != np.array(world.opened))[driven].all()
+
+
+def test_fingers_that_meet_touch_each_other_and_not_the_object(scene):
+    with closing(make_world(scene, PHYSICAL)) as world:
+        world.closing([0.04, 0.04], NO_SYNERGY)
+        assert world._bullet.contacts(world._hand.body, world._hand.body)
+        assert world.contacts() == []
+
+
+class TestResults:
+    genomes = draw(40, near=25, seed=3)
+
+    def test_they_depend_on_scene_and_genome_alone(self, scene):
+        rows = evaluated(scene, "approach", self.genomes)
+        assert {Outcome.OVERLAP, Outcome.HELD} < set(outcomes(rows)), "genomes were to get everywhere"
+        again = evaluated(scene, "approach", self.genomes[::-1], batch=7)[::-1]
+        assert results(again) == results(rows)
+        assert results(elsewhere(evaluated, scene, "approach", self.genomes)) == results(rows)
+
+    def test_shortcuts_change_none(self, scene):
+        rows = evaluated(scene, "approach", self.genomes)
+        assert results(evaluated(scene, "approach", self.genomes, shortcuts=False)) == results(rows)
+
+    def test_held_means_that_every_push_was_survived_and_shaken_that_some_were(self, scene):
+        rows = evaluated(scene, "approach", self.genomes)
+        fitness, outcome = rows["fitness"], rows["outcome"]
+        assert ((fitness == 6) == (outcome == Outcome.HELD)).all()
+        assert ((fitness > 0) & (fitness < 6) == (outcome == Outcome.SHAKEN)).all()
+
+    def test_evaluators_of_two_protocols_side_by_side_do_not_change_each_other(self, scene, cube):
+        trials = np.zeros(len(self.genomes), np.uint16)
+        alone = [evaluated(each, "approach", self.genomes) for each in (cube, scene)]
+        with Evaluator(cube) as paper, Evaluator(scene) as other:
+            turns = [
+                [
+                    each.evaluate("approach", self.genomes[i : i + 1], trials[:1]).rows
+                    for each in (paper, other)
+                ]
+                for i in range(len(self.genomes))
+            ]
+        for rows, found in zip(alone, zip(*turns, strict=True), strict=True):
+            assert results(np.concatenate(found)) == results(rows)
+
+
+class TestRobustOnPhysical:
+    genomes = draw(6, near=6, seed=3)
+
+    def test_trials_disturb_the_physical_grasp(self, scene):
+        robust = build_scene(
+            RunSpec(gripper="panda", object="rubiks_cube", protocol="robust", base="physical")
+        )
+        nominal = evaluated(robust, "approach", self.genomes)
+        assert results(nominal) == results(evaluated(scene, "approach", self.genomes))
+        trials = np.tile(np.array([1, 2, 3]), len(self.genomes))
+        repeated = np.repeat(self.genomes, 3, axis=0)
+        disturbed = evaluated(robust, "approach", repeated, trials)
+        assert (disturbed["fitness"] <= 6).all()
+        assert (disturbed["fitness"] > 2).any()
+        assert results(disturbed) == results(evaluated(robust, "approach", repeated, trials, batch=5))
+        held = disturbed[disturbed["outcome"] == Outcome.HELD]
+        assert len(np.unique(held["joints"], axis=0)) > 1
+
+    def test_small_disturbances_differ_and_keep_their_scale(self):
+        mixture = SMALL_MIXTURE
+        setups = [mixture.trial(ABOVE, number) for number in range(1, 101)]
+        grips = [setup.grip for setup in setups]
+        assert all(mixture.grip[0] <= grip <= mixture.grip[1] for grip in grips)
+        assert len(set(grips)) > 90
+        away = [np.linalg.norm(np.array(setup.pose.position) - ABOVE.position) for setup in setups]
+        assert 0.002 < np.median(away) < 0.015
+        assert all(setup.frictions is None for setup in setups)
+
+
+@pytest.mark.parametrize("protocol", ["paper", "physical", "released"])
+def test_a_base_without_trials_is_refused_in_one_sentence(protocol):
+    values = {"gripper": "panda", "object": "mug", "protocol": protocol, "base": "physical"}
+    with pytest.raises(InputError, match=f"'{protocol}' has no trials; leave base out"):
+        run_spec(values)
+
+
+def test_a_scene_of_an_unknown_base_is_refused(scene):
+    with pytest.raises(UnknownName, match="base"):
+        Evaluator(msgspec.structs.replace(scene, protocol="robust", base="other"))
