@@ -18,7 +18,7 @@ EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"e9c612486cb4334bcebbfdb9472bcd77c1d3fd7a55f126cb162fe9fb2a0246b0": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"a809c4650906bf43b22ad82cbe00d66f6a453b82a2e0804809454b715542ab7a": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
