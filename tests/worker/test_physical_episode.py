@@ -1,6 +1,7 @@
 """Episodes of `physical` in Bullet: what is held, what the joints do, and that it forgets."""
 
 from contextlib import closing
+from math import cos, radians, sin
 
 import msgspec
 import numpy as np
@@ -18,8 +19,10 @@ from qdgrasp_worker.evaluation_protocols import PHYSICAL, SMALL_MIXTURE, TrialSe
 from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
 from qdgrasp_worker.physical_episode import PhysicalWorld
 
-ABOVE = HandPose([0.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
-"""The Panda over the cube, its fingers around the middle."""
+SIDE = radians(27.0)  # The direction of one of the cube's sides
+HALF_TURN = (SIDE + radians(90.0)) / 2
+ABOVE = HandPose([0.0, 0.0, 0.1], [cos(HALF_TURN), sin(HALF_TURN), 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
+"""The Panda over the cube, its fingers at two sides."""
 LIMIT_TOLERANCE = 2e-3  # How far preload may push a joint past a limit at rest [m or rad]
 FINGER_TOLERANCE = 1e-3  # How deep fingers that rest on each other may be inside each other [m]
 HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow")
@@ -51,7 +54,7 @@ def test_a_slippery_cube_is_not(scene):
 
 
 def test_a_jaw_centres_what_it_holds(scene):
-    aside = HandPose([0.0, 0.005, 0.1], ABOVE.quaternion, ABOVE.joints, NO_SYNERGY)
+    aside = HandPose([0.008 * cos(SIDE), 0.008 * sin(SIDE), 0.1], ABOVE.quaternion, ABOVE.joints, NO_SYNERGY)
     verdict = judged(scene, aside)
     assert verdict.outcome == Outcome.HELD
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
