@@ -56,6 +56,10 @@ class Grasp(NamedTuple):
     """0 to 1."""
 
 
+CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
+"""Fields of one contact in files: the hand's link, point [m], normal, force [N]."""
+
+
 class GraspContacts(NamedTuple):
     """Contacts of n grasps in k slots each, object's centre-of-mass frame; empty slots hold zeros."""
 
@@ -220,7 +224,8 @@ class Grasps:
         (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
         """
         poses = self.poses(COM)
-        poses[self.is_settled] = self.rows["settled"][self.is_settled]
+        if self.is_settled.any():
+            poses[self.is_settled] = self.rows["settled"][self.is_settled]
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     @cached_property
@@ -247,6 +252,19 @@ class Grasps:
         return GraspContacts(
             np.asarray(self.rows["contact_links"]), values[..., :3], values[..., 3:6], values[..., 6]
         )
+
+    def contacts_in(self, frame: Frame = MESH) -> "GraspContacts":
+        """The same contacts with points in a frame of the object, as of `poses`."""
+        links, points, normals, forces = self.contacts
+        moved = change_frame(points.reshape(-1, 3), self.scene.object.com_in_mesh, COM, frame_of(frame))
+        return GraspContacts(
+            links, np.where(links[..., None] > 0, moved.reshape(points.shape), 0.0), normals, forces
+        )
+
+    @cached_property
+    def margin(self) -> Floats:
+        """(n,): Ferrari-Canny margin of the contacts; NaN where it is not known."""
+        return np.full(len(self), np.nan)
 
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the commanded poses as homogeneous matrices."""
