@@ -1,8 +1,8 @@
 """Hands and objects as convex shapes: read from a run's scene, placed by kinematics of their own.
 
 Nothing of qdgrasp is used: the bundle is msgpack, the hand in it a URDF with meshes, the object an OBJ whose
-groups are its convex parts. As in Bullet each group of an OBJ, and each STL, stands for its convex hull;
-Bullet's collision margin is not part of the shapes here.
+groups are its convex parts. As in Bullet each group of an OBJ, and each STL, stands for its convex hull.
+Bullet grows hulls by a margin, so that two of them touch while they are 2 mm apart; `Bodies` can do so too.
 """
 
 import io
@@ -18,6 +18,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+MARGIN = 1e-3  # By which Bullet grows the hulls of meshes [m]; boxes, spheres and cylinders stay as they are
 SECTIONS = 64  # Corners of a circle of a cylinder; its sides are off by 0.12 % of the radius
 
 
@@ -99,19 +100,19 @@ class Contact(NamedTuple):
 
 
 class Bodies:
-    """The hand and the object of a run, as its bundle has them."""
+    """The hand and the object of a run, as its bundle has them; hulls of meshes grown by `margin` [m]."""
 
-    def __init__(self, bundle: Path) -> None:
+    def __init__(self, bundle: Path, margin: float = 0.0) -> None:
         values = msgpack.unpackb(bundle.read_bytes())
         gripper, body = values["gripper"], values["object"]
         self.root = gripper["base_link"]
         self._robot = ET.fromstring(gripper["urdf"])  # noqa: S314  # of a run that was made here
         self._shapes = {
-            link.get("name"): shapes(link, gripper["meshes"]) for link in self._robot.iter("link")
+            link.get("name"): shapes(link, gripper["meshes"], margin) for link in self._robot.iter("link")
         }
         origin = np.eye(4)
         origin[:3, 3] = body["com_in_mesh"]
-        self.object = [Convex(part).placed(origin) for part in obj_groups(body["collision"])]
+        self.object = [Convex(part, margin).placed(origin) for part in obj_groups(body["collision"])]
         """Its parts in the frame of its mesh [m]."""
 
     def hand(self, pose: np.ndarray, joints: Mapping[str, float]) -> dict[str, list[Convex]]:
@@ -126,16 +127,19 @@ class Bodies:
                     todo.append((joint.find("child").get("link"), at))
         return placed
 
-    def depth(self, hand: Mapping[str, list[Convex]], allowed: float) -> float:
-        """The deepest penetration of hand and object [m]; exact where it is more than `allowed`."""
+    def depth(self, hand: Mapping[str, list[Convex]]) -> float:
+        """The deepest penetration of hand and object [m], 0 or positive."""
+        pairs = [(shape, part) for each in hand.values() for shape in each for part in self.object]
+        close = [
+            (deepest_at_most(shape, part), shape, part)
+            for shape, part in pairs
+            if (np.maximum(shape.box[0], part.box[0]) <= np.minimum(shape.box[1], part.box[1])).all()
+        ]
         deepest = 0.0
-        for shape in (shape for each in hand.values() for shape in each):
-            for part in self.object:
-                low, high = np.maximum(shape.box[0], part.box[0]), np.minimum(shape.box[1], part.box[1])
-                if (low > high).any():
-                    continue
-                found = deepest_at_most(shape, part)
-                deepest = max(deepest, depth(shape, part) if found > allowed else found)
+        for most, shape, part in sorted(close, key=lambda pair: -pair[0]):
+            if most <= deepest:
+                break
+            deepest = max(deepest, depth(shape, part))
         return deepest
 
     def apart(
@@ -152,14 +156,16 @@ def nearest(solids: list[Convex], point: np.ndarray) -> float:
     return min(float(solid.distances(point[None])[0]) for solid in solids)
 
 
-def shapes(link: ET.Element, meshes: Mapping[str, bytes]) -> list[Convex]:
+def shapes(link: ET.Element, meshes: Mapping[str, bytes], margin: float) -> list[Convex]:
     """The collision shapes of a link in its frame."""
     return [
-        shape.placed(origin_of(each)) for each in link.iter("collision") for shape in solids(each, meshes)
+        shape.placed(origin_of(each))
+        for each in link.iter("collision")
+        for shape in solids(each, meshes, margin)
     ]
 
 
-def solids(collision: ET.Element, meshes: Mapping[str, bytes]) -> list[Convex]:
+def solids(collision: ET.Element, meshes: Mapping[str, bytes], margin: float) -> list[Convex]:
     """The convex shapes of a collision element, without its origin."""
     (kind,) = collision.find("geometry")
     match kind.tag:
@@ -174,9 +180,9 @@ def solids(collision: ET.Element, meshes: Mapping[str, bytes]) -> list[Convex]:
             name, scale = kind.get("filename"), floats(kind.get("scale", "1 1 1"))
             content = meshes[name]
             if name.lower().endswith(".obj"):
-                return [Convex(part * scale) for part in obj_groups(content)]
+                return [Convex(part * scale, margin) for part in obj_groups(content)]
             mesh = trimesh.load_mesh(io.BytesIO(content), file_type=name.rpartition(".")[2].lower())
-            return [Convex(np.asarray(mesh.vertices) * scale)]
+            return [Convex(np.asarray(mesh.vertices) * scale, margin)]
 
 
 def obj_groups(content: bytes) -> list[np.ndarray]:

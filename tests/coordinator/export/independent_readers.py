@@ -275,3 +275,37 @@ def root_links(name: str, read: Read) -> np.ndarray:
     numbers = AXES[name](read.beside).rpartition("(x, y, z, w) = (")[2].rstrip(")")
     turn = Rotation.from_quat([float(number) for number in numbers.split(", ")]).inv()
     return read.settled @ homogeneous([[0.0, 0.0, 0.0]], [turn.as_quat()])[0]
+
+
+class ClosedHands(NamedTuple):
+    """The hands of a file after closing."""
+
+    poses: np.ndarray
+    """(n, 4, 4): of the root link in the object's frame."""
+    joints: list[dict[str, float]]
+    penetration: np.ndarray
+    contacts: list[list[Contact]]
+    """No contacts where the format has no place for them."""
+
+
+def closed_hands(name: str, read: Read) -> ClosedHands:
+    """The hands after closing, of a file in a format."""
+    names = JOINT_NAMES[name](read.beside)
+    closed, _ = JOINTS[name](read.beside, names)
+    joints = [dict(zip(names, values, strict=True)) for values in closed.tolist()]
+    contacts = CONTACTS[name](read.beside) if name in CONTACTS else [[]] * len(joints)
+    return ClosedHands(root_links(name, read), joints, np.asarray(PENETRATIONS[name](read.beside)), contacts)
+
+
+def column_joints(table: pandas.DataFrame) -> list[str]:
+    return [name.removeprefix("joint.") for name in table.columns if name.startswith("joint.")]
+
+
+JOINT_NAMES = {
+    "isaac": lambda told: list(next(iter(told["grasps"].values()))["cspace_position"]),
+    "acronym": lambda told: told["joint_names"],
+    "graspgen": lambda told: told["qdgrasp"]["joint_names"],
+    "parquet": column_joints,
+    "moveit": lambda told: told["grasps"][0]["grasp_posture"]["joint_names"],
+    "csv": column_joints,
+}
