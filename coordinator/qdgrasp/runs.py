@@ -67,9 +67,9 @@ class Run:
         -------
         grasps
             Of n grasps `poses(frame)` (n, 7) with `pregrasp` (n, j), before closing; `settled_poses(frame)`
-            (n, 7) with `joints` (n, j), after it; `fitness` (n,), `eta` (n,), `rows` (n,) and more; iterating gives one `Grasp` after the other. Frames are "mesh",
-            that of the object's mesh file in m, and "com", that of its centre of mass. In journal order
-            unless `top` or `diverse` is given.
+            (n, 7) with `joints` (n, j), after it; `fitness` (n,), `eta` (n,), `rows` (n,) and more; iterating
+            gives one `Grasp` after the other. Frames are "mesh", that of the object's mesh file in m, and
+            "com", that of its centre of mass. In journal order unless `top` or `diverse` is given.
 
         Examples
         --------

@@ -61,7 +61,10 @@ CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
 
 
 class GraspContacts(NamedTuple):
-    """Contacts of n grasps in k slots each, object's centre-of-mass frame; empty slots hold zeros."""
+    """Contacts of n grasps in k slots each; empty slots hold zeros.
+
+    `Grasps.contacts` are in the object's centre-of-mass frame.
+    """
 
     links: NDArray[np.uint8]
     """(n, k): the hand's link, counted from 1 in `SceneGripper.links`; 0: no contact in this slot."""
@@ -209,8 +212,9 @@ class Grasps:
         return self.starts[:, self.starts.shape[1] - count :]
 
     def poses(self, frame: Frame = MESH) -> Floats:
-        """(n, 7): the hand's root link as commanded, x y z [m] and quaternion xyzw: with open fingers.
+        """(n, 7): the commanded poses of the hand's root link, x y z [m] and quaternion xyzw.
 
+        They go with the joints `pregrasp`.
         `frame` "mesh" is that of the object's mesh file, in metres; "com" has the same axes at the centre of
         mass. Raises UnknownName if it is neither.
         """
@@ -218,8 +222,9 @@ class Grasps:
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     def settled_poses(self, frame: Frame = MESH) -> Floats:
-        """(n, 7): the hand's root link after closing, before any disturbance: with the joints `joints`.
+        """(n, 7): the poses of the hand's root link after closing, before any disturbance.
 
+        They go with the joints `joints`.
         While the hand closes the object moves, so that this pose in its frame differs from the commanded one
         (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
         """
@@ -230,7 +235,7 @@ class Grasps:
 
     @cached_property
     def is_settled(self) -> NDArray[np.bool_]:
-        """(n,): True where the settled pose is recorded: of successes, in runs later than version 0.1.0."""
+        """(n,): True where the settled pose is recorded: of successes, later than version 0.1.0."""
         return np.asarray(self.rows["settled"].any(axis=1))
 
     @cached_property

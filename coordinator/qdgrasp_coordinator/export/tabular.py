@@ -164,7 +164,7 @@ def _arrow_array(values: NDArray[np.generic]) -> Any:
 
 
 def _contact_lists(grasps: Grasps, frame: Frame) -> Any:
-    """Return the contacts of each grasp as a list of structs in Arrow; null where none was recorded."""
+    """Return the contacts of each grasp as a list in Arrow; null where they were not recorded."""
     import pyarrow as pa
 
     contacts = grasps.contacts_in(frame)
