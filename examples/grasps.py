@@ -10,8 +10,9 @@ run = qdgrasp.open(sys.argv[1])
 print(run.summary.words)
 
 # All robust grasps at once: poses of the hand's root link in the frame of the object's mesh file, in metres.
+# The settled poses go with the joints after closing, robust.poses and robust.pregrasp are those before it.
 robust = run.grasps(min_fitness=2)
-poses = robust.poses("mesh")  # (n, 7): x y z, qx qy qz qw
+poses = robust.settled_poses("mesh")  # (n, 7): x y z, qx qy qz qw
 print(f"{len(robust)} robust grasps, positions within {np.ptp(poses[:, :3], axis=0).round(3)} m")
 
 # One after the other: five that are well spread, the best one first.
@@ -19,11 +20,11 @@ for grasp in run.grasps(diverse=5):
     joints = ", ".join(
         f"{name} {value:.3f}" for name, value in zip(robust.joint_names, grasp.joints, strict=True)
     )
-    print(f"{grasp.number}: {grasp.outcome.name} at {grasp.position.round(3)} m with {joints}")
+    print(f"{grasp.number}: {grasp.outcome.name} at {grasp.settled_position.round(3)} m with {joints}")
 
 # Everything else is there as well: every evaluation with its genome and its outcome, failures too.
 rows = run.rows()
 for outcome in qdgrasp.Outcome:
     print(f"{outcome.name}: {np.count_nonzero(rows['outcome'] == outcome)} of {len(rows)} evaluations")
 
-np.savez(f"{run.path.absolute()}-robust.npz", matrices=robust.matrices("mesh"), joints=robust.joints)
+np.savez(f"{run.path.absolute()}-robust.npz", poses=poses, joints=robust.joints)

@@ -82,15 +82,15 @@ class Run:
         Returns
         -------
         grasps
-            Of n grasps `poses(frame)` (n, 7), `matrices(frame)` (n, 4, 4), `joints` (n, j), `fitness` (n,),
-            `eta` (n,), `rows` (n,) and more; iterating gives one `Grasp` after the other. Frames are "mesh",
-            that of the object's mesh file in m, and "com", that of its centre of mass. In journal order
-            unless `top` or `diverse` is given.
+            Of n grasps `poses(frame)` (n, 7) with `pregrasp` (n, j), before closing; `settled_poses(frame)`
+            (n, 7) with `joints` (n, j), after it; `fitness` (n,), `eta` (n,), `rows` (n,) and more; iterating
+            gives one `Grasp` after the other. Frames are "mesh", that of the object's mesh file in m, and
+            "com", that of its centre of mass. In journal order unless `top` or `diverse` is given.
 
         Examples
         --------
         >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
-        ...     print(grasp.number, grasp.position, grasp.quaternion_xyzw, grasp.joints)
+        ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
         return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits)

@@ -65,7 +65,7 @@ def test_a_search_of_ones_own_makes_a_run_whose_grasps_are_arrays(scripts: Scrip
     for grasp in run.grasps(diverse=5):
         assert f"{grasp.number}: {grasp.outcome.name} at " in said
     with np.load(scripts.home / "mine-robust.npz") as kept:
-        assert kept["matrices"].tobytes() == run.grasps(min_fitness=2).matrices("mesh").tobytes()
+        assert kept["poses"].tobytes() == run.grasps(min_fitness=2).settled_poses("mesh").tobytes()
 
 
 def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands) -> None:

@@ -4,6 +4,10 @@ Public description: Eppner et al. 2021, "ACRONYM: A Large-Scale Grasp Dataset Ba
 data's own keys. They are of parallel jaws: joints and synergies stand beside them in datasets of our own,
 which other readers pass over, and so does the group `qdgrasp`.
 
+In ACRONYM's simulation an open gripper stood at a transform and closed, and the motion of the object
+meanwhile was recorded: `grasps/transforms` are the commanded poses, `grasps/settled_transforms` of our own
+those after closing.
+
 HDF5 files of others are read without trust: a dataset's shape and type are checked before it is read, and
 nothing outside the file ever is.
 """
@@ -31,7 +35,12 @@ from qdgrasp_coordinator.export.imported_grasps import (
     to_array,
     to_words,
 )
-from qdgrasp_coordinator.export.metadata import GraspMetadata, jaw_metadata, jaw_transforms
+from qdgrasp_coordinator.export.metadata import (
+    GraspMetadata,
+    jaw_metadata,
+    jaw_transforms,
+    settled_jaw_transforms,
+)
 
 MOST_WORDS = 1000  # Words in a list, at most
 LONGEST_TEXT = 1 << 26  # Bytes of a text, at most
@@ -132,6 +141,7 @@ def open_hdf5(path: Path) -> Iterator[Hdf5Datasets]:
 
 TRANSFORMS = "grasps/transforms"
 SUCCESSES = "grasps/qualities/flex/object_in_gripper"
+MOTION = "grasps/qualities/flex/object_motion_during_closing"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
@@ -154,6 +164,7 @@ def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
 
 
 def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
+    contacts = grasps.contacts_in(metadata.frame)
     hand, body = grasps.scene.gripper, object_solid(grasps.scene.object, metadata.frame)
     opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
     return {
@@ -165,8 +176,11 @@ def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         "object/volume": body.mesh.volume,
         "object/com": body.com,
         "object/inertia": body.inertia,
-        TRANSFORMS: jaw_transforms(grasps, metadata),
+        TRANSFORMS: jaw_transforms(grasps.poses(metadata.frame), hand),
+        "grasps/settled_transforms": settled_jaw_transforms(grasps, metadata.frame),
         SUCCESSES: grasps.is_grasp.astype(np.int8),
+        f"{MOTION}_linear": grasps.motion[:, 0],
+        f"{MOTION}_angular": grasps.motion[:, 1],
         CONFIDENCE: grasps.confidence,
         "grasps/joint_positions": grasps.joints,
         STARTS: grasps.pregrasp,
@@ -175,8 +189,15 @@ def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         "qdgrasp/fitness": grasps.fitness,
         "qdgrasp/eta": grasps.eta,
         "qdgrasp/outcome": grasps.rows["outcome"],
+        "qdgrasp/penetration": grasps.rows["penetration"],
+        "qdgrasp/margin": grasps.margin,
+        "grasps/contact_links": contacts.links.astype(np.int16) - 1,
+        "grasps/contact_points": contacts.points.astype(np.float32),
+        "grasps/contact_normals": contacts.normals.astype(np.float32),
+        "grasps/contact_forces": contacts.forces.astype(np.float32),
         **opening,
         "gripper/type": hand.name,
+        "gripper/link_names": list(hand.links) or np.zeros(0, "S1"),
         JOINTS: list(grasps.joint_names),
         SYNERGIES: list(grasps.synergy_names) or np.zeros(0, "S1"),
     }

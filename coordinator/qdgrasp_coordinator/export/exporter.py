@@ -1,7 +1,7 @@
 """Exports the selected grasps of a run: the table of formats, and `qdgrasp export`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
 from qdgrasp_coordinator.export.frames import frame_of
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
-from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
+from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -29,6 +29,7 @@ class ExportFormat:
     write: Callable[[Path, Grasps, GraspMetadata], None]
     suffix: str
     """Ending of its files; empty: it is a folder."""
+    places: PosePlaces
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
 
@@ -39,15 +40,33 @@ class ExportFormat:
         return OutFolder(path, force=force, is_kind=graspgen.is_ours)
 
 
+ISAAC_PLACES = PosePlaces(
+    "pregrasp_position, pregrasp_orientation, pregrasp_cspace_position",
+    "position, orientation, cspace_position",
+)
+ACRONYM_PLACES = PosePlaces(
+    "grasps/transforms, grasps/pregrasp_joint_positions",
+    "grasps/settled_transforms, grasps/joint_positions",
+    "grasps/contact_links, contact_points, contact_normals, contact_forces",
+)
+GRASPGEN_PLACES = PosePlaces(
+    "grasps.transforms, qdgrasp.grasps.pregrasp_joint_positions",
+    "qdgrasp.grasps.settled_transforms, joint_positions",
+    "qdgrasp.grasps.contacts",
+)
+CSV_PLACES = PosePlaces("x to qw, pregrasp.*", "settled_x to settled_qw, joint.*")
+PARQUET_PLACES = replace(CSV_PLACES, contacts=tabular.CONTACTS)
+MOVEIT_PLACES = PosePlaces("qdgrasp.grasps.pregrasp_poses, pre_grasp_posture", "grasp_pose, grasp_posture")
+
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("isaac", isaac_moveit.write_isaac, ".yaml", default_failures=None),
-        ExportFormat("acronym", acronym.write, ".h5"),
-        ExportFormat("graspgen", graspgen.write, "", default_failures=ALL_FAILURES),
-        ExportFormat("parquet", tabular.write_parquet, ".parquet"),
-        ExportFormat("moveit", isaac_moveit.write_moveit, ".yaml", default_failures=None),
-        ExportFormat("csv", tabular.write_csv, ".csv"),
+        ExportFormat("isaac", isaac_moveit.write_isaac, ".yaml", ISAAC_PLACES, default_failures=None),
+        ExportFormat("acronym", acronym.write, ".h5", ACRONYM_PLACES),
+        ExportFormat("graspgen", graspgen.write, "", GRASPGEN_PLACES, default_failures=ALL_FAILURES),
+        ExportFormat("parquet", tabular.write_parquet, ".parquet", PARQUET_PLACES),
+        ExportFormat("moveit", isaac_moveit.write_moveit, ".yaml", MOVEIT_PLACES, default_failures=None),
+        ExportFormat("csv", tabular.write_csv, ".csv", CSV_PLACES),
     )
 }
 
@@ -91,11 +110,13 @@ def export_run(
     failures = _failures(every, chosen, wanted)
     written = join_grasps([chosen, failures])
     tell(f"writing {counted(len(written), 'evaluation')} to {out}")
+    metadata = grasp_metadata(folder, written, object_frame, form.places)
     with output.writing() as made:
-        form.write(made, written, grasp_metadata(folder, written, object_frame))
+        form.write(made, written, metadata)
     beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
     grasps_written = f"{counted(len(chosen), 'grasp')}{beside} written to {out}"
-    return f"{grasps_written}, poses in the object's {object_frame} frame."
+    note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
+    return f"{grasps_written}, poses in the object's {object_frame} frame.{note}"
 
 
 def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:

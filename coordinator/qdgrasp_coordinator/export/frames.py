@@ -26,7 +26,7 @@ def frame_of(name: str) -> Frame:
 
 
 def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
-    """Move poses (n, 7), xyz [m] and xyzw, from one frame of the object to another."""
+    """Move poses (n, 7), xyz [m] and xyzw, or points (n, 3), between frames of the object."""
     found = poses.copy()
     found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
     return found

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     GraspLimits,
     contact_values,
     object_motion,
+    recorded_margins,
     settled_mask,
     settled_poses,
 )
@@ -64,8 +65,15 @@ class Grasp(NamedTuple):
     """0 to 1."""
 
 
+CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
+"""Fields of one contact in files: the hand's link, point [m], normal, force [N]."""
+
+
 class GraspContacts(NamedTuple):
-    """Contacts of n grasps in k slots each, object's centre-of-mass frame; empty slots hold zeros."""
+    """Contacts of n grasps in k slots each; empty slots hold zeros.
+
+    `Grasps.contacts` are in the object's centre-of-mass frame.
+    """
 
     links: NDArray[np.uint8]
     """(n, k): the hand's link, counted from 1 in `SceneGripper.links`; 0: no contact in this slot."""
@@ -213,8 +221,9 @@ class Grasps:
         return self.starts[:, self.starts.shape[1] - count :]
 
     def poses(self, frame: Frame = MESH) -> Floats:
-        """(n, 7): the hand's root link as commanded, x y z [m] and quaternion xyzw: with open fingers.
+        """(n, 7): the commanded poses of the hand's root link, x y z [m] and quaternion xyzw.
 
+        They go with the joints `pregrasp`.
         `frame` "mesh" is that of the object's mesh file, in metres; "com" has the same axes at the centre of
         mass. Raises UnknownName if it is neither.
         """
@@ -222,8 +231,9 @@ class Grasps:
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     def settled_poses(self, frame: Frame = MESH) -> Floats:
-        """(n, 7): the hand's root link after closing, before any disturbance: with the joints `joints`.
+        """(n, 7): the poses of the hand's root link after closing, before any disturbance.
 
+        They go with the joints `joints`.
         While the hand closes the object moves, so that this pose in its frame differs from the commanded one
         (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
         """
@@ -250,6 +260,19 @@ class Grasps:
         return GraspContacts(
             np.asarray(self.rows["contact_links"]), values[..., :3], values[..., 3:6], values[..., 6]
         )
+
+    def contacts_in(self, frame: Frame = MESH) -> "GraspContacts":
+        """The same contacts with points in a frame of the object, as of `poses`."""
+        links, points, normals, forces = self.contacts
+        moved = change_frame(points.reshape(-1, 3), self.scene.object.com_in_mesh, COM, frame_of(frame))
+        return GraspContacts(
+            links, np.where(links[..., None] > 0, moved.reshape(points.shape), 0.0), normals, forces
+        )
+
+    @cached_property
+    def margin(self) -> Floats:
+        """(n,): Ferrari-Canny margin of the contacts; NaN where it is not known."""
+        return recorded_margins(self.rows, self.scene)
 
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the commanded poses as homogeneous matrices."""

@@ -9,6 +9,7 @@ has
 * `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,8 +19,8 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_coordinator.export.frames import from_matrices, object_solid
-from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.frames import Frame, from_matrices, object_solid
+from qdgrasp_coordinator.export.grasp_set import CONTACT_FIELDS, Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     ImportedGrasps,
     UnreadableGrasps,
@@ -28,7 +29,12 @@ from qdgrasp_coordinator.export.imported_grasps import (
     to_array,
     to_words,
 )
-from qdgrasp_coordinator.export.metadata import GraspMetadata, jaw_metadata, jaw_transforms
+from qdgrasp_coordinator.export.metadata import (
+    GraspMetadata,
+    jaw_metadata,
+    jaw_transforms,
+    settled_jaw_transforms,
+)
 
 INDEX_FILE = "map_uuid_to_path.json"
 DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
@@ -59,14 +65,15 @@ def is_ours(path: Path) -> bool:
 
 
 def _values(name: str, grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
-    names = (*grasps.synergy_names, "")
+    names, hand = (*grasps.synergy_names, ""), grasps.scene.gripper
+    settled = settled_jaw_transforms(grasps, metadata.frame).tolist()
     return {
         "object": {"file": name, "scale": 1.0},
         "grasps": {
-            "transforms": jaw_transforms(grasps, metadata).tolist(),
+            "transforms": jaw_transforms(grasps.poses(metadata.frame), hand).tolist(),
             "object_in_gripper": grasps.is_grasp.tolist(),
         },
-        "qdgrasp": jaw_metadata(metadata, grasps.scene.gripper).values
+        "qdgrasp": jaw_metadata(metadata, hand).values
         | {
             "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
             "joint_names": grasps.joint_names,
@@ -77,9 +84,32 @@ def _values(name: str, grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any
                 "joint_positions": grasps.joints.tolist(),
                 "pregrasp_joint_positions": grasps.pregrasp.tolist(),
                 "synergy": [names[label] for label in grasps.synergies.tolist()],
+                "penetration": grasps.rows["penetration"].tolist(),
+                "margin": grasps.margin.tolist(),
+                "settled_transforms": _where_settled(grasps, settled),
+                "contacts": _where_settled(grasps, _contacts(grasps, metadata.frame)),
             },
         },
     }
+
+
+def _where_settled(grasps: Grasps, values: Iterable[object]) -> list[object]:
+    """Return values in the order of the grasps, None where nothing was recorded after closing."""
+    return [value if known else None for value, known in zip(values, grasps.is_settled, strict=True)]
+
+
+def _contacts(grasps: Grasps, frame: Frame) -> Iterator[list[dict[str, Any]]]:
+    """Yield the contacts of each grasp."""
+    names = ("", *grasps.scene.gripper.links)
+    for links, points, normals, forces in zip(*grasps.contacts_in(frame), strict=True):
+        found = [
+            (names[link], *point, *normal, force)
+            for link, point, normal, force in zip(
+                links.tolist(), points.tolist(), normals.tolist(), forces.tolist(), strict=True
+            )
+            if link
+        ]
+        yield [dict(zip(CONTACT_FIELDS, values, strict=True)) for values in found]
 
 
 class GraspGenObject(Struct):

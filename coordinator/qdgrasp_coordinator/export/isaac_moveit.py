@@ -5,9 +5,14 @@ An Isaac file is for one hand and one object, joints by name. Public description
 `gripper_frame`); files here have both. Readers of either take the poses from `grasps` and pass over what they
 do not know, such as the block `qdgrasp`.
 
+Isaac Sim replicates a grasp from `position`, `orientation` and `cspace_position`: they are the settled pose
+and the joints after closing. The commanded pose, which goes with `pregrasp_cspace_position`, stands in keys
+of our own beside it.
+
 For MoveIt the list `grasps` has messages `moveit_msgs/msg/Grasp` (ROS 2). `grasp_pose` is that of the hand's
-root link, the parent link of the end effector, in the object's frame. The hand closes at that pose, as it
-was simulated; approach and retreat, along the hand's own approach axis, are suggestions.
+root link, the parent link of the end effector, in the object's frame: the settled pose, at which the hand has
+`grasp_posture`. Messages have no place for the commanded pose; it stands in the block `qdgrasp`. Approach and
+retreat, along the hand's own approach axis, are suggestions.
 """
 
 import json
@@ -26,6 +31,7 @@ from qdgrasp_coordinator.export.text_format import (
     Tree,
     grasp_decimals,
     read_yaml,
+    shortest_decimals,
     table_decimals,
     yaml_block,
     yaml_word,
@@ -35,6 +41,7 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 FORMAT, VERSION = "isaac_grasp", 1.0
 EXTRA_KEY = "grasps"  # The lists in the block `qdgrasp` that have an item for each grasp
 MOST_JOINTS = 1000  # Of a hand, at most
+PREGRASP = "pregrasp_"  # What keys of the commanded pose and the open joints begin with
 WXYZ = "w, then xyz = [x, y, z]"
 
 
@@ -54,34 +61,32 @@ def write_isaac(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
 def _extra_lines(grasps: Grasps) -> Iterator[str]:
     """Yield values without a place in the format, as the end of the block `qdgrasp`.
 
-    They are in the order of the grasps; empty lists are left out.
+    They are in the order of the grasps; lists of nothing are left out.
     """
     yield f"  {EXTRA_KEY}:\n"
     names = [yaml_word(name) for name in grasps.synergy_names] + ["''"]
-    known = ~np.isnan(grasps.eta)
-    etas = np.where(known, np.array(table_decimals(grasps.eta[:, None])).reshape(-1), "null")
-    closing = [names[label] for label in grasps.synergies.tolist()]
-    for key, words, is_told in (
-        ("fitness", map(str, grasps.fitness.tolist()), True),
-        ("eta", etas.tolist(), known.any()),
-        ("synergy", closing, (grasps.synergies != NO_SYNERGY).any()),
-    ):
-        if is_told:
-            yield f"    {key}: [{', '.join(words)}]\n"
+    for key, values in (
+        ("fitness", grasps.fitness), ("eta", grasps.eta),
+        ("margin", grasps.margin), ("penetration", grasps.rows["penetration"]),
+    ):  # fmt: skip
+        known = ~np.isnan(values)
+        if known.any():
+            yield f"    {key}: [{', '.join(np.where(known, shortest_decimals(values), 'null'))}]\n"
+    if (grasps.synergies != NO_SYNERGY).any():
+        yield f"    synergy: [{', '.join(names[label] for label in grasps.synergies.tolist())}]\n"
 
 
 def _lines(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
     joints = [yaml_word(name) for name in grasps.joint_names]
-    for number, confidence, pose, closed, start in grasp_decimals(grasps, metadata.frame):
-        x, y, z, qx, qy, qz, qw = pose
-        yield (
-            f"  grasp_{number}:\n"
-            f"    confidence: {confidence}\n"
-            f"    position: [{x}, {y}, {z}]\n"
-            f"    orientation: {{w: {qw}, xyz: [{qx}, {qy}, {qz}]}}\n"
-            f"    cspace_position:{_mapping(joints, closed)}"
-            f"    pregrasp_cspace_position:{_mapping(joints, start)}"
-        )
+    for number, confidence, *pairs in grasp_decimals(grasps, metadata.frame):
+        yield f"  grasp_{number}:\n    confidence: {confidence}\n"
+        for kind, (pose, positions) in zip(("", PREGRASP), pairs, strict=True):
+            x, y, z, qx, qy, qz, qw = pose
+            yield (
+                f"    {kind}position: [{x}, {y}, {z}]\n"
+                f"    {kind}orientation: {{w: {qw}, xyz: [{qx}, {qy}, {qz}]}}\n"
+                f"    {kind}cspace_position:{_mapping(joints, positions)}"
+            )
 
 
 def _mapping(names: list[str], values: list[str]) -> str:
@@ -113,7 +118,7 @@ def read_isaac(path: Path) -> ImportedGrasps:
         frame=metadata.frame if metadata else None,
         gripper=metadata.gripper if metadata else None,
         link=metadata.gripper_frame if metadata else link,
-        start_positions=_joints(path, grasps, "pregrasp_cspace_position"),
+        start_positions=_joints(path, grasps, f"{PREGRASP}cspace_position"),
         joints=tuple(_joints(path, grasps, "cspace_position")),
         synergies=_synergies(path, tree, len(grasps)),
         confidence=np.array([_confidence(path, name, grasp) for name, grasp in grasps.items()]),
@@ -143,14 +148,16 @@ def _synergies(path: Path, tree: dict[str, Tree], count: int) -> NDArray[np.str_
 
 
 def _pose(path: Path, name: str, grasp: Tree) -> list[float]:
-    """Return position [m] and quaternion xyzw."""
+    """Return position [m] and quaternion xyzw, of the commanded pose where the file has it."""
     values = grasp if isinstance(grasp, dict) else {}
-    orientation = values.get("orientation")
-    turn = orientation if isinstance(orientation, dict) else {}
+    kind = PREGRASP if f"{PREGRASP}position" in values else ""
+    position, orientation = f"{kind}position", f"{kind}orientation"
+    turn = values.get(orientation)
+    turn = turn if isinstance(turn, dict) else {}
     return [
-        *_numbers(path, (name, "position"), values.get("position"), 3),
-        *_numbers(path, (name, "orientation", "xyz"), turn.get("xyz"), 3),
-        *_numbers(path, (name, "orientation", "w"), [turn.get("w", "")], 1),
+        *_numbers(path, (name, position), values.get(position), 3),
+        *_numbers(path, (name, orientation, "xyz"), turn.get("xyz"), 3),
+        *_numbers(path, (name, orientation, "w"), [turn.get("w", "")], 1),
     ]
 
 
@@ -193,6 +200,9 @@ def write_moveit(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as a YAML list of MoveIt's messages."""
     with path.open("w", encoding="utf-8") as file:
         file.write(yaml_block({"qdgrasp": metadata.values}))
+        file.writelines(_extra_lines(grasps))
+        poses = [f"[{', '.join(pose)}]" for pose in table_decimals(grasps.poses(metadata.frame))]
+        file.write(f"    pregrasp_poses: [{', '.join(poses)}]\n")
         file.write("grasps:\n")
         file.writelines(_messages(grasps, metadata))
 
@@ -201,7 +211,7 @@ def _messages(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
     names = ", ".join(map(_quoted, grasps.joint_names))
     moves = _moves(grasps)
     object_frame, touched = HEADER.format(_quoted(metadata.object)), _quoted(metadata.object)
-    for number, quality, pose, closed, start in grasp_decimals(grasps, metadata.frame):
+    for number, quality, (pose, closed), (_, start) in grasp_decimals(grasps, metadata.frame):
         x, y, z, qx, qy, qz, qw = pose
         yield (
             f"- id: grasp_{number}\n"

@@ -1,12 +1,14 @@
 """Metadata of a file of grasps: frames, units, success, licences, source runs."""
 
 import hashlib
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import msgpack
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.geometry.rotation import Floats
@@ -36,7 +38,11 @@ OBJECT_FRAMES: dict[Frame, str] = {
     "mesh": "that of {}: its origin and axes, its lengths times object_scale",
     "com": "origin at the centre of mass, axes of {}",
 }
-UNITS = "m, rad, kg"
+UNITS = "m, rad, kg, N"
+PREGRASP_WORDS = "the commanded pose with open joints, before closing"
+SETTLED_WORDS = "the settled pose with the joints after closing"
+CONTACT_WORDS = "after closing: point on the object, unit normal into it, force along the normal"
+NOT_SETTLED = "this run was recorded before settled poses were; the grasp pose is the commanded one"
 XYZW = "x, y, z, w"
 
 
@@ -102,6 +108,14 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     fitness: str = FITNESS_MEANING
     confidence: str
     """Its meaning, 0 to 1; higher is better."""
+    pregrasp_pose: str = ""
+    """Place of the commanded poses with open joints; this and the next three are empty in earlier files."""
+    grasp_pose: str = ""
+    """Place of the settled poses with the joints after closing."""
+    contacts: str = ""
+    """Place and meaning of the contacts."""
+    settled: str = ""
+    """Whether settled poses and contacts were recorded."""
     scene: str
     """sha256 of the scene bundle."""
     runs: tuple[SourceRun, ...]
@@ -117,7 +131,27 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
         return msgspec.json.encode(self).decode()
 
 
-def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMetadata:
+@dataclass(frozen=True)
+class PosePlaces:
+    """Places of the two poses and the contacts in a format."""
+
+    pregrasp: str
+    grasp: str
+    contacts: str = ""
+    """Empty: the format has no place for them."""
+
+
+def settled_words(grasps: Grasps) -> str:
+    """Say of how many successes the settled pose was recorded."""
+    known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
+    if not known:
+        return NOT_SETTLED
+    if known == successes:
+        return "recorded of every success"
+    return f"recorded of {known} of {successes} successes; the grasp pose of the others is the commanded one"
+
+
+def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame, places: PosePlaces) -> GraspMetadata:
     """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
     scene = grasps.scene
     hand, body = scene.gripper, scene.object
@@ -149,6 +183,10 @@ def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMeta
         quaternions=XYZW,
         protocol=scene.protocol,
         confidence=_confidence_words(grasps.spec),
+        pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
+        grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",
+        contacts=f"{CONTACT_WORDS}: {places.contacts}" if places.contacts else "not in this format",
+        settled=settled_words(grasps),
         scene=bundle,
         runs=runs,
     )
@@ -192,9 +230,16 @@ def _printable(text: str) -> str:
 MATRIX_WORDS = "none: rotations are matrices, columns are the axes of the hand"
 
 
-def jaw_transforms(grasps: Grasps, metadata: GraspMetadata) -> Floats:
-    """(n, 4, 4): the turned axes of the hand in the object's frame [m]."""
-    return to_matrices(turn_hand_axes(grasps.poses(metadata.frame), jaw_turn(grasps.scene.gripper)))
+def jaw_transforms(poses: Floats, gripper: SceneGripper) -> Floats:
+    """(n, 4, 4): the turned axes of a hand whose root link has poses (n, 7) [m]."""
+    return to_matrices(turn_hand_axes(poses, jaw_turn(gripper)))
+
+
+def settled_jaw_transforms(grasps: Grasps, frame: Frame) -> Floats:
+    """(n, 4, 4): the same of settled poses in the object's frame; NaN where none was recorded."""
+    transforms = jaw_transforms(grasps.settled_poses(frame), grasps.scene.gripper)
+    transforms[~grasps.is_settled] = np.nan
+    return transforms
 
 
 def jaw_metadata(metadata: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.export.frames import COM, Frame
-from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.grasp_set import CONTACT_FIELDS, Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     MOST_GRASPS,
     ImportedGrasps,
@@ -27,6 +27,8 @@ from qdgrasp_protocol.rows import Outcome
 
 JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+SETTLED = "settled_"  # What the columns of the settled pose begin with
+CONTACTS = "contact_points"
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 
 
@@ -53,12 +55,17 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     )
     yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
     yield GraspColumn("confidence", grasps.confidence, "0 to 1, higher is better")
-    for name, values in zip(POSE, poses.T, strict=True):
-        meaning = "hand's root link in the object's frame [m]" if len(name) == 1 else "its quaternion"
-        yield GraspColumn(name, values, meaning)
+    settled = np.where(grasps.is_settled[:, None], grasps.settled_poses(frame), np.nan)
+    for begin, kind, of in (("", "commanded", poses), (SETTLED, "settled", settled)):
+        for name, values in zip(POSE, of.T, strict=True):
+            length = f"hand's root link in the object's frame, {kind} pose [m]"
+            yield GraspColumn(begin + name, values, length if len(name) == 1 else "its quaternion")
     for name, joint, start in zip(grasps.joint_names, grasps.joints.T, grasps.pregrasp.T, strict=True):
-        yield GraspColumn(JOINT + name, joint, "joint at the grasp [rad or m]")
-        yield GraspColumn(PREGRASP + name, start, "joint that the hand starts from [rad or m]")
+        yield GraspColumn(JOINT + name, joint, "joint after closing, at the settled pose [rad or m]")
+        yield GraspColumn(PREGRASP + name, start, "joint before closing, at the commanded pose [rad or m]")
+    way, angle = grasps.motion.T
+    yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
+    yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")
     synergies = _label_words(grasps.synergy_names, grasps.synergies)
     yield GraspColumn("synergy", synergies, "what closes; none: all that can")
     aims = rows["surface_point"].astype(np.float64)
@@ -69,6 +76,7 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("nu", rows["nu"], "angle of its normal to the direction to the hand [rad]")
     yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
     yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
+    yield GraspColumn("margin", grasps.margin, "Ferrari-Canny margin of the contacts; none: not known")
 
 
 def _label_words(words: list[str] | tuple[str, ...], labels: NDArray[np.int64]) -> NDArray[np.str_]:
@@ -139,6 +147,8 @@ def write_parquet(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     for column in grasp_columns(grasps, metadata.frame):
         arrays[column.name] = _arrow_array(column.values)
         meanings[column.name] = column.meaning
+    arrays[CONTACTS] = _contact_lists(grasps, metadata.frame)
+    meanings[CONTACTS] = "contacts after closing: the hand's link, point on the object [m], normal, force [N]"
     fields = [
         pa.field(name, array.type, metadata={"meaning": meanings[name]}) for name, array in arrays.items()
     ]
@@ -153,6 +163,21 @@ def _arrow_array(values: NDArray[np.generic]) -> Any:
     if values.dtype.kind == "U":
         return pa.array(values.tolist(), pa.string(), mask=values == "").dictionary_encode()
     return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
+
+
+def _contact_lists(grasps: Grasps, frame: Frame) -> Any:
+    """Return the contacts of each grasp as a list in Arrow; null where they were not recorded."""
+    import pyarrow as pa
+
+    contacts = grasps.contacts_in(frame)
+    here = contacts.links > 0
+    names = np.array(["", *grasps.scene.gripper.links])
+    numbers = np.column_stack([contacts.points[here], contacts.normals[here], contacts.forces[here]])
+    columns = [pa.array(names[contacts.links[here]], pa.string()).dictionary_encode()]
+    columns += [pa.array(np.ascontiguousarray(values)) for values in numbers.astype(np.float32).T]
+    ends = pa.array(np.concatenate([[0], here.sum(axis=1).cumsum()]).astype(np.int32))
+    values = pa.StructArray.from_arrays(columns, CONTACT_FIELDS)
+    return pa.ListArray.from_arrays(ends, values, mask=pa.array(~grasps.is_settled))
 
 
 def read_parquet(path: Path) -> ImportedGrasps:

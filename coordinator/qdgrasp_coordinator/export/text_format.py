@@ -37,12 +37,18 @@ def shortest_decimals(numbers: NDArray[np.floating]) -> list[str]:
 
 def grasp_decimals(
     grasps: Grasps, frame: Frame
-) -> Iterator[tuple[int, str, list[str], list[str], list[str]]]:
-    """Yield number, confidence, pose, joints and pregrasp joints of each grasp as decimals."""
-    tables = grasps.confidence[:, None], grasps.poses(frame), grasps.joints, grasps.pregrasp
-    confidences, poses, joints, starts = (table_decimals(table) for table in tables)
-    words = [confidence for (confidence,) in confidences]
-    return zip(grasps.numbers.tolist(), words, poses, joints, starts, strict=True)
+) -> Iterator[tuple[int, str, tuple[list[str], list[str]], tuple[list[str], list[str]]]]:
+    """Yield number, confidence, grasp and pregrasp of each grasp as decimals.
+
+    The grasp is the settled pose and the joints after closing, the pregrasp the commanded pose and the joints
+    before it.
+    """
+    confidences = [words for (words,) in table_decimals(grasps.confidence[:, None])]
+    pairs = (grasps.settled_poses(frame), grasps.joints), (grasps.poses(frame), grasps.pregrasp)
+    grasp, pregrasp = (
+        zip(table_decimals(poses), table_decimals(joints), strict=True) for poses, joints in pairs
+    )
+    return zip(grasps.numbers.tolist(), confidences, grasp, pregrasp, strict=True)
 
 
 def _without_exponent(word: str) -> str:

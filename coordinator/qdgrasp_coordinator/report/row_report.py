@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.grippers.urdf import parse_robot
@@ -24,7 +25,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import GIVEN, Outcome, trial_count
+from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome, trial_count
 from qdgrasp_protocol.spec import RunSpec
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
@@ -112,6 +113,24 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
         ]
 
 
+class ReportedContact(Struct, frozen=True, kw_only=True):
+    """A contact of the hand with the object after closing."""
+
+    link: str
+    """Of the hand."""
+    point: tuple[float, ...]
+    """On the object: x, y, z [m]."""
+    normal: tuple[float, ...]
+    """Unit, into the object."""
+    force: float
+    """Along the normal [N]."""
+
+    @property
+    def line(self) -> str:
+        """The contact in words."""
+        return f"{self.link}  at {_numbers(self.point)} m, {self.force:.3g} N along {_numbers(self.normal)}"
+
+
 class JointPosition(Struct, frozen=True, kw_only=True):
     """Position of a finger joint after closing."""
 
@@ -159,7 +178,9 @@ class RowReport(Struct, frozen=True, kw_only=True):
     cell: tuple[int, ...] | None
     """Of 1 cm; None where there is no pose."""
     base_to_object: ReportedPose | None
-    """Of the hand; None where there was no pose."""
+    """Of the hand as it was commanded, before closing; None where there was no pose."""
+    settled: ReportedPose | None
+    """Of the hand after closing; None where it was not recorded."""
     joints: tuple[JointPosition, ...]
     """Finger joints after closing; none where the hand did not close."""
     synergy: str
@@ -170,6 +191,8 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """Angle between its normal and the direction to the hand [rad]; None without an aim."""
     contacts: int
     """Finger links that touch the object after closing."""
+    contact_points: tuple[ReportedContact, ...]
+    """Contacts after closing; none where they were not recorded."""
     penetration: float
     """The deepest after closing [m], 0 or positive."""
     gripper: str
@@ -204,7 +227,9 @@ class RowReport(Struct, frozen=True, kw_only=True):
         values["com_in_mesh"] = f"{_numbers(self.com_in_mesh)} m"
         values["joints"] = [f"{one.name}  {one.position:.6g} {one.unit}" for one in self.joints]
         values["genome"] = [f"{one.name}  {one.gene:.6g} for {one.value:.6g}" for one in self.genome]
-        values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
+        values["contact_points"] = [contact.line for contact in self.contact_points]
+        for name in ("base_to_object", "settled"):
+            values[name] = None if values[name] is None else values[name].lines
         return "\n".join(line for name, value in values.items() for line in _lines(name, value))
 
 
@@ -250,13 +275,16 @@ def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
 
 def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
     outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
-    pose, label = _pose(row, scene.gripper), int(synergies(scene, prior).labels(row["genome"][None])[0])
+    pose = _pose(row["base_to_object"], scene.gripper)
+    label = int(synergies(scene, prior).labels(row["genome"][None])[0])
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
     return {name: row[name].tolist() for name in plain} | {
         "outcome": outcome.name.lower(),
         "meaning": OUTCOME_MEANINGS[outcome],
         "cell": cells(row["descriptor"][:3]).tolist() if pose else None,
         "base_to_object": pose,
+        "settled": _pose(row["settled"], scene.gripper),
+        "contact_points": list(_contacts(row, scene.gripper)),
         "joints": list(_joints(row, scene.gripper)) if outcome.is_simulated else [],
         "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
         "surface_point": row["surface_point"].tolist() if is_aimed else None,
@@ -292,8 +320,20 @@ def _last_success(journal: Journal) -> int | None:
     return None
 
 
-def _pose(row: np.void, gripper: SceneGripper) -> ReportedPose | None:
-    pose = row["base_to_object"].tolist()
+def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[ReportedContact]:
+    values = row["contact_points"].reshape(-1, CONTACT_VALUES).tolist()
+    for link, numbers in zip(row["contact_links"].tolist(), values, strict=True):
+        if link:
+            yield ReportedContact(
+                link=gripper.links[link - 1],
+                point=tuple(numbers[:3]),
+                normal=tuple(numbers[3:6]),
+                force=numbers[6],
+            )
+
+
+def _pose(values: NDArray[np.float32], gripper: SceneGripper) -> ReportedPose | None:
+    pose = values.tolist()
     if not any(pose[3:]):
         return None
     return ReportedPose(

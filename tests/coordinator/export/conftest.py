@@ -23,6 +23,7 @@ from qdgrasp_worker.evaluator import Evaluator
 
 COM = (0.01, -0.02, 0.03)
 """Of the object made by hand, in the frame of its mesh [m]."""
+SLOTS = 3
 MakeRun = Callable[..., RunFolder]
 
 
@@ -31,14 +32,16 @@ def scene() -> Scene:
     """A hand with a jaw, and a block whose mesh has its origin elsewhere."""
     made = made_scene()
     jaw = Jaw(axis=(0.0, 1.0, 0.0), opening=0.08)
-    return replace(made, gripper=replace(made.gripper, jaw=jaw), object=replace(made.object, com_in_mesh=COM))
+    hand = replace(made.gripper, jaw=jaw, links=("palm", "left_finger", "right_finger"))
+    return replace(made, gripper=hand, object=replace(made.object, com_in_mesh=COM), contact_slots=SLOTS)
 
 
 def random_rows(scene: Scene, outcomes: list[Outcome], seed: int = 0, prior: str = "contact") -> Rows:
     """Nominal rows with these outcomes at random poses, ten to a generation."""
     random = np.random.default_rng(seed)
     n = len(outcomes)
-    rows = RowShape(len(layout(scene, prior)), len(scene.gripper.joints)).empty(n)
+    shape = RowShape(len(layout(scene, prior)), len(scene.gripper.joints), contact_slots=scene.contact_slots)
+    rows = shape.empty(n)
     rows["generation"], rows["index"] = np.divmod(np.arange(n), 10)
     rows["outcome"] = outcomes
     rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)
@@ -48,7 +51,25 @@ def random_rows(scene: Scene, outcomes: list[Outcome], seed: int = 0, prior: str
     rows["descriptor"] = rows["base_to_object"][:, :3]
     rows["joints"] = random.uniform(0, 0.04, rows["joints"].shape)
     rows["penetration"] = random.uniform(0, 1e-3, n)
+    close(rows, random)
     return rows
+
+
+def close(rows: Rows, random: np.random.Generator) -> None:
+    """Let the hands of successes settle near where they were, with a contact at each link but the last."""
+    held = rows["outcome"] >= Outcome.DROPPED
+    if not held.any() or not rows["contact_links"].size:
+        return
+    count = np.count_nonzero(held)
+    turns = Rotation.from_quat(rows["base_to_object"][held, 3:])
+    turns *= Rotation.from_rotvec(random.normal(0, 0.05, (count, 3)))
+    positions = rows["base_to_object"][held, :3] + random.normal(0, 0.01, (count, 3))
+    rows["settled"][held] = np.hstack([positions, turns.as_quat()])
+    rows["contact_links"][held] = (1, 2, 0)
+    contacts = np.zeros((count, SLOTS, 7))
+    contacts[:, :2, :3] = random.uniform(-0.03, 0.03, (count, 2, 3))
+    contacts[:, :2, 3], contacts[:, :2, 6] = 1.0, random.uniform(1, 50, (count, 2))
+    rows["contact_points"][held] = contacts.reshape(count, -1)
 
 
 @pytest.fixture

@@ -10,10 +10,14 @@ import numpy as np
 import pandas
 import yaml
 from scipy.spatial.transform import Rotation
+from tests.coordinator.export.collision_bodies import Contact
 
 
 class Read(NamedTuple):
     matrices: np.ndarray
+    """(n, 4, 4): the commanded poses, which go with the open joints."""
+    settled: np.ndarray
+    """(n, 4, 4): the settled poses, which go with the joints after closing; NaN where there is none."""
     quality: np.ndarray
     beside: Any
 
@@ -24,12 +28,17 @@ def isaac(path: Path) -> Read:
     assert told["format"] == "isaac_grasp"
     assert told["format_version"] == 1.0
     grasps = list(told["grasps"].values())
-    turns = [[*each["orientation"]["xyz"], each["orientation"]["w"]] for each in grasps]
-    matrices = homogeneous([each["position"] for each in grasps], turns)
-    return Read(matrices, np.array([each["confidence"] for each in grasps]), told)
+
+    def poses(kind: str) -> np.ndarray:
+        turns = [each[f"{kind}orientation"] for each in grasps]
+        quaternions = [[*turn["xyz"], turn["w"]] for turn in turns]
+        return homogeneous([each[f"{kind}position"] for each in grasps], quaternions)
+
+    return Read(poses("pregrasp_"), poses(""), np.array([each["confidence"] for each in grasps]), told)
 
 
 POSTURES = ("grasps/joint_positions", "grasps/pregrasp_joint_positions")
+MOTION = tuple(f"grasps/qualities/flex/object_motion_during_closing_{kind}" for kind in ("linear", "angular"))
 OBJECT = ("scale", "mass", "density", "volume", "friction", "com", "inertia")
 
 
@@ -40,14 +49,47 @@ def acronym(path: Path) -> Read:
             "file": file["object/file"][()].decode(),
             "type": file["gripper/type"][()].decode(),
             "joint_names": [name.decode() for name in file["gripper/joint_names"]],
-            **{name: np.array(file[name]) for name in POSTURES},
+            **{name: np.array(file[name]) for name in POSTURES + MOTION},
+            "contacts": acronym_contacts(file),
+            "penetration": np.array(file["qdgrasp/penetration"]),
+            "axes": file["qdgrasp"].attrs["gripper_axes"],
             **{name: np.array(file[f"object/{name}"]) for name in OBJECT},
         }
         return Read(
             np.array(file["grasps/transforms"]),
+            np.array(file["grasps/settled_transforms"]),
             np.array(file["grasps/qualities/flex/object_in_gripper"]),
             beside,
         )
+
+
+def acronym_contacts(file: h5py.File) -> list[list[Contact]]:
+    names = [name.decode() for name in file["gripper/link_names"]]
+    links, *values = (
+        np.array(file[f"grasps/contact_{kind}"]) for kind in ("links", "points", "normals", "forces")
+    )
+    return [
+        [Contact(names[link], *each) for link, *each in zip(*slots, strict=True) if link >= 0]
+        for slots in zip(links, *values, strict=True)
+    ]
+
+
+def contacts_of(lists: Any) -> list[list[Contact] | None]:
+    """Contacts from lists of mappings, or of nothing."""
+    return [
+        None
+        if each is None
+        else [
+            Contact(
+                one["link"],
+                np.array([one[axis] for axis in "xyz"]),
+                np.array([one[f"n{axis}"] for axis in "xyz"]),
+                one["force"],
+            )
+            for one in each
+        ]
+        for each in lists
+    ]
 
 
 def graspgen(path: Path) -> Read:
@@ -57,7 +99,18 @@ def graspgen(path: Path) -> Read:
     index = json.loads((path / "grasp_data" / "map_uuid_to_path.json").read_text())
     told = json.loads((path / "grasp_data" / index[uuid]).read_text())
     assert told["object"]["file"] == uuid
-    return Read(np.array(told["grasps"]["transforms"]), np.array(told["grasps"]["object_in_gripper"]), told)
+    settled = [np.full((4, 4), np.nan) if one is None else one for one in beside(told)["settled_transforms"]]
+    return Read(
+        np.array(told["grasps"]["transforms"]),
+        np.array(settled),
+        np.array(told["grasps"]["object_in_gripper"]),
+        told,
+    )
+
+
+def beside(told: Any) -> Any:
+    """The lists in the block `qdgrasp`."""
+    return told["qdgrasp"]["grasps"]
 
 
 def comma_separated(path: Path) -> Read:
@@ -68,8 +121,15 @@ def comma_separated(path: Path) -> Read:
 
 
 def table_read(table: pandas.DataFrame) -> Read:
-    numbers = table[["x", "y", "z", "qx", "qy", "qz", "qw", "confidence"]].astype(float).to_numpy()
-    return Read(homogeneous(numbers[:, :3], numbers[:, 3:7]), numbers[:, 7], table)
+    axes = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    poses, settled = (
+        table[[f"{kind}{axis}" for axis in axes]].replace("", np.nan).astype(float).to_numpy()
+        for kind in ("", "settled_")
+    )
+    quality = table["confidence"].astype(float).to_numpy()
+    return Read(
+        homogeneous(poses[:, :3], poses[:, 3:]), homogeneous(settled[:, :3], settled[:, 3:]), quality, table
+    )
 
 
 HEADER = {"stamp": {"sec": int, "nanosec": int}, "frame_id": str}
@@ -107,11 +167,12 @@ def moveit(path: Path) -> Read:
     told = yaml.safe_load(path.read_text())
     for message in told["grasps"]:
         check_message(message, GRASP)
+    before = np.array(beside(told)["pregrasp_poses"])
     poses = [message["grasp_pose"]["pose"] for message in told["grasps"]]
     positions = [[pose["position"][axis] for axis in "xyz"] for pose in poses]
     turns = [[pose["orientation"][axis] for axis in "xyzw"] for pose in poses]
     quality = np.array([message["grasp_quality"] for message in told["grasps"]])
-    return Read(homogeneous(positions, turns), quality, told)
+    return Read(homogeneous(before[:, :3], before[:, 3:]), homogeneous(positions, turns), quality, told)
 
 
 def check_message(message: Any, definition: Any) -> None:
@@ -129,10 +190,12 @@ def check_message(message: Any, definition: Any) -> None:
 
 
 def homogeneous(positions: Any, quaternions: Any) -> np.ndarray:
-    """Positions (n, 3) and quaternions (n, 4), xyzw, as matrices (n, 4, 4)."""
+    """Positions (n, 3) and quaternions (n, 4), xyzw, as matrices (n, 4, 4); NaN where one is."""
     matrices = np.tile(np.eye(4), (len(positions), 1, 1))
-    matrices[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+    known = ~np.isnan(np.asarray(positions)).any(axis=1)
+    matrices[known, :3, :3] = Rotation.from_quat(np.asarray(quaternions)[known]).as_matrix()
     matrices[:, :3, 3] = positions
+    matrices[~known] = np.nan
     return matrices
 
 
@@ -172,7 +235,14 @@ def moveit_joints(told: Any, names: list[str]) -> list[np.ndarray]:
     return [np.array([positions(grasp[kind]) for grasp in told["grasps"]]) for kind in kinds]
 
 
+def graspgen_joints(told: Any, names: list[str]) -> list[np.ndarray]:
+    places = [told["qdgrasp"]["joint_names"].index(name) for name in names]
+    kinds = ("joint_positions", "pregrasp_joint_positions")
+    return [np.array(beside(told)[kind])[:, places] for kind in kinds]
+
+
 JOINTS = {
+    "graspgen": graspgen_joints,
     "isaac": isaac_joints,
     "acronym": acronym_joints,
     "parquet": table_joints,
@@ -180,5 +250,62 @@ JOINTS = {
     "csv": table_joints,
 }
 """Joints by name at the grasp and before it, (n, k) each, of a reader's other findings."""
+PENETRATIONS = {
+    "isaac": lambda told: beside(told)["penetration"],
+    "acronym": lambda told: told["penetration"],
+    "graspgen": lambda told: beside(told)["penetration"],
+    "parquet": lambda told: told["penetration"].to_numpy(),
+    "moveit": lambda told: beside(told)["penetration"],
+    "csv": lambda told: told["penetration"].astype(float).to_numpy(),
+}
+CONTACTS = {
+    "acronym": lambda told: told["contacts"],
+    "graspgen": lambda told: contacts_of(beside(told)["contacts"]),
+    "parquet": lambda told: contacts_of(told["contact_points"]),
+}
 TURNED = {"acronym", "graspgen"}
 """Formats whose hand axes are +z towards the object and x across the jaw."""
+AXES = {"acronym": lambda told: told["axes"], "graspgen": lambda told: told["qdgrasp"]["gripper_axes"]}
+
+
+def root_links(name: str, read: Read) -> np.ndarray:
+    """The settled poses (n, 4, 4) of the root link, whose axes are the file's turned back."""
+    if name not in TURNED:
+        return read.settled
+    numbers = AXES[name](read.beside).rpartition("(x, y, z, w) = (")[2].rstrip(")")
+    turn = Rotation.from_quat([float(number) for number in numbers.split(", ")]).inv()
+    return read.settled @ homogeneous([[0.0, 0.0, 0.0]], [turn.as_quat()])[0]
+
+
+class ClosedHands(NamedTuple):
+    """The hands of a file after closing."""
+
+    poses: np.ndarray
+    """(n, 4, 4): of the root link in the object's frame."""
+    joints: list[dict[str, float]]
+    penetration: np.ndarray
+    contacts: list[list[Contact]]
+    """No contacts where the format has no place for them."""
+
+
+def closed_hands(name: str, read: Read) -> ClosedHands:
+    """The hands after closing, of a file in a format."""
+    names = JOINT_NAMES[name](read.beside)
+    closed, _ = JOINTS[name](read.beside, names)
+    joints = [dict(zip(names, values, strict=True)) for values in closed.tolist()]
+    contacts = CONTACTS[name](read.beside) if name in CONTACTS else [[]] * len(joints)
+    return ClosedHands(root_links(name, read), joints, np.asarray(PENETRATIONS[name](read.beside)), contacts)
+
+
+def column_joints(table: pandas.DataFrame) -> list[str]:
+    return [name.removeprefix("joint.") for name in table.columns if name.startswith("joint.")]
+
+
+JOINT_NAMES = {
+    "isaac": lambda told: list(next(iter(told["grasps"].values()))["cspace_position"]),
+    "acronym": lambda told: told["joint_names"],
+    "graspgen": lambda told: told["qdgrasp"]["joint_names"],
+    "parquet": column_joints,
+    "moveit": lambda told: told["grasps"][0]["grasp_posture"]["joint_names"],
+    "csv": column_joints,
+}

@@ -16,7 +16,16 @@ import yaml
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export.conftest import COM, MakeRun, random_rows
 from tests.coordinator.export.foreign_files import imported_file
-from tests.coordinator.export.independent_readers import JOINTS, READERS, TURNED, homogeneous
+from tests.coordinator.export.independent_readers import (
+    CONTACTS,
+    JOINTS,
+    MOTION,
+    PENETRATIONS,
+    READERS,
+    TURNED,
+    Read,
+    homogeneous,
+)
 from tests.coordinator.recorded_runs import record
 
 from qdgrasp_assets.scene import Scene
@@ -24,14 +33,15 @@ from qdgrasp_coordinator.export import acronym, importer
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
 from qdgrasp_coordinator.export.grasp_set import Grasps, read_run
 from qdgrasp_coordinator.export.importer import ObjectFrame
-from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
+from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, grasp_metadata
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import from_toml
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
 each_format = pytest.mark.parametrize("name", FORMATS)
+PLACES = FORMATS["acronym"].places
 
 
 @pytest.fixture
@@ -41,9 +51,9 @@ def grasps(run: RunFolder) -> Grasps:
     return found[found.is_grasp]
 
 
-def expected(grasps: Grasps, name: str, origin: tuple[float, float, float]) -> np.ndarray:
-    """The poses as matrices, by another library and from the rows."""
-    poses = grasps.rows["base_to_object"].astype(float)
+def expected(rows: Rows, column: str, name: str, origin: tuple[float, float, float]) -> np.ndarray:
+    """The poses of a column as matrices, by another library."""
+    poses = rows[column].astype(float)
     turns = Rotation.from_quat(poses[:, 3:])
     matrices = np.tile(np.eye(4), (len(poses), 1, 1))
     matrices[:, :3, :3] = (turns * ACROSS if name in TURNED else turns).as_matrix()
@@ -53,12 +63,15 @@ def expected(grasps: Grasps, name: str, origin: tuple[float, float, float]) -> n
 
 @each_format
 @pytest.mark.parametrize(("frame", "origin"), [("mesh", COM), ("com", (0.0, 0.0, 0.0))])
-def test_another_reader_finds_the_hands_where_they_were_and_which_grasps_are_better(
+def test_another_reader_finds_both_poses_of_the_hands_and_which_grasps_are_better(
     run: RunFolder, grasps: Grasps, tmp_path: Path, name: str, frame: str, origin: tuple[float, float, float]
 ) -> None:
     export_run(run, tmp_path / "out", name, frame=frame, negatives=0)
     read = READERS[name](tmp_path / "out")
-    np.testing.assert_allclose(read.matrices, expected(grasps, name, origin), atol=1e-7)
+    np.testing.assert_allclose(
+        read.matrices, expected(grasps.rows, "base_to_object", name, origin), atol=1e-7
+    )
+    np.testing.assert_allclose(read.settled, expected(grasps.rows, "settled", name, origin), atol=1e-7)
     better = np.ones(len(grasps)) if name in TURNED else grasps.fitness / 2
     np.testing.assert_array_equal(read.quality, better)
 
@@ -87,7 +100,7 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
     said = words_of(tmp_path / "out", name)
     assert set(GraspMetadata.__struct_fields__) - {"runs"} <= set(said)
     assert (said["gripper"], said["gripper_frame"], said["object"]) == ("jaw", "palm", "block")
-    assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg", "paper")
+    assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg, N", "paper")
     assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")
     assert float(said["object_scale"]) == 1.0
     assert said["success"] == "a finger touches the object after closing"
@@ -111,10 +124,10 @@ def test_a_licence_of_several_lines_and_with_control_characters_is_kept_in_its_l
 
 
 def test_a_built_in_object_has_the_frame_of_a_mesh_that_can_be_had(run: RunFolder, grasps: Grasps) -> None:
-    told = grasp_metadata(run, grasps, "mesh")
+    told = grasp_metadata(run, grasps, "mesh", PLACES)
     spec = msgspec.structs.replace(grasps.spec, object="mug")
     assert told.object_frame.startswith("that of the mesh file: ")
-    built_in = grasp_metadata(run, dataclasses.replace(grasps, spec=spec), "mesh")
+    built_in = grasp_metadata(run, dataclasses.replace(grasps, spec=spec), "mesh", PLACES)
     assert built_in.object_frame.startswith("that of the mesh that `qdgrasp export --format graspgen")
 
 
@@ -174,6 +187,64 @@ def files(out: Path) -> list[Path]:
     return [file for file in out.rglob("*") if file.is_file()] if out.is_dir() else [out]
 
 
+@each_format
+@pytest.mark.parametrize("frame", ["mesh", "com"])
+def test_contacts_are_told_in_the_frame_of_the_poses_by_the_names_of_links(
+    run: RunFolder, grasps: Grasps, tmp_path: Path, name: str, frame: str
+) -> None:
+    export_run(run, tmp_path / "out", name, frame=frame, negatives=0)
+    read = READERS[name](tmp_path / "out")
+    np.testing.assert_allclose(PENETRATIONS[name](read.beside), grasps.rows["penetration"], rtol=1e-7)
+    if name not in CONTACTS:
+        return
+    origin = COM if frame == "mesh" else (0.0, 0.0, 0.0)
+    recorded = grasps.rows["contact_points"].astype(float).reshape(len(grasps), -1, 7)
+    for told, values in zip(CONTACTS[name](read.beside), recorded, strict=True):
+        assert [contact.link for contact in told] == ["palm", "left_finger"]
+        flat = [[*one.point - origin, *one.normal, one.force] for one in told]
+        np.testing.assert_allclose(flat, values[:2], atol=1e-6, rtol=1e-6)
+
+
+@each_format
+def test_a_run_without_settled_poses_says_so_and_leaves_them_out(
+    make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
+) -> None:
+    early = msgspec.structs.replace(scene, contact_slots=0)
+    rows = random_rows(early, [Outcome.HELD] * 2)
+    run = record(tmp_path / "run", early, rows, method="contact_rand")
+    assert export_run(run, tmp_path / "out", name).endswith(f" But {NOT_SETTLED}.")
+    read = READERS[name](tmp_path / "out")
+    assert words_of(tmp_path / "out", name)["settled"] == NOT_SETTLED
+    if name in ("isaac", "moveit"):
+        np.testing.assert_array_equal(read.settled, read.matrices)
+    else:
+        assert np.isnan(read.settled).all()
+    if name in CONTACTS:
+        assert not any(CONTACTS[name](read.beside))
+
+
+def test_the_motion_of_the_object_while_closing_is_told_in_each_table(run, grasps, tmp_path: Path) -> None:
+    for name in ("acronym", "parquet"):
+        export_run(run, tmp_path / name, name, negatives=0)
+    way, angle = (READERS["acronym"](tmp_path / "acronym").beside[kind] for kind in MOTION)
+    table = READERS["parquet"](tmp_path / "parquet").beside
+    np.testing.assert_allclose(table.motion_mm, 1000 * way)
+    np.testing.assert_allclose(table.motion_deg, np.degrees(angle))
+    read = READERS["isaac"](isaac_of(run, tmp_path))
+    np.testing.assert_allclose(way, centre_ways(read), atol=1e-7)
+
+
+def isaac_of(run: RunFolder, tmp_path: Path) -> Path:
+    export_run(run, tmp_path / "isaac", "isaac", frame="com")
+    return tmp_path / "isaac"
+
+
+def centre_ways(read: Read) -> np.ndarray:
+    """How far the centre of mass moved in the hand, of poses in its frame [m]."""
+    before, after = (np.linalg.inv(poses)[:, :3, 3] for poses in (read.matrices, read.settled))
+    return np.linalg.norm(after - before, axis=1)
+
+
 @pytest.mark.parametrize("name", JOINTS)
 def test_joints_have_names(run: RunFolder, grasps: Grasps, tmp_path: Path, name: str) -> None:
     export_run(run, tmp_path / "out", name, negatives=0)
@@ -190,7 +261,7 @@ def test_isaac_names_grasps_by_their_numbers_and_frames_by_both_spellings_and_ha
     assert list(told["grasps"]) == [f"grasp_{number}" for number in grasps.numbers]
     assert told["gripper_frame"] == told["gripper_frame_link"] == "palm"
     assert told["object_frame"] == told["object_frame_link"] == "block"
-    assert list(told["qdgrasp"]["grasps"]) == ["fitness"]
+    assert list(told["qdgrasp"]["grasps"]) == ["fitness", "penetration"]
 
 
 def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
@@ -206,7 +277,7 @@ def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scen
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device here that is always full")
 def test_an_acronym_file_on_a_full_disk_is_an_ordinary_error(run: RunFolder, grasps: Grasps) -> None:
     with pytest.raises(OSError, match="No space left on device") as error:
-        acronym.write(Path("/dev/full"), grasps, grasp_metadata(run, grasps, "mesh"))
+        acronym.write(Path("/dev/full"), grasps, grasp_metadata(run, grasps, "mesh", PLACES))
     assert error.value.strerror == "No space left on device"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import JAW, made_scene
@@ -114,6 +115,20 @@ def test_a_row_is_told_as_it_was_recorded_with_frames_orders_names_and_units(mad
     assert pose.quaternion_xyzw == (0, 0, 0, 1)
     joints = [(one.name, round(one.position, 6), one.unit) for one in found.joints]
     assert joints == [("left", 0.01, "m"), ("right", 0.02, "m")]
+
+
+def test_the_settled_pose_and_contacts_are_told_where_they_were_recorded(made: Made, tmp_path: Path) -> None:
+    scene = replace(with_gripper(made.scene, links=("palm", "left_finger")), contact_slots=2)
+    rows = RowShape(len(layout(scene, PRIOR)), 2, contact_slots=2).empty(1)
+    rows["outcome"], rows["settled"] = Outcome.HELD, (0.25, 0, 0, 0, 0, 1, 0)
+    rows["contact_links"], rows["contact_points"][0, :7] = (2, 0), (0.5, 0, 0.25, 0, 1, 0, 8)
+    found = row_report(record(tmp_path / "run", scene, rows, method=METHOD), 0)
+    assert (found.settled.position, found.settled.quaternion_xyzw) == ((0.25, 0, 0), (0, 0, 1, 0))
+    (contact,) = found.contact_points
+    assert (contact.link, contact.point, contact.normal) == ("left_finger", (0.5, 0, 0.25), (0, 1, 0))
+    assert "left_finger  at 0.5 0 0.25 m, 8 N along 0 1 0" in found.table
+    earlier = row_report(made.folder, 1)
+    assert (earlier.settled, earlier.contact_points) == (None, ())
 
 
 def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
