@@ -43,7 +43,9 @@ def record_spec(
 ) -> RunFolder:
     """A run's folder with these rows, recorded in blocks of so many; it may have no scene yet."""
     folder = RunFolder.create(path, spec, bundle)
-    shape = RowShape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
+    shape = RowShape(
+        *(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor", "contact_links"))
+    )
     identity = JournalIdentity("run", to_toml(spec), bundle.digest if bundle else "0" * 64, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_epoch(1, 0.0)

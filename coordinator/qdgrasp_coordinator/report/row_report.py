@@ -6,15 +6,18 @@ The context says which synergy a genome chose and how many trials a success has.
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from itertools import accumulate
+from math import degrees
 from pathlib import Path
 
 import msgspec
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.metrics import closing
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
 from qdgrasp_coordinator.metrics.run_stats import success_mask
@@ -24,7 +27,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import GIVEN, Outcome, trial_count
+from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome, trial_count
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 ContextKey = tuple[Path, float, str, int]
@@ -64,6 +67,7 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
 ROWS_READ_AT_ONCE = 1 << 16
 """Rows read at once, from the end of the journal on, for the nearest success."""
 POSE_FRAME = "object's centre-of-mass frame"
+CONTACT_HEAD = f"{'link':<24} {'point x y z [m]':<26}   {'normal x y z':<26}   {'force [N]':>8}"
 OUTCOME_MEANINGS = {
     Outcome.ERROR: "the simulator failed three times",
     Outcome.DEAD_END: "there was no pose to simulate",
@@ -116,6 +120,25 @@ class JointPosition(Struct, frozen=True, kw_only=True):
     """"rad", or "m" of a joint that slides."""
 
 
+class ReportedContact(Struct, frozen=True, kw_only=True):
+    """A contact of hand and object after closing, object's CoM frame."""
+
+    link: str
+    """The hand's link."""
+    point: tuple[float, ...]
+    """x, y, z [m], on the object."""
+    normal: tuple[float, ...]
+    """Unit, into the object."""
+    force: float
+    """Along the normal [N]."""
+
+    @property
+    def line(self) -> str:
+        """The contact in words."""
+        point, normal = (" ".join(f"{value:8.4f}" for value in part) for part in (self.point, self.normal))
+        return f"{self.link:<24} {point}   {normal}   {self.force:8.3g}"
+
+
 class GeneValue(Struct, frozen=True, kw_only=True):
     """One component of a genome."""
 
@@ -154,7 +177,13 @@ class RowReport(Struct, frozen=True, kw_only=True):
     cell: tuple[int, ...] | None
     """Of 1 cm; None where there is no pose."""
     base_to_object: ReportedPose | None
-    """Of the hand; None where there was no pose."""
+    """The commanded pose, before closing; None where there was no pose."""
+    settled: ReportedPose | None
+    """The settled pose, after closing: with `joints`; None where it is not recorded."""
+    moved: float | None
+    """How far the object's centre of mass moved in the hand while it closed [m]; None as `settled`."""
+    turned: float | None
+    """How far the object turned in the hand while it closed [rad]; None as `settled`."""
     joints: tuple[JointPosition, ...]
     """Finger joints after closing; none where the hand did not close."""
     synergy: str
@@ -167,6 +196,8 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """Finger links that touch the object after closing."""
     penetration: float
     """The deepest after closing [m], 0 or positive."""
+    contact_points: tuple[ReportedContact, ...]
+    """Contacts after closing, some of them where there were many; none where they are not recorded."""
     gripper: str
     object: str
     protocol: str
@@ -185,6 +216,11 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """The run that found it, by the name of its folder."""
 
     @property
+    def is_success(self) -> bool:
+        """True if a finger touches the object after closing."""
+        return Outcome[self.outcome.upper()].is_success
+
+    @property
     def table(self) -> str:
         """All of it in words, one to a line."""
         values = msgspec.structs.asdict(self)
@@ -200,6 +236,12 @@ class RowReport(Struct, frozen=True, kw_only=True):
         values["joints"] = [f"{one.name}  {one.position:.6g} {one.unit}" for one in self.joints]
         values["genome"] = [f"{one.name}  {one.gene:.6g} for {one.value:.6g}" for one in self.genome]
         values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
+        unknown = "not recorded" if self.is_success else None
+        values["settled"] = unknown if self.settled is None else self.settled.lines
+        values["moved"] = unknown if self.moved is None else f"{1000 * self.moved:.3g} mm"
+        values["turned"] = unknown if self.turned is None else f"{degrees(self.turned):.3g} deg"
+        contacts = [CONTACT_HEAD, *(one.line for one in self.contact_points)]
+        values["contact_points"] = contacts if self.contact_points else unknown
         return "\n".join(line for name, value in values.items() for line in _lines(name, value))
 
 
@@ -243,13 +285,17 @@ def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
 
 def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
     outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
-    pose, label = _pose(row, scene.gripper), int(synergies(scene, prior).labels(row["genome"][None])[0])
+    pose, label = (
+        _pose(row["base_to_object"], scene.gripper),
+        int(synergies(scene, prior).labels(row["genome"][None])[0]),
+    )
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
     return {name: row[name].tolist() for name in plain} | {
         "outcome": outcome.name.lower(),
         "meaning": OUTCOME_MEANINGS[outcome],
         "cell": cells(row["descriptor"][:3]).tolist() if pose else None,
         "base_to_object": pose,
+        **_closing_fields(row, scene.gripper),
         "joints": list(_joints(row, scene.gripper)) if outcome.is_simulated else [],
         "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
         "surface_point": row["surface_point"].tolist() if is_aimed else None,
@@ -285,8 +331,31 @@ def _last_success(journal: Journal) -> int | None:
     return None
 
 
-def _pose(row: np.void, gripper: SceneGripper) -> ReportedPose | None:
-    pose = row["base_to_object"].tolist()
+def _closing_fields(row: np.void, gripper: SceneGripper) -> dict[str, object]:
+    moved, turned = closing.motion(row.reshape(1))[0].tolist()
+    settled = _pose(row["settled"], gripper)
+    return {
+        "settled": settled,
+        "moved": moved if settled else None,
+        "turned": turned if settled else None,
+        "contact_points": list(_contacts(row, gripper)),
+    }
+
+
+def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[ReportedContact]:
+    values = row["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
+    for link, (*vectors, force) in zip(row["contact_links"].tolist(), values, strict=True):
+        if link:
+            yield ReportedContact(
+                link=gripper.links[link - 1],
+                point=tuple(vectors[:3]),
+                normal=tuple(vectors[3:]),
+                force=force,
+            )
+
+
+def _pose(values: NDArray[np.float32], gripper: SceneGripper) -> ReportedPose | None:
+    pose = values.tolist()
     if not any(pose[3:]):
         return None
     return ReportedPose(

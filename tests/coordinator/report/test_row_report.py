@@ -12,6 +12,7 @@ from tests.coordinator.scenes import JAW, made_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
+from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
 from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -114,6 +115,31 @@ def test_a_row_is_told_as_it_was_recorded_with_frames_orders_names_and_units(mad
     assert pose.quaternion_xyzw == (0, 0, 0, 1)
     joints = [(one.name, round(one.position, 6), one.unit) for one in found.joints]
     assert joints == [("left", 0.01, "m"), ("right", 0.02, "m")]
+
+
+def test_a_success_is_told_with_the_pose_after_closing_the_motion_and_its_contacts(tmp_path: Path) -> None:
+    old, genes = run_of(tmp_path / "old", made_scene(), OUTCOMES).rows, len(layout(made_scene(), PRIOR))
+    rows = reshape_rows(old, RowShape(genes, 2, contact_slots=2))
+    rows["settled"][1] = (0.01, 0.02, 0.033, 0, 0, np.sin(0.05), np.cos(0.05))
+    rows["contact_links"][1] = (2, 0)
+    rows["contact_points"][1, :7] = (0.01, 0, 0.02, 0, 1, 0, 12.5)
+    scene = with_gripper(made_scene(), links=("palm", "left_finger", "right_finger"))
+    folder = record(tmp_path / "new", scene, rows, method=METHOD)
+    found = row_report(folder, 1)
+    assert found.settled.position == pytest.approx((0.01, 0.02, 0.033))
+    assert found.turned == pytest.approx(0.1, abs=1e-3)
+    (contact,) = found.contact_points
+    assert (contact.link, contact.normal, contact.force) == ("left_finger", (0, 1, 0), 12.5)
+    assert contact.point == pytest.approx((0.01, 0, 0.02), abs=1e-4)
+    for words in ("\nmoved            ", " mm\n", "\nturned           5.73 deg\n", "left_finger  "):
+        assert words in found.table
+
+
+def test_of_a_success_without_a_settled_pose_it_is_said_that_it_is_not_recorded(made: Made) -> None:
+    found = row_report(made.folder, 1)
+    assert (found.settled, found.moved, found.turned, found.contact_points) == (None, None, None, ())
+    assert "\nsettled          not recorded\n" in found.table
+    assert "\nsettled          none\n" in row_report(made.folder, 4).table
 
 
 def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
