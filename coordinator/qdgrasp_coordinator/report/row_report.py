@@ -25,7 +25,7 @@ from qdgrasp_coordinator.metrics.scores import eta
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
-from qdgrasp_coordinator.storage.success_pages import RowContext
+from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome, trial_count
 
@@ -57,11 +57,15 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
     sources = journal.sources
     if not sources:
-        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder)),))
+        prior, known = method(folder.spec.method).prior, folder.has_bundle()
+        postures = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
+        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder), postures),))
     scene, asked = folder.scene(), [source.asked for source in sources]
     ends = accumulate(source.kept for source in sources)
-    named = (synergies(scene, method(spec.method).prior) for spec in asked)
-    return RowContext(trial_count(asked[0].protocol), tuple(zip(ends, named, strict=True)))
+    priors = [method(spec.method).prior for spec in asked]
+    named = (synergies(scene, prior) for prior in priors)
+    postures = (PostureReader.of(scene, prior) for prior in priors)
+    return RowContext(trial_count(asked[0].protocol), tuple(zip(ends, named, postures, strict=True)))
 
 
 ROWS_READ_AT_ONCE = 1 << 16

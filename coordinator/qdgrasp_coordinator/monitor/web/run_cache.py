@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import inf
 from typing import Generic, TypeVar
 
@@ -20,8 +20,15 @@ from msgspec.structs import replace
 from qdgrasp_coordinator.metrics.job_status import RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
-from qdgrasp_coordinator.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
-from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_coordinator.monitor.web.scene_data import (
+    BrowserScene,
+    VoxelPages,
+    browser_scene,
+    grasp_view,
+    unknown_margins,
+)
+from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
+from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
@@ -145,7 +152,12 @@ class RunCache:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
         commands = self._records.place(self._job, self._run).commands(number)
         hand, scene = self._scenes(page.origin.scene).get()
-        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands))
+        margins = partial(self._margins, page.origin)
+        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands, margins))
+
+    def _margins(self, _origin: JournalId, found: SuccessTable) -> Floats:
+        """Return the margins (n,) of finds of a journal, for filters and the card; NaN: not known."""
+        return unknown_margins(found)
 
     def _load_scene(self, digest: str) -> tuple[HandGeometry, BrowserScene]:
         scene = self._records.scene(self._job, self._run, digest)
@@ -165,7 +177,8 @@ class RunCache:
             number = (before.voxels.origin + 1) % (1 << 32)
         else:
             number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
-        return JournalReading(origin, VoxelPages(number)).with_pages(pages)
+        voxels = VoxelPages(number, partial(self._margins, origin))
+        return JournalReading(origin, voxels).with_pages(pages)
 
     def _pages(self, first: int) -> list[RecordPage]:
         """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""
