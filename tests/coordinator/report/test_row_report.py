@@ -5,17 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import JAW, made_scene
 
+from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
 from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
 from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
+from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.success_pages import PostureReader
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
@@ -57,6 +61,16 @@ def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: P
         order = [source.asked.method for source in journal.sources]
     assert set(order) == set(PRIORS)
     assert labels(merged) == own[order[0]] + own[order[1]]
+
+
+@pytest.mark.parametrize("prior", ["contact", "approach", "given"])
+def test_the_joints_that_a_hand_starts_from_are_read_from_its_genome(prior: str) -> None:
+    scene = replace(made_scene(), gripper=find_gripper("barrett").on_carrier("paper"))
+    rows = RowShape(len(layout(scene, prior)) + 2, len(scene.gripper.joints)).empty(9)
+    rows["genome"] = np.random.default_rng(3).uniform(-1, 1, rows["genome"].shape)
+    starts = PostureReader.of(scene, prior).postures(rows)
+    assert np.array_equal(starts, postures(scene, prior, rows))
+    assert len(np.unique(starts, axis=0)) == len(rows)
 
 
 def test_a_legend_is_read_once(tmp_path: Path) -> None:

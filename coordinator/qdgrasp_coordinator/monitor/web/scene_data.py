@@ -99,7 +99,9 @@ class GraspView(Struct, frozen=True):
     settled: PoseView | None  # After closing: with `joints`; None where it is not recorded
     pregrasp: dict[str, float]  # Positions of the finger joints before closing [rad or m]
     joints: dict[str, float]  # Positions of the finger joints after closing [rad or m]
-    frames: dict[str, list[list[float]]]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], qx qy qz qw
+    frames: dict[
+        str, list[list[float]]
+    ]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], qx qy qz qw
     finger_links: int  # Number of those that touch the object after closing
     penetration: float  # The deepest after closing [m]
     moved: float | None  # How far the object moved in the hand while it closed [m]; None as `settled`
@@ -268,8 +270,8 @@ VOXEL = np.dtype([("key", "<i8"), ("serial", "<u4"), *PAGE_COLUMNS])
 class VoxelPages:
     """Successes by cell; of too many, first the best of each cell, outcome and synergy.
 
-    The best is that of the greatest eta, of equals the earliest. Serials number the voxels in the order in which they came or improved, so that a browser can ask for those
-    that it lacks.
+    The best is that of the greatest eta, of equals the earliest. Serials number the voxels in the order in
+    which they came or improved, so that a browser can ask for those that it lacks.
     """
 
     def __init__(self, origin: int = 0, margins: Margins = unknown_margins) -> None:

@@ -140,11 +140,11 @@ export class FilterControls {
     keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, ...Object.fromEntries(bounds) });
   }
 
-  /** What the bounds stand for, as a part of a filter. */
+  /** What the bounds stand for, as a part of a filter: float32, as the quantities are. */
   #given() {
     return Object.fromEntries(this.bounds.map(({ bound, input }) => {
       const value = number(input);
-      return [bound.name, Number.isNaN(value) ? bound.open : bound.unit * value];
+      return [bound.name, Number.isNaN(value) ? bound.open : Math.fround(bound.unit * value)];
     }));
   }
 
