@@ -149,7 +149,7 @@ export class FilterControls {
   }
 
   #bound(bound) {
-    const input = element("input", { type: "number", min: 0, step: bound.step, inputmode: "decimal", placeholder: "any" });
+    const input = element("input", { type: "number", min: 0, step: bound.step, inputmode: "decimal", placeholder: "any", "aria-label": bound.words });
     input.addEventListener("input", () => this.#apply(this.#given()));
     return { bound, input, node: element("label", { class: "bound" }, element("span", {}, bound.words), input) };
   }
