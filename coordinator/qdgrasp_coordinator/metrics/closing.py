@@ -15,17 +15,20 @@ NOT_SETTLED = "the settled pose is not recorded: drawn is the commanded one, bef
 
 
 def is_settled(found: Evaluations) -> NDArray[np.bool_]:
-    """Flag evaluations whose settled pose is recorded: successes, in runs later than version 0.1.0."""
+    """Flag evaluations whose settled pose is recorded (n,): successes, later than 0.1.0."""
     return np.asarray(found["settled"].any(axis=1))
 
 
 def commanded_poses(found: Evaluations) -> Floats:
-    """Return the hand's root link before closing, (n, 7): x y z [m] and quaternion xyzw, CoM frame."""
+    """Return the hand's root link before closing (n, 7): x y z [m], qx qy qz qw, CoM frame."""
     return np.asarray(found["base_to_object"].astype(np.float64))
 
 
 def settled_poses(found: Evaluations) -> Floats:
-    """Return the hand's root link after closing, (n, 7), CoM frame; as commanded where not recorded."""
+    """Return the hand's root link after closing (n, 7), CoM frame.
+
+    Where it is not recorded it is the commanded one.
+    """
     poses, settled = commanded_poses(found), is_settled(found)
     if settled.any():  # rows of version 0.1.0 have no room for it
         poses[settled] = found["settled"][settled]

@@ -140,7 +140,7 @@ def best_azimuth(scene: Scene, successes: Rows) -> float:
 
 
 def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
-    """Render the object with a few well-spread grasps on it: hands after closing, in their settled poses."""
+    """Render the object with a few well-spread grasps on it, as they settled."""
     body = object_mesh(scene)
     chosen = spread_grasps(successes, scene.gripper, _camera([body], azimuth, pixels))
     links = list(_links(scene, chosen))

@@ -58,8 +58,8 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     sources = journal.sources
     if not sources:
         prior, known = method(folder.spec.method).prior, folder.has_bundle()
-        postures = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
-        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder), postures),))
+        reader = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
+        return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder), reader),))
     scene, asked = folder.scene(), [source.asked for source in sources]
     ends = accumulate(source.kept for source in sources)
     priors = [method(spec.method).prior for spec in asked]

@@ -331,7 +331,7 @@ def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def _latest(voxels: NDArray[np.void]) -> NDArray[np.void]:
-    """Return one voxel of each number, that of the greatest eta; a repeated one keeps its serial."""
+    """Return the voxel of the greatest eta of each number; a repeated one keeps its serial."""
     ordered = voxels[np.lexsort((voxels["serial"], -voxels["eta"]))]
     _, first = np.unique(ordered["number"], return_index=True)
     kept: NDArray[np.void] = ordered[first]
