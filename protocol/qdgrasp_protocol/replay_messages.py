@@ -38,6 +38,8 @@ class ReplayRequest(Struct, frozen=True, kw_only=True):
     """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
     parts: bool = False
     """True: the object is drawn as its convex parts, which are simulated; False: its surface."""
+    pregrasp: bool = False
+    """True: one frame, of the hand as it is placed, before closing."""
 
 
 class ContactPoint(Struct, frozen=True, kw_only=True):
@@ -99,6 +101,11 @@ class ReplayAnswer(Struct, frozen=True, kw_only=True):
     """Finger joints as a row has them."""
     contacts: int
     penetration: float
+    settled: Pose
+    """The hand's root link after closing, as a row has it; zeros where no finger touches then."""
+    contact_links: tuple[int, ...]
+    """As a row has them, without empty places; none where the scene has no room for contacts."""
+    contact_points: tuple[float, ...]
     camera: ReplayCamera
     """The same for all frames."""
     shots: tuple[ReplayFrame, ...]

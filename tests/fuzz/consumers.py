@@ -106,7 +106,9 @@ def seeds() -> dict[str, bytes]:
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
     number = np.arange(ROWS)
-    drawn = found.success_table(rows, SHAPE, number=number, synergy=number - 1, eta=number / ROWS)
+    drawn = found.success_table(
+        rows, SHAPE, number=number, pregrasp=rows["joints"], synergy=number - 1, eta=number / ROWS
+    )
     widths = {"joints": SHAPE.joints, "contact_slots": SHAPE.contact_slots}
     sizes = {"n": ROWS, "descriptors": SHAPE.descriptors} | widths
     genes, failed = {"genes": SHAPE.genes}, {"failures": [messages.Failure(row=1, reason="it fell")]}

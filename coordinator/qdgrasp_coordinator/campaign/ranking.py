@@ -125,10 +125,10 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
     rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known, folder.spec.disturbances)
-    settled = settled_poses(rows)
+    settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
     moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)
     if settled_mask(rows).any():
-        margins = recorded_margins(rows, folder.scene())
+        margins = recorded_margins(rows, folder.scene().object)
     order = np.argsort(-etas, kind="stable")
     cell = cells(rows["descriptor"][:, :3])
     return [

@@ -145,6 +145,9 @@ def render(
     parts: Annotated[
         bool, typer.Option("--parts", help="Draw the object's convex parts, which are simulated.")
     ] = False,
+    pregrasp: Annotated[
+        bool, typer.Option("--pregrasp", help="Draw the open hand in its commanded pose, before closing.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Carry one evaluation of a run out again and draw it, with its contacts and frames.
@@ -167,8 +170,10 @@ def render(
     is_film = out.suffix.lower() == ".gif"
     if what is not None and not is_film:
         raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
+    if pregrasp and is_film:
+        raise InputError(f"--pregrasp draws one picture, and {out} is a film: name a .png.")
     wish = ReplayOptions(
-        _picture_size(size, out), _camera_view(view), (what or "all") if is_film else None, parts
+        _picture_size(size, out), _camera_view(view), (what or "all") if is_film else None, parts, pregrasp
     )
     shown = replay_target(RunFolder.open(directory), grasp, trial)
     typer.echo(f"replaying row {shown.number} of {directory}", err=True)

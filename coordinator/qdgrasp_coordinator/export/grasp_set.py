@@ -237,7 +237,7 @@ class Grasps:
         While the hand closes the object moves, so that this pose in its frame differs from the commanded one
         (`motion`). Where it was not recorded it is the commanded one (`is_settled`). `frame` as of `poses`.
         """
-        poses = np.where(self.is_settled[:, None], settled_poses(self.rows), self.poses(COM))
+        poses = settled_poses(self.rows)
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     @cached_property
@@ -272,7 +272,7 @@ class Grasps:
     @cached_property
     def margin(self) -> Floats:
         """(n,): Ferrari-Canny margin of the contacts; NaN where it is not known."""
-        return recorded_margins(self.rows, self.scene)
+        return recorded_margins(self.rows, self.scene.object)
 
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the commanded poses as homogeneous matrices."""

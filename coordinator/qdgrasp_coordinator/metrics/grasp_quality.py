@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, rotate
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import CONTACT_VALUES, Rows
 from qdgrasp_protocol.text import counted
 
 MM = 1e-3
+NOT_SETTLED = "the settled pose is not recorded: drawn is the commanded one, before the object moved"
 TORSION = 0.005  # Of finger and object [m]: the radius of a fingertip's patch, as `physical` takes it
 
 
@@ -25,12 +26,11 @@ def settled_mask(rows: Rows) -> NDArray[np.bool_]:
 
 
 def settled_poses(rows: Rows) -> Floats:
-    """(n, 7): the hand's base link in the object's CoM frame after closing; NaN where it is not recorded."""
-    known = settled_mask(rows)
-    found = np.full((len(rows), 7), np.nan)
-    if known.any():
-        found[known] = rows["settled"][known]
-    return found
+    """(n, 7): the hand's base link in the object's CoM frame after closing; where unknown, as commanded."""
+    poses, known = rows["base_to_object"].astype(np.float64), settled_mask(rows)
+    if known.any():  # rows of version 0.1.0 have no room for it
+        poses[known] = rows["settled"][known]
+    return poses
 
 
 def object_motion(rows: Rows) -> Floats:
@@ -41,7 +41,8 @@ def object_motion(rows: Rows) -> Floats:
     before, after = rows["base_to_object"].astype(np.float64), settled_poses(rows)
     first, last = (rotate(conjugate(poses[:, 3:]), -poses[:, :3]) for poses in (before, after))
     cosines = np.abs((before[:, 3:] * after[:, 3:]).sum(axis=1)).clip(0.0, 1.0)
-    return np.column_stack([np.sqrt(dot(last - first, last - first)), 2.0 * np.arccos(cosines)])
+    moved = np.column_stack([np.sqrt(dot(last - first, last - first)), 2.0 * np.arccos(cosines)])
+    return np.where(settled_mask(rows)[:, None], moved, np.nan)
 
 
 def contact_values(rows: Rows) -> Floats:
@@ -50,8 +51,8 @@ def contact_values(rows: Rows) -> Floats:
     return values
 
 
-def recorded_margins(rows: Rows, scene: Scene) -> Floats:
-    """(n,): the Ferrari-Canny margin of the recorded contacts (`grasp_margin`); NaN: none were recorded."""
+def recorded_margins(rows: Rows, body: SceneObject) -> Floats:
+    """(n,): the Ferrari-Canny margin of contacts with an object (`grasp_margin`); NaN: none were recorded."""
     from qdgrasp_coordinator.metrics.grasp_margin import grasp_margins  # scipy takes its time
 
     known, values = settled_mask(rows), contact_values(rows)
@@ -61,9 +62,9 @@ def recorded_margins(rows: Rows, scene: Scene) -> Floats:
             values[known, :, :3],
             values[known, :, 3:6],
             rows["contact_links"][known] > 0,
-            friction=scene.object.lateral_friction,
+            friction=body.lateral_friction,
             torsion=TORSION,
-            radius=scene.object.radius,
+            radius=body.radius,
         )
     return found
 
@@ -101,7 +102,7 @@ class GraspLimits:
         if self.min_links is not None:
             mask &= rows["contacts"] >= self.min_links
         if self.min_margin is not None:
-            mask[mask] = recorded_margins(rows[mask], scene) >= self.min_margin
+            mask[mask] = recorded_margins(rows[mask], scene.object) >= self.min_margin
         return mask
 
     def reason(self, rows: Rows, scene: Scene) -> str:

@@ -19,6 +19,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.metrics.grasp_quality import NOT_SETTLED, settled_mask
 from qdgrasp_coordinator.metrics.scores import ROBUST, survival
 from qdgrasp_coordinator.metrics.success_metrics import (
     FITNESS_COLOURS,
@@ -131,7 +132,8 @@ def _choice_in_words(shown: Rows, successes: Rows) -> str:
         return "no grasp to show"
     least = max(kind for kind in OUTCOME_NOUNS if (shown["outcome"] >= kind).all())
     noun = "robust grasps" if least is Outcome.HELD else OUTCOME_NOUNS[least]
-    return f"{len(shown)} of {int((successes['outcome'] >= least).sum()):,} {noun}"
+    words = f"{len(shown)} of {int((successes['outcome'] >= least).sum()):,} {noun}"
+    return words if settled_mask(shown).all() else f"{words}; {NOT_SETTLED}"
 
 
 def _draw_cells(axes: Axes, view: RenderedView) -> None:

@@ -14,6 +14,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
+from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
@@ -75,7 +76,7 @@ def spread_grasps(rows: Rows, gripper: SceneGripper, camera: ParallelCamera) -> 
 
 def _placed(rows: Rows, gripper: SceneGripper) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return positions (n, 3) [m] and approach axes (n, 3) of hands, CoM frame."""
-    pose = rows["base_to_object"].astype(np.float64)
+    pose = settled_poses(rows)
     return pose[:, :3], Rotation.from_quat(pose[:, 3:]).apply(gripper.approach_axis)
 
 
@@ -139,7 +140,7 @@ def best_azimuth(scene: Scene, successes: Rows) -> float:
 
 
 def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
-    """Render the object with a few well-spread grasps on it."""
+    """Render the object with a few well-spread grasps on it, as they settled."""
     body = object_mesh(scene)
     chosen = spread_grasps(successes, scene.gripper, _camera([body], azimuth, pixels))
     links = list(_links(scene, chosen))
@@ -225,11 +226,9 @@ def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:
 
 def _links(scene: Scene, chosen: Rows) -> Iterator[DrawnLink]:
     hand = hand_geometry(scene.gripper)
-    for number, row in enumerate(chosen):
+    for number, (pose, joints) in enumerate(zip(settled_poses(chosen), chosen["joints"], strict=True)):
         hue = rgb(FINGER_HUES[number % len(FINGER_HUES)])
-        for shape, vertices in hand.place_meshes(
-            row["base_to_object"].astype(float), row["joints"].astype(float)
-        ):
+        for shape, vertices in hand.place_meshes(pose, joints.astype(float)):
             yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
 
 

@@ -6,6 +6,7 @@ The context says which synergy a genome chose and how many trials a success has.
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from itertools import accumulate
+from math import degrees
 from pathlib import Path
 
 import msgspec
@@ -17,13 +18,14 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
-from qdgrasp_coordinator.storage.success_pages import RowContext
+from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome, trial_count
 from qdgrasp_protocol.spec import RunSpec
@@ -56,20 +58,25 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
     sources = journal.sources
     if not sources:
-        return _context(folder.spec, ((0, synergy_reader(folder)),))
+        prior, known = method(folder.spec.method).prior, folder.has_bundle()
+        reader = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
+        return _context(folder.spec, ((0, synergy_reader(folder), reader),))
     scene, asked = folder.scene(), [source.asked for source in sources]
     ends = accumulate(source.kept for source in sources)
-    named = (synergies(scene, method(spec.method).prior) for spec in asked)
-    return _context(asked[0], tuple(zip(ends, named, strict=True)))
+    priors = [method(spec.method).prior for spec in asked]
+    named = (synergies(scene, prior) for prior in priors)
+    postures = (PostureReader.of(scene, prior) for prior in priors)
+    return _context(asked[0], tuple(zip(ends, named, postures, strict=True)))
 
 
-def _context(spec: RunSpec, parts: tuple[tuple[int, SynergyReader], ...]) -> RowContext:
+def _context(spec: RunSpec, parts: tuple[tuple[int, SynergyReader, PostureReader], ...]) -> RowContext:
     return RowContext(trial_count(spec.protocol), spec.disturbances, parts)
 
 
 ROWS_READ_AT_ONCE = 1 << 16
 """Rows read at once, from the end of the journal on, for the nearest success."""
 POSE_FRAME = "object's centre-of-mass frame"
+CONTACT_HEAD = f"{'link':<24} {'point x y z [m]':<26}   {'normal x y z':<26}   {'force [N]':>8}"
 OUTCOME_MEANINGS = {
     Outcome.ERROR: "the simulator failed three times",
     Outcome.DEAD_END: "there was no pose to simulate",
@@ -113,13 +120,22 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
         ]
 
 
+class JointPosition(Struct, frozen=True, kw_only=True):
+    """Position of a finger joint after closing."""
+
+    name: str
+    position: float
+    unit: str
+    """"rad", or "m" of a joint that slides."""
+
+
 class ReportedContact(Struct, frozen=True, kw_only=True):
-    """A contact of the hand with the object after closing."""
+    """A contact of hand and object after closing, object's CoM frame."""
 
     link: str
-    """Of the hand."""
+    """The hand's link."""
     point: tuple[float, ...]
-    """On the object: x, y, z [m]."""
+    """x, y, z [m], on the object."""
     normal: tuple[float, ...]
     """Unit, into the object."""
     force: float
@@ -128,16 +144,8 @@ class ReportedContact(Struct, frozen=True, kw_only=True):
     @property
     def line(self) -> str:
         """The contact in words."""
-        return f"{self.link}  at {_numbers(self.point)} m, {self.force:.3g} N along {_numbers(self.normal)}"
-
-
-class JointPosition(Struct, frozen=True, kw_only=True):
-    """Position of a finger joint after closing."""
-
-    name: str
-    position: float
-    unit: str
-    """"rad", or "m" of a joint that slides."""
+        point, normal = (" ".join(f"{value:8.4f}" for value in part) for part in (self.point, self.normal))
+        return f"{self.link:<24} {point}   {normal}   {self.force:8.3g}"
 
 
 class GeneValue(Struct, frozen=True, kw_only=True):
@@ -178,9 +186,15 @@ class RowReport(Struct, frozen=True, kw_only=True):
     cell: tuple[int, ...] | None
     """Of 1 cm; None where there is no pose."""
     base_to_object: ReportedPose | None
-    """Of the hand as it was commanded, before closing; None where there was no pose."""
+    """The commanded pose, before closing; None where there was no pose."""
     settled: ReportedPose | None
-    """Of the hand after closing; None where it was not recorded."""
+    """The settled pose, after closing: with `joints`; None where it is not recorded."""
+    moved: float | None
+    """How far the object's centre of mass moved in the hand while it closed [m]; None as `settled`."""
+    turned: float | None
+    """How far the object turned in the hand while it closed [rad]; None as `settled`."""
+    margin: float | None
+    """Ferrari-Canny margin of the contacts; None as `settled`."""
     joints: tuple[JointPosition, ...]
     """Finger joints after closing; none where the hand did not close."""
     synergy: str
@@ -191,10 +205,10 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """Angle between its normal and the direction to the hand [rad]; None without an aim."""
     contacts: int
     """Finger links that touch the object after closing."""
-    contact_points: tuple[ReportedContact, ...]
-    """Contacts after closing; none where they were not recorded."""
     penetration: float
     """The deepest after closing [m], 0 or positive."""
+    contact_points: tuple[ReportedContact, ...]
+    """Contacts after closing, some of them where there were many; none where they are not recorded."""
     gripper: str
     object: str
     protocol: str
@@ -213,6 +227,11 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """The run that found it, by the name of its folder."""
 
     @property
+    def is_success(self) -> bool:
+        """True if a finger touches the object after closing."""
+        return Outcome[self.outcome.upper()].is_success
+
+    @property
     def table(self) -> str:
         """All of it in words, one to a line."""
         values = msgspec.structs.asdict(self)
@@ -227,9 +246,14 @@ class RowReport(Struct, frozen=True, kw_only=True):
         values["com_in_mesh"] = f"{_numbers(self.com_in_mesh)} m"
         values["joints"] = [f"{one.name}  {one.position:.6g} {one.unit}" for one in self.joints]
         values["genome"] = [f"{one.name}  {one.gene:.6g} for {one.value:.6g}" for one in self.genome]
-        values["contact_points"] = [contact.line for contact in self.contact_points]
-        for name in ("base_to_object", "settled"):
-            values[name] = None if values[name] is None else values[name].lines
+        values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
+        unknown = "not recorded" if self.is_success else None
+        values["settled"] = unknown if self.settled is None else self.settled.lines
+        values["moved"] = unknown if self.moved is None else f"{1000 * self.moved:.3g} mm"
+        values["margin"] = unknown if self.margin is None else f"{self.margin:.3g}"
+        values["turned"] = unknown if self.turned is None else f"{degrees(self.turned):.3g} deg"
+        contacts = [CONTACT_HEAD, *(one.line for one in self.contact_points)]
+        values["contact_points"] = contacts if self.contact_points else unknown
         return "\n".join(line for name, value in values.items() for line in _lines(name, value))
 
 
@@ -275,16 +299,17 @@ def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
 
 def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
     outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
-    pose = _pose(row["base_to_object"], scene.gripper)
-    label = int(synergies(scene, prior).labels(row["genome"][None])[0])
+    pose, label = (
+        _pose(row["base_to_object"], scene.gripper),
+        int(synergies(scene, prior).labels(row["genome"][None])[0]),
+    )
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
     return {name: row[name].tolist() for name in plain} | {
         "outcome": outcome.name.lower(),
         "meaning": OUTCOME_MEANINGS[outcome],
         "cell": cells(row["descriptor"][:3]).tolist() if pose else None,
         "base_to_object": pose,
-        "settled": _pose(row["settled"], scene.gripper),
-        "contact_points": list(_contacts(row, scene.gripper)),
+        **_closing_fields(row, scene),
         "joints": list(_joints(row, scene.gripper)) if outcome.is_simulated else [],
         "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
         "surface_point": row["surface_point"].tolist() if is_aimed else None,
@@ -320,15 +345,28 @@ def _last_success(journal: Journal) -> int | None:
     return None
 
 
+def _closing_fields(row: np.void, scene: Scene) -> dict[str, object]:
+    moved, turned = object_motion(row.reshape(1))[0].tolist()
+    (margin,) = recorded_margins(row.reshape(1), scene.object).tolist()
+    settled = _pose(row["settled"], scene.gripper)
+    return {
+        "settled": settled,
+        "moved": moved if settled else None,
+        "turned": turned if settled else None,
+        "margin": margin if settled else None,
+        "contact_points": list(_contacts(row, scene.gripper)),
+    }
+
+
 def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[ReportedContact]:
-    values = row["contact_points"].reshape(-1, CONTACT_VALUES).tolist()
-    for link, numbers in zip(row["contact_links"].tolist(), values, strict=True):
+    values = row["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
+    for link, (*vectors, force) in zip(row["contact_links"].tolist(), values, strict=True):
         if link:
             yield ReportedContact(
                 link=gripper.links[link - 1],
-                point=tuple(numbers[:3]),
-                normal=tuple(numbers[3:6]),
-                force=numbers[6],
+                point=tuple(vectors[:3]),
+                normal=tuple(vectors[3:]),
+                force=force,
             )
 
 

@@ -1,20 +1,25 @@
 """Successes of a journal page by page, for monitors that draw them as the run goes on."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Joint, Scene
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta, known_scores
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.rows import (
+    GIVEN,
     NO_SYNERGY,
     RESULT,
     SHAKES,
+    Layout,
     RowColumn,
     Rows,
     RowShape,
@@ -27,27 +32,73 @@ NO_ETA = -1.0  # Placeholder for an eta that is not known
 
 
 @dataclass(frozen=True)
+class PostureReader:
+    """Reader of the finger joints that a genome's hand starts from."""
+
+    layout: Layout
+    joints: tuple[Joint, ...]
+    """Those of the hand; none if it is not known."""
+    free: tuple[str, ...]
+    """Names of its free joints, whose genes are the last ones."""
+
+    def postures(self, rows: Rows) -> NDArray[np.float32]:
+        """Return start positions (n, j) [rad or m]; of an unknown hand those after closing."""
+        if not self.joints:
+            return np.asarray(rows["joints"])
+        starts = np.tile(np.array([joint.opened for joint in self.joints], np.float32), (len(rows), 1))
+        if self.free:
+            genomes = rows["genome"][:, : len(self.layout)]
+            values = genomes if self.layout.prior == GIVEN else self.layout.values(genomes)
+            names = [joint.name for joint in self.joints]
+            starts[:, [names.index(name) for name in self.free]] = values[:, -len(self.free) :]
+        return starts
+
+    @classmethod
+    def of(cls, scene: Scene, prior: str) -> "PostureReader":
+        """Return the reader for genomes of a prior in a scene."""
+        hand = scene.gripper
+        return cls(layout(scene, prior), hand.joints, tuple(joint.name for joint in hand.free_joints))
+
+
+UNKNOWN_POSTURES = PostureReader(Layout("", ()), (), ())
+
+
+@dataclass(frozen=True)
 class RowContext:
-    """Context for reading a journal's rows: its trials, and how genomes name synergies."""
+    """Context for reading a journal's rows: its trials, and how to read its genomes."""
 
     trials: int = 0
     """Number of trials of a success."""
     disturbances: int = SHAKES
     """Number of disturbances in each."""
-    parts: tuple[tuple[int, SynergyReader], ...] = ((0, UNKNOWN_SYNERGIES),)
-    """Readers of synergies, each with the number behind the last row that it holds for.
+    parts: tuple[tuple[int, SynergyReader, PostureReader], ...] = ((0, UNKNOWN_SYNERGIES, UNKNOWN_POSTURES),)
+    """Readers of synergies and postures, with the number behind the last row that they hold for.
 
     The last one holds for all rows behind that too.
     """
 
     def synergies(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the labels (n,) of rows by journal number (n,), or `NO_SYNERGY`."""
-        ends = [end for end, _ in self.parts]
-        part_of = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
         labels = np.full(len(rows), NO_SYNERGY)
-        for part in np.unique(part_of).tolist():
-            labels[part_of == part] = self.parts[part][1].labels(rows["genome"][part_of == part])
+        for here, reader, _ in self._of_parts(numbers):
+            labels[here] = reader.labels(rows["genome"][here])
         return labels
+
+    def pregrasps(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the joints (n, j) that hands start from, of rows by journal number (n,) [rad or m]."""
+        starts = np.zeros_like(rows["joints"])
+        for here, _, reader in self._of_parts(numbers):
+            starts[here] = reader.postures(rows[here])
+        return starts
+
+    def _of_parts(
+        self, numbers: NDArray[np.int64]
+    ) -> Iterator[tuple[NDArray[np.bool_], SynergyReader, PostureReader]]:
+        """Yield flags (n,) of the rows that readers hold for, with these."""
+        ends = [end for end, *_ in self.parts]
+        part_of = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
+        for part in np.unique(part_of).tolist():
+            yield (part_of == part, *self.parts[part][1:])
 
     def etas(self, rows: Rows) -> NDArray[np.float64]:
         """Return eta of each nominal success in consecutive rows (n,); `NO_ETA`: trials are missing."""
@@ -67,6 +118,7 @@ SUCCESS_COLUMNS = (
         "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"
     ),
     RowColumn("joints", "<f4", "joints", "finger joint positions at the grasp [rad or m]"),
+    RowColumn("pregrasp", "<f4", "joints", "finger joint positions that the hand starts from [rad or m]"),
     RowColumn(
         "synergy", "<i2", "1", "the synergy that closed the hand, by its place in the gripper; -1: none"
     ),
@@ -95,7 +147,7 @@ def page_limit(shape: RowShape) -> int:
 
 
 def success_table(rows: Rows, shape: RowShape, **columns: NDArray[np.number]) -> SuccessTable:
-    """Return successes (n,) as finds (n,); the others are the columns number, synergy and eta."""
+    """Return successes (n,) as finds (n,); the others are the columns that rows lack."""
     finds = np.zeros(len(rows), dtype=success_dtype(shape.joints, shape.contact_slots))
     for column in SUCCESS_COLUMNS:
         values = columns[column.name] if column.name in columns else rows[column.name]
@@ -151,6 +203,7 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
         journal.shape,
         number=numbers,
         synergy=context.synergies(successes, numbers),
+        pregrasp=context.pregrasps(successes, numbers),
         eta=context.etas(rows),
     )
     lacking = finds["number"][finds["eta"] < 0] if context.trials else finds["number"][:0]

@@ -118,6 +118,10 @@ def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
     now = row.copy()
     for name in ("outcome", "fitness", "joints", "contacts", "penetration"):
         now[name] = getattr(answer, name)
+    for name in ("settled", "contact_links", "contact_points"):
+        found = getattr(answer, name)
+        now[name] = 0
+        now[name][: len(found)] = found[: now[name].size]
     return now
 
 

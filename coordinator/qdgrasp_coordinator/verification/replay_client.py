@@ -165,6 +165,8 @@ class ReplayOptions:
     """The part that is filmed; None: a still."""
     parts: bool = False
     """True: the object is drawn as its convex parts."""
+    pregrasp: bool = False
+    """True: a still shows the hand as it is placed, before closing."""
 
     def of(self, shown: ReplayTarget) -> ReplayRequest:
         """Return the request for the process that replays."""
@@ -176,6 +178,7 @@ class ReplayOptions:
             view=self.view,
             what=self.what,
             parts=self.parts,
+            pregrasp=self.pregrasp,
         )
 
 

@@ -56,7 +56,7 @@ def test_the_margin_is_that_of_the_contacts_that_are_there():
         torsion=TORSION,
         radius=scene.object.radius,
     )
-    margins = recorded_margins(rows, scene)
+    margins = recorded_margins(rows, scene.object)
     assert margins[0] == margins[2] == pytest.approx(float(expected[0]), rel=2e-2)
     assert margins[0] > 0
     assert margins[1] == 0
@@ -86,7 +86,7 @@ def test_each_limit_keeps_what_is_within_it():
 def test_rows_of_0_1_0_have_neither_motion_nor_margin_and_no_limit_to_these_admits_them():
     scene, rows = made_scene("jaw"), rows_of(2, contact_slots=0)
     assert np.isnan(object_motion(rows)).all()
-    assert np.isnan(recorded_margins(rows, scene)).all()
+    assert np.isnan(recorded_margins(rows, scene.object)).all()
     assert np.isnan(settled_poses(rows)).all()
     assert GraspLimits(max_penetration=1.0).admitted(rows, scene).all()
     limits = GraspLimits(max_motion=1000.0)

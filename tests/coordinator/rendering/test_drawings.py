@@ -66,6 +66,16 @@ def test_hands_are_drawn_over_the_object() -> None:
     assert share_drawn(held.image) > 2 * share_drawn(alone.image)
 
 
+def test_hands_are_drawn_in_their_settled_poses() -> None:
+    plain, rows = rows_of([Outcome.HELD] * 3), RowShape(7, 2, contact_slots=1).empty(3)
+    for name in ("outcome", "fitness", "descriptor", "joints"):
+        rows[name] = plain[name]
+    rows["settled"] = plain["base_to_object"]
+    rows["base_to_object"][:, 6] = 1  # all inside the object
+    settled, commanded = (view_of_hands(made_scene(), found, 0.0, SMALL).image for found in (rows, plain))
+    assert np.array_equal(settled, commanded)
+
+
 def test_many_cells_are_cut_open_toward_the_viewer() -> None:
     def shell(step: int) -> Rows:
         grid = np.stack(np.meshgrid(*[np.arange(-9, 10, step)] * 3), axis=-1).reshape(-1, 3)

@@ -10,12 +10,16 @@ from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import JAW, made_scene
 
+from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
+from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
 from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
+from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.success_pages import PostureReader
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
@@ -57,6 +61,16 @@ def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: P
         order = [source.asked.method for source in journal.sources]
     assert set(order) == set(PRIORS)
     assert labels(merged) == own[order[0]] + own[order[1]]
+
+
+@pytest.mark.parametrize("prior", ["contact", "approach", "given"])
+def test_the_joints_that_a_hand_starts_from_are_read_from_its_genome(prior: str) -> None:
+    scene = replace(made_scene(), gripper=find_gripper("barrett").on_carrier("paper"))
+    rows = RowShape(len(layout(scene, prior)) + 2, len(scene.gripper.joints)).empty(9)
+    rows["genome"] = np.random.default_rng(3).uniform(-1, 1, rows["genome"].shape)
+    starts = PostureReader.of(scene, prior).postures(rows)
+    assert np.array_equal(starts, postures(scene, prior, rows))
+    assert len(np.unique(starts, axis=0)) == len(rows)
 
 
 def test_a_legend_is_read_once(tmp_path: Path) -> None:
@@ -117,18 +131,29 @@ def test_a_row_is_told_as_it_was_recorded_with_frames_orders_names_and_units(mad
     assert joints == [("left", 0.01, "m"), ("right", 0.02, "m")]
 
 
-def test_the_settled_pose_and_contacts_are_told_where_they_were_recorded(made: Made, tmp_path: Path) -> None:
-    scene = replace(with_gripper(made.scene, links=("palm", "left_finger")), contact_slots=2)
-    rows = RowShape(len(layout(scene, PRIOR)), 2, contact_slots=2).empty(1)
-    rows["outcome"], rows["settled"] = Outcome.HELD, (0.25, 0, 0, 0, 0, 1, 0)
-    rows["contact_links"], rows["contact_points"][0, :7] = (2, 0), (0.5, 0, 0.25, 0, 1, 0, 8)
-    found = row_report(record(tmp_path / "run", scene, rows, method=METHOD), 0)
-    assert (found.settled.position, found.settled.quaternion_xyzw) == ((0.25, 0, 0), (0, 0, 1, 0))
+def test_a_success_is_told_with_the_pose_after_closing_the_motion_and_its_contacts(tmp_path: Path) -> None:
+    old, genes = run_of(tmp_path / "old", made_scene(), OUTCOMES).rows, len(layout(made_scene(), PRIOR))
+    rows = reshape_rows(old, RowShape(genes, 2, contact_slots=2))
+    rows["settled"][1] = (0.01, 0.02, 0.033, 0, 0, np.sin(0.05), np.cos(0.05))
+    rows["contact_links"][1] = (2, 0)
+    rows["contact_points"][1, :7] = (0.01, 0, 0.02, 0, 1, 0, 12.5)
+    scene = with_gripper(made_scene(), links=("palm", "left_finger", "right_finger"))
+    folder = record(tmp_path / "new", scene, rows, method=METHOD)
+    found = row_report(folder, 1)
+    assert found.settled.position == pytest.approx((0.01, 0.02, 0.033))
+    assert found.turned == pytest.approx(0.1, abs=1e-3)
     (contact,) = found.contact_points
-    assert (contact.link, contact.point, contact.normal) == ("left_finger", (0.5, 0, 0.25), (0, 1, 0))
-    assert "left_finger  at 0.5 0 0.25 m, 8 N along 0 1 0" in found.table
-    earlier = row_report(made.folder, 1)
-    assert (earlier.settled, earlier.contact_points) == (None, ())
+    assert (contact.link, contact.normal, contact.force) == ("left_finger", (0, 1, 0), 12.5)
+    assert contact.point == pytest.approx((0.01, 0, 0.02), abs=1e-4)
+    for words in ("\nmoved            ", " mm\n", "\nturned           5.73 deg\n", "left_finger  "):
+        assert words in found.table
+
+
+def test_of_a_success_without_a_settled_pose_it_is_said_that_it_is_not_recorded(made: Made) -> None:
+    found = row_report(made.folder, 1)
+    assert (found.settled, found.moved, found.turned, found.contact_points) == (None, None, None, ())
+    assert "\nsettled          not recorded\n" in found.table
+    assert "\nsettled          none\n" in row_report(made.folder, 4).table
 
 
 def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:

@@ -57,7 +57,16 @@ def replay(*shots: ReplayFrame) -> ReplayedEvaluation:
     width, height = LAYOUT.scene
     frames = np.full((len(shots), height, width, 3), GREY, dtype=np.uint8)
     answer = ReplayAnswer(
-        outcome=7, fitness=2, joints=(0.01, 0.02), contacts=2, penetration=0.0, camera=camera(), shots=shots
+        outcome=7,
+        fitness=2,
+        joints=(0.01, 0.02),
+        contacts=2,
+        penetration=0.0,
+        settled=HAND,
+        contact_links=(1,),
+        contact_points=(0.0,) * 7,
+        camera=camera(),
+        shots=shots,
     )
     return ReplayedEvaluation(answer, frames)
 

@@ -59,6 +59,13 @@ def assert_same(row: np.void, replay: EpisodeReplay) -> None:
     found = row.copy()
     for name in ("outcome", "fitness", "joints", "contacts", "penetration"):
         found[name] = getattr(replay.verdict, name)
+    if replay.verdict.outcome.is_success:
+        assert found["settled"].any()
+        assert found["contact_links"].any()
+    answer, _ = drawn(replay)
+    for name in ("settled", "contact_links", "contact_points"):
+        found[name] = 0
+        found[name][: len(getattr(answer, name))] = getattr(answer, name)
     assert all(found[column.name].tobytes() == row[column.name].tobytes() for column in RESULT)
 
 
@@ -78,6 +85,19 @@ def test_so_it_does_with_other_hands_and_protocols(make_scene, gripper, protocol
     found = record_evaluation(make_scene(gripper, "rubiks_cube", protocol), 12, trial)
     for row in found.rows[np.argsort(-found.rows["outcome"], kind="stable")[:2]]:
         assert_same(row, EpisodeReplay(found.scene, request(row)))
+
+
+def test_the_open_hand_is_drawn_where_it_was_commanded_and_the_closed_one_where_it_settled(on_the_cube):
+    row = on_the_cube.one(Outcome.HELD)
+    placed, closed = (
+        drawn(EpisodeReplay(on_the_cube.scene, msgspec.structs.replace(request(row), pregrasp=pregrasp)))[0]
+        for pregrasp in (True, False)
+    )
+    for answer, phase, name in ((placed, "placed", "base_to_object"), (closed, "closing", "settled")):
+        (shot,) = answer.shots
+        assert shot.phase == phase
+        in_object = np.linalg.inv(frame(shot.object)) @ frame(shot.hand)
+        assert np.allclose(in_object, frame(row[name]), atol=1e-6)
 
 
 def test_the_same_is_drawn_every_time(on_the_cube):

@@ -38,6 +38,11 @@ def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
     return [snapshot for snapshot in snapshots if snapshot.phase in PARTS["closing"]][-1]
 
 
+def placed_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
+    """The hand as it was placed, before closing."""
+    return [snapshot for snapshot in snapshots if snapshot.phase == "placed"][-1]
+
+
 def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
     """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
 

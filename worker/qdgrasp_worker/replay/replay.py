@@ -36,12 +36,13 @@ from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
-from qdgrasp_worker.evaluator import make_episode
+from qdgrasp_worker.evaluator import MAX_HALF, make_episode, spread_contacts
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
     TimedSnapshot,
     animation,
+    placed_snapshot,
     recording_world,
     still_snapshot,
 )
@@ -69,7 +70,8 @@ class EpisodeReplay:
     def frames(self) -> list[TimedSnapshot]:
         """The snapshots to show; an InputError if the part that is asked for did not happen."""
         if self._request.what is None:
-            return [TimedSnapshot(still_snapshot(self.snapshots), REST_SECONDS)]
+            still = placed_snapshot if self._request.pregrasp else still_snapshot
+            return [TimedSnapshot(still(self.snapshots), REST_SECONDS)]
         return animation(self.snapshots, self._request.what, self.verdict.outcome)
 
     def render(self, make: MakeFrames) -> ReplayAnswer:
@@ -77,7 +79,7 @@ class EpisodeReplay:
         request, shown = self._request, self.frames()
         width, height = request.width, request.height
         with Renderer(self._scene, parts=request.parts) as renderer:
-            grasp = still_snapshot(self.snapshots)
+            grasp = shown[0].snapshot if request.pregrasp else still_snapshot(self.snapshots)
             view = request.view or best_view(renderer, grasp)
             corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
             camera = fit_camera(corners, *view, width / height)
@@ -85,13 +87,18 @@ class EpisodeReplay:
             for frame, timed in zip(frames, shown, strict=True):
                 renderer.place(timed.snapshot)
                 frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
-        found = self.verdict
+        found, slots = self.verdict, self._scene.contact_slots
+        kept = spread_contacts(found.touches, slots) if slots else []
+        values = np.array([[*one.point, *one.normal, one.force] for one in kept])
         return ReplayAnswer(
             outcome=found.outcome,
             fitness=found.fitness,
             joints=tuple(found.joints),
             contacts=found.contacts,
             penetration=found.penetration,
+            settled=make_pose(list(found.settled[:3]), list(found.settled[3:])),
+            contact_links=tuple(one.link for one in kept),
+            contact_points=tuple(values.clip(-MAX_HALF, MAX_HALF).ravel().tolist()),
             camera=camera.camera(width, height),
             shots=tuple(self._frame(timed) for timed in shown),
         )

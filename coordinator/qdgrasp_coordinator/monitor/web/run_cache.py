@@ -17,10 +17,17 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from qdgrasp_assets.scene import SceneObject
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.metrics.job_status import RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
-from qdgrasp_coordinator.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
+from qdgrasp_coordinator.monitor.web.scene_data import (
+    BrowserScene,
+    VoxelPages,
+    browser_scene,
+    grasp_view,
+)
 from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 
@@ -123,7 +130,7 @@ class RunCache:
         self._records, self._job, self._run, self._clock = records, job, run, clock
         self._reading = TtlCache(self._read, lambda one: FRESH_SECONDS if one.voxels.is_whole else 0.0, clock)
 
-        def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene]]:
+        def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene, SceneObject]]:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
 
         self._scenes = made_once(MAX_SCENES, scene)
@@ -131,7 +138,7 @@ class RunCache:
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
         reading = self._reading.get()
-        _, scene = self._scenes(reading.origin.scene).get()
+        _, scene, _ = self._scenes(reading.origin.scene).get()
         return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
 
     def cells(self, first: int) -> bytes:
@@ -144,13 +151,14 @@ class RunCache:
         if not len(page.found) or page.found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
         commands = self._records.place(self._job, self._run).commands(number)
-        hand, scene = self._scenes(page.origin.scene).get()
-        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands))
+        hand, scene, body = self._scenes(page.origin.scene).get()
+        (margin,) = recorded_margins(page.found[:1], body)
+        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands, margin))
 
-    def _load_scene(self, digest: str) -> tuple[HandGeometry, BrowserScene]:
+    def _load_scene(self, digest: str) -> tuple[HandGeometry, BrowserScene, SceneObject]:
         scene = self._records.scene(self._job, self._run, digest)
         hand = hand_geometry(scene.gripper)
-        return hand, browser_scene(scene, hand)
+        return hand, browser_scene(scene, hand), scene.object
 
     def _read(self, before: JournalReading | None) -> JournalReading:
         """Read the successes since then; all of them where the journal is another, or fell back."""
@@ -165,7 +173,8 @@ class RunCache:
             number = (before.voxels.origin + 1) % (1 << 32)
         else:
             number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
-        return JournalReading(origin, VoxelPages(number)).with_pages(pages)
+        voxels = VoxelPages(number)
+        return JournalReading(origin, voxels).with_pages(pages)
 
     def _pages(self, first: int) -> list[RecordPage]:
         """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""

@@ -1,10 +1,9 @@
 """Data of the view in 3D: triangles of object and hand, and the best successes of each cell.
 
-Of each 1 cm cell there is one voxel for every outcome and synergy that succeeded in it: so a filter by
-outcome, synergy or least eta leaves exactly the cells with another success, and the best of these.
+Every success is a voxel in its 1 cm cell, so that filters leave exactly the cells with another success that
+passes, and the best of these.
 
-A page of voxels is little-endian: the header `HEADER`, then of `n` voxels the journal numbers (uint32), etas
-(float32, -1 where there is none), cells (3 x int16), synergies (int16, -1 for none) and outcomes (uint8).
+A page of voxels is little-endian: the header `HEADER`, then of `n` voxels the columns `PAGE_COLUMNS`.
 """
 
 import struct
@@ -14,14 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
-from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry
+from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
+from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, trial_count
+from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, trial_count
 
 
 class TriangleMesh(Struct, frozen=True):
@@ -66,6 +67,24 @@ class BrowserScene(Struct, frozen=True):
     origin: int = 0  # The same number as that of its voxels
 
 
+class PoseView(Struct, frozen=True):
+    """A pose of the hand's root link."""
+
+    position: Sequence[float]  # (3,): from the centre of mass [m]
+    position_in_mesh: Sequence[float]  # (3,): the same in the mesh file's frame [m]
+    quaternion: Sequence[float]  # (4,): xyzw; in both frames
+
+
+class ContactView(Struct, frozen=True):
+    """A contact after closing, object's CoM frame."""
+
+    link: str
+    finger: bool  # True if contact of this link makes a success
+    point: Sequence[float]  # (3,) [m], on the object
+    normal: Sequence[float]  # (3,), unit, into the object
+    force: float  # Along the normal [N]
+
+
 class GraspView(Struct, frozen=True):
     """Everything known of one success."""
 
@@ -77,13 +96,23 @@ class GraspView(Struct, frozen=True):
     synergy: str  # Name of the synergy; empty: all driven joints close
     cell: Sequence[int]  # (3,)
     base: str  # The hand's root link
-    position: Sequence[float]  # (3,): of the hand's root link [m]
-    position_in_mesh: Sequence[float]  # (3,): the same in the mesh file's frame [m]
-    quaternion: Sequence[float]  # (4,): of the hand's root link, xyzw; in both frames
-    frame: list[float]  # Frame of the hand's root link, 4 x 4, row by row
-    joints: dict[str, float]  # Positions of the finger joints [rad or m]
-    links: dict[str, list[float]]  # Each link's frame, 4 x 4, row by row
+    commanded: PoseView  # Before closing: with the joints `pregrasp`
+    settled: PoseView | None  # After closing: with `joints`; None where it is not recorded
+    pregrasp: dict[str, float]  # Positions of the finger joints before closing [rad or m]
+    joints: dict[str, float]  # Positions of the finger joints after closing [rad or m]
+    frames: dict[
+        str, list[list[float]]
+    ]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], qx qy qz qw
+    finger_links: int  # Number of those that touch the object after closing
+    penetration: float  # The deepest after closing [m]
+    moved: float | None  # How far the object moved in the hand while it closed [m]; None as `settled`
+    turned: float | None  # How far it turned [rad]
+    margin: float | None  # None where it is not known
+    contacts: Sequence[ContactView]  # Some of them where there were many
     commands: Sequence[str]  # Commands that show and draw it
+
+
+CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
 
 
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
@@ -116,11 +145,20 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
     )
 
 
-def grasp_view(find: np.void, hand: HandGeometry, scene: BrowserScene, commands: Sequence[str]) -> GraspView:
-    """Return a success (a record of `storage.success_pages`) with the hand in its posture."""
-    pose, joints = find["base_to_object"].astype(float), find["joints"].astype(float)
-    frames = hand.link_frames(pose, joints)
-    names = [joint.name for joint in hand.gripper.joints]
+def grasp_view(
+    find: np.void,
+    hand: HandGeometry,
+    scene: BrowserScene,
+    commands: Sequence[str],
+    margin: float = np.nan,
+) -> GraspView:
+    """Return a success (a record of `storage.success_pages`) with the hand as it closes."""
+    alone = find.reshape(1)
+    ends = np.concatenate([alone["base_to_object"].astype(np.float64), settled_poses(alone)])
+    postures = np.array([find["pregrasp"], find["joints"]], dtype=np.float64)
+    names, is_settled = [joint.name for joint in hand.gripper.joints], bool(settled_mask(alone)[0])
+    commanded, settled = (_pose_view(pose, scene) for pose in ends)
+    moved, turned = (_known(value) for value in object_motion(alone)[0])
     return GraspView(
         number=int(find["number"]),
         outcome=int(find["outcome"]),
@@ -130,14 +168,59 @@ def grasp_view(find: np.void, hand: HandGeometry, scene: BrowserScene, commands:
         synergy=scene.synergies[find["synergy"]] if 0 <= find["synergy"] < len(scene.synergies) else "",
         cell=cells(find["descriptor"]).tolist(),
         base=scene.base,
-        position=pose[:3].tolist(),
-        position_in_mesh=(pose[:3] + scene.com_in_mesh).tolist(),
-        quaternion=pose[3:].tolist(),
-        frame=frames[scene.base].ravel().tolist(),
-        joints=dict(zip(names, joints.tolist(), strict=True)),
-        links={name: frames[name].ravel().tolist() for name in _meshes(hand)},
+        commanded=commanded,
+        settled=settled if is_settled else None,
+        pregrasp=dict(zip(names, postures[0].tolist(), strict=True)),
+        joints=dict(zip(names, postures[1].tolist(), strict=True)),
+        frames=_closing_frames(hand, ends, postures, {scene.base, *_meshes(hand)}),
+        finger_links=int(find["contacts"]),
+        penetration=float(find["penetration"]),
+        moved=moved,
+        turned=turned,
+        margin=_known(margin),
+        contacts=_contacts(find, hand),
         commands=commands,
     )
+
+
+def _pose_view(pose: Floats, scene: BrowserScene) -> PoseView:
+    return PoseView(pose[:3].tolist(), (pose[:3] + scene.com_in_mesh).tolist(), pose[3:].tolist())
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _closing_frames(
+    hand: HandGeometry, ends: Floats, postures: Floats, links: set[str]
+) -> dict[str, list[list[float]]]:
+    """Return poses (steps, 7) of links while the hand goes from its first pose to its second.
+
+    Positions and joints change evenly, orientations by the shortest rotation.
+    """
+    shares = np.linspace(0.0, 1.0, CLOSING_STEPS)
+    first, last = ends[:, :3]
+    turns = Slerp([0.0, 1.0], Rotation.from_quat(ends[:, 3:]))(shares).as_quat()
+    poses = np.column_stack([first + shares[:, None] * (last - first), turns])
+    joints = postures[0] + shares[:, None] * (postures[1] - postures[0])
+    frames = hand.link_frames(poses, joints)
+    return {name: _as_poses(frames[name]) for name in sorted(links)}
+
+
+def _as_poses(frames: Floats) -> list[list[float]]:
+    quaternions = Rotation.from_matrix(frames[:, :3, :3]).as_quat()
+    poses: list[list[float]] = np.column_stack([frames[:, :3, 3], quaternions]).round(7).tolist()
+    return poses
+
+
+def _contacts(find: np.void, hand: HandGeometry) -> list[ContactView]:
+    gripper, values = hand.gripper, find["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
+    links = [gripper.links[number - 1] if number else "" for number in find["contact_links"].tolist()]
+    return [
+        ContactView(link, link in gripper.finger_links, parts[:3], parts[3:6], parts[6])
+        for link, parts in zip(links, values, strict=True)
+        if link
+    ]
 
 
 def _words(kind: Outcome) -> str:
@@ -159,22 +242,30 @@ def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tr
 
 HEADER = struct.Struct("<4s5I")
 """Mark, n, next serial, 1 if there is more at once, number of all voxels, origin."""
-MARK = b"QDG2"
-COLUMNS = ("number", "eta", "cell", "synergy", "outcome")  # In the order of a page
-MAX_PAGE_VOXELS = 1 << 16  # The most voxels on a page: about 1 MiB
-MAX_VOXELS = 1 << 18  # The most voxels that are kept: 7 MiB; further ones are left out
+MARK = b"QDG3"
+PAGE_COLUMNS = (
+    ("number", "<u4"),  # Of the row in the journal
+    ("eta", "<f4"),  # -1 where there is none
+    ("penetration", "<f4"),  # [m]
+    ("motion", "<f4"),  # How far the object moved while the hand closed [m]; NaN where it is not recorded
+    ("margin", "<f4"),  # NaN where it is not known
+    ("cell", "<i2", 3),
+    ("synergy", "<i2"),  # -1 for none
+    ("outcome", "u1"),
+    ("contacts", "u1"),  # Finger links that touch the object after closing
+)
+"""Columns of a page, in their order."""
+MAX_PAGE_VOXELS = 1 << 15  # The most voxels on a page: about 1 MiB
+MAX_VOXELS = 1 << 18  # The most voxels that are kept, 12 MiB; of more, the best of each cell come first
 MAX_CELL = np.iinfo(np.int16).max  # Cells; farther out than about 300 m there is no success
-VOXEL = np.dtype([
-    ("key", "<i8"), ("serial", "<u4"), ("number", "<u4"), ("eta", "<f4"),
-    ("cell", "<i2", 3), ("synergy", "<i2"), ("outcome", "u1"),
-])  # fmt: skip
+VOXEL = np.dtype([("key", "<i8"), ("serial", "<u4"), *PAGE_COLUMNS])
 
 
 class VoxelPages:
-    """The best success of each cell, outcome and synergy: of the greatest eta, then earliest.
+    """Successes by cell; of too many, first the best of each cell, outcome and synergy.
 
-    Serials number the voxels in the order in which they came or improved, so that a browser can ask for those
-    that it lacks.
+    The best is that of the greatest eta, of equals the earliest. Serials number the voxels in the order in
+    which they came or improved, so that a browser can ask for those that it lacks.
     """
 
     def __init__(self, origin: int = 0) -> None:
@@ -194,30 +285,32 @@ class VoxelPages:
         if len(found):
             voxels = _voxels_of(found)
             voxels["serial"] = self._serial + np.arange(len(voxels))
-            self._kept = _best(np.concatenate([self._kept, voxels]))[:MAX_VOXELS]
+            self._kept = _thinned(_latest(np.concatenate([self._kept, voxels])))
             self._serial = int(self._kept["serial"][-1]) + 1 if len(self._kept) else 0
 
     def page(self, first: int) -> bytes:
         """Return the voxels with the serial `first` or a later one, as many as a page holds.
 
         A reader that goes on from the serial in the header, and lets each voxel replace an earlier one of its
-        cell, outcome and synergy, gets them all.
+        number, gets them all.
         """
         start = int(np.searchsorted(self._kept["serial"], first))
         shown = self._kept[start : start + MAX_PAGE_VOXELS]
         upto = int(shown["serial"][-1]) + 1 if len(shown) else self._serial
         more = start + MAX_PAGE_VOXELS < len(self._kept) or not self.is_whole
         header = HEADER.pack(MARK, len(shown), upto, more, len(self._kept), self.origin)
-        return header + b"".join(shown[name].tobytes() for name in COLUMNS)
+        return header + b"".join(shown[name].tobytes() for name, *_ in PAGE_COLUMNS)
 
 
 def _voxels_of(found: SuccessTable) -> NDArray[np.void]:
     places = cells(found["descriptor"])
     near = (np.abs(places) <= MAX_CELL).all(axis=1)
-    voxels = np.zeros(int(near.sum()), VOXEL)
+    voxels, found = np.zeros(int(near.sum()), VOXEL), found[near]
     voxels["cell"] = places[near]
-    for name in ("number", "eta", "synergy", "outcome"):
-        voxels[name] = found[name][near]
+    for name in ("number", "eta", "penetration", "synergy", "outcome", "contacts"):
+        voxels[name] = found[name]
+    voxels["motion"] = object_motion(found)[:, 0]
+    voxels["margin"] = np.nan  # of thousands of grasps it takes many seconds; a grasp's card has it
     voxels["key"] = _keys(voxels)
     return voxels
 
@@ -231,9 +324,21 @@ def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
     return keys
 
 
-def _best(voxels: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the best voxel of each key, by serial; a repeated one keeps its serial."""
-    ordered = voxels[np.lexsort((voxels["serial"], voxels["number"], -voxels["eta"]))]
-    _, first = np.unique(ordered["key"], return_index=True)
+def _latest(voxels: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the voxel of the greatest eta of each number; a repeated one keeps its serial."""
+    ordered = voxels[np.lexsort((voxels["serial"], -voxels["eta"]))]
+    _, first = np.unique(ordered["number"], return_index=True)
     kept: NDArray[np.void] = ordered[first]
     return kept[np.argsort(kept["serial"])]
+
+
+def _thinned(voxels: NDArray[np.void]) -> NDArray[np.void]:
+    """Return at most `MAX_VOXELS`, by serial: first the best of each key, then the earliest."""
+    if len(voxels) <= MAX_VOXELS:
+        return voxels
+    order = np.lexsort((voxels["number"], -voxels["eta"]))
+    _, first = np.unique(voxels["key"][order], return_index=True)
+    is_other = np.ones(len(voxels), dtype=bool)
+    is_other[order[first]] = False
+    kept = np.argsort(is_other, kind="stable")[:MAX_VOXELS]
+    return voxels[np.sort(kept)]

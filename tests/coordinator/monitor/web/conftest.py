@@ -208,14 +208,17 @@ def finds(
     joints: int = 2,
     synergies: ArrayLike = -1,
     etas: ArrayLike = -1,
+    **columns: ArrayLike,
 ) -> SuccessTable:
-    """Return finds with journal numbers (n,), cells (n, 3), outcomes (n,) and so on."""
+    """Return finds with journal numbers (n,), cells (n, 3), outcomes (n,) and so on; not settled ones."""
     made = np.zeros(len(np.asarray(numbers)), success_dtype(joints, contact_slots=2))
     made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
     made["descriptor"] = np.asarray(places) / 100
     made["base_to_object"][:, :3] = made["descriptor"]
     made["base_to_object"][:, 6] = 1
     made["fitness"] = made["outcome"].astype(int) - Outcome.DROPPED
+    for name, values in columns.items():
+        made[name] = values
     return made
 
 

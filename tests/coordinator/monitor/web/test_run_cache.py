@@ -58,7 +58,7 @@ def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: 
     records.record(random_finds(50))
     _, more, shown = read(library.cells("job", "run", 0))
     assert not more
-    assert len({place for place, _, _ in shown}) == len(np.unique(records.found["descriptor"], axis=0))
+    assert len({place for place, *_ in shown.values()}) == len(np.unique(records.found["descriptor"], axis=0))
 
 
 def test_what_is_found_later_is_added(records: HandMadeRecords, library: RunCaches) -> None:
@@ -191,7 +191,8 @@ def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library:
         "qdgrasp show runs/mug --grasp 10",
         "qdgrasp render runs/mug --grasp 10 -o grasp.png",
     ]
-    assert set(told["links"]) == {link["name"] for link in json.loads(library.scene("job", "run"))["links"]}
+    scene = json.loads(library.scene("job", "run"))
+    assert set(told["frames"]) == {scene["base"], *(link["name"] for link in scene["links"])}
 
 
 def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
@@ -203,13 +204,13 @@ def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
     asked = []
     monkeypatch.setattr(records, "page", lambda job, run, first: asked.append(first) or told.pop(0))
     upto, more, shown = read(library.cells("job", "run", 0))
-    assert (asked, more, list(shown.values())) == ([0, 5], False, [(5, -1)])
+    assert (asked, more, [(number, eta) for number, (*_, eta) in shown.items()]) == ([0, 5], False, [(5, -1)])
     library.cells("job", "run", upto)
     assert asked == [0, 5]
     records.now += FRESH_SECONDS
     assert read(library.cells("job", "run", upto)) == (upto, False, {})
     records.now += FRESH_SECONDS
-    assert list(read(library.cells("job", "run", upto))[2].values()) == [(5, 0.75)]
+    assert {n: eta for n, (*_, eta) in read(library.cells("job", "run", upto))[2].items()} == {5: 0.75}
     assert asked == [0, 5, 5, 5]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 from tests import browser
 from tests.browser import expect
 from tests.common import PATIENCE, with_gripper
@@ -33,7 +34,14 @@ FEW = finds(
     [3, 4, 8, 9],
     [(0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3)],
     [Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD, Outcome.HELD],
+    pregrasp=(0.04, 0.04),
+    settled=[np.zeros(7), np.zeros(7), (-0.05, 0, 0.03, 0, 0, 0.6, 0.8), (0, 0.085, 0.03, 0, 0, 0, 1)],
+    contacts=[1, 1, 2, 2],
+    penetration=[0, 0.006, 0.001, 0.003],
+    contact_links=[(0, 0), (0, 0), (1, 2), (0, 0)],
+    contact_points=np.full((4, 14), 0.02),
 )
+FEW["joints"] = 0.01, 0.02
 BARE = "static/scene.css"
 """A page of the server's on which nothing goes on,"""
 FAVICON = "status of 404"
@@ -70,12 +78,20 @@ STAND = """(are) => view.objects.hand.visible === are && view.objects.mark.visib
 """True where the hand, and the mark at its cell, are there."""
 CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
   (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
+STANDS = """() => {
+  view.renderer.scene.updateMatrixWorld();
+  const { description, objects } = view;
+  const frame = (k) => objects.hand.children[k].matrixWorld.toArray();
+  return Object.fromEntries(description.links.map(({ name }, k) => [name, frame(k)]));
+}"""
+"""The frames of the hand's links as they are drawn, 4 x 4 column by column."""
 Page = Any
 
 
 @pytest.fixture
 def records() -> HandMadeRecords:
-    made = HandMadeRecords(made_scene(), run="mug")
+    links = ("palm", "left_finger", "right_finger")
+    made = HandMadeRecords(with_gripper(made_scene(), links=links), run="mug")
     made.record(FEW)
     return made
 
@@ -166,6 +182,47 @@ def test_thousands_are_written_in_one_way(page: Page, records: HandMadeRecords) 
     expect(page.locator("#scene-key li b").last).to_have_text("1\u202f202")
 
 
+def chosen(page: Page, number: int) -> Any:
+    """The card of a grasp, once it is chosen; best first they are 8, 9, 4, 3."""
+    for _ in range([8, 9, 4, 3].index(number) + 1):
+        page.locator("#scene").press("n")
+    expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
+    return page.locator("#grasp")
+
+
+def test_the_card_says_how_closing_went(page: Page) -> None:
+    card = chosen(page, 8)
+    for words in ("Penetration1.00 mm", "Finger links in contact2", "Object moved89.9 mm, 73.7°"):
+        expect(card).to_contain_text(words)
+    expect(card.locator("summary")).to_have_text(
+        [
+            "Settled pose of palm",
+            "Commanded pose of palm",
+            "2 joints, open → closed [rad or m]",
+            "2 contacts [N]",
+        ]
+    )
+    expect(card).to_contain_text("0.0400 → 0.0100")
+
+
+def test_the_hand_is_closed_and_opened_by_keys_and_contacts_are_there_when_it_is_closed(page: Page) -> None:
+    chosen(page, 8)
+    slider, marks = page.get_by_label("Closing of the hand"), page.locator(".scene-contacts g")
+    expect(slider).to_have_value("1")
+    expect(marks).to_have_count(2)
+    expect(page.locator(".scene-contacts .finger")).to_have_count(1)
+    slider.press("ArrowLeft")
+    expect(slider).to_have_attribute("aria-valuetext", "99 % closed")
+    expect(marks).to_have_count(0)
+    slider.press("Home")
+    expect(page.locator("#grasp .closing output")).to_have_text("open")
+    page.locator("#scene").press("n")  # the next grasp is open as well
+    expect(page.locator("#grasp h4")).to_have_text("Grasp 9")
+    expect(slider).to_have_value("0")
+    slider.press("End")
+    expect(page.locator("#grasp .closing output")).to_have_text("closed")
+
+
 def test_kinds_may_be_left_out(page: Page) -> None:
     page.get_by_role("button", name="both survived").click()
     expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
@@ -209,12 +266,26 @@ def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
 def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
     alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
-    told = alone.evaluate("grasp.links")
-    stands = alone.evaluate(
-        "() => { view.renderer.scene.updateMatrixWorld(); return view.objects.hand.children.map("
-        "(link) => link.matrixWorld.clone().transpose().toArray()) }"
-    )
-    assert np.allclose(stands, list(told.values()), atol=1e-9)
+    frames = alone.evaluate("grasp.frames")
+    for closed, place in ((1, -1), (0, 0), (0.5, 5)):
+        alone.evaluate("(closed) => (view.closed = closed)", closed)
+        stands = alone.evaluate(STANDS)
+        assert stands.keys() == frames.keys()
+        for name, matrix in stands.items():
+            expected = np.array(frames[name][place])
+            found = np.reshape(matrix, (4, 4)).T
+            assert np.allclose(found[:3, 3], expected[:3], atol=1e-9)
+            assert np.allclose(found[:3, :3], Rotation.from_quat(expected[3:]).as_matrix(), atol=1e-6)
+
+
+def test_between_two_of_the_server_s_frames_the_hand_is_between_them(alone: Page) -> None:
+    alone.evaluate("view.select(8)")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
+    alone.evaluate("view.closed = 0.45")
+    first, second = (np.array(alone.evaluate("grasp.frames.left_finger"))[place, :3] for place in (4, 5))
+    found = np.reshape(alone.evaluate(STANDS)["left_finger"], (4, 4)).T[:3, 3]
+    assert np.linalg.norm(second - first) > 1e-3
+    assert np.allclose(found, (first + second) / 2, atol=1e-9)
 
 
 def test_pages_that_come_by_and_by_leave_what_one_would(alone: Page, records: HandMadeRecords) -> None:
@@ -475,7 +546,8 @@ def test_what_is_found_while_one_looks_passes_the_filters_too(
 def test_the_card_says_which_frame_is_meant(filtered: Page) -> None:
     filtered.locator("#scene").press("n")
     card = filtered.locator("#grasp")
-    expect(card.locator("h5")).to_have_text("Pose of palm")
+    expect(card.locator("summary").first).to_have_text("Commanded pose of palm")
+    expect(card).to_contain_text("Where the hand settled is not recorded: drawn is the commanded pose")
     expect(card).to_contain_text("From the centre of mass [mm]0.0, -90.0, 30.0")
     expect(card).to_contain_text("eta0.900")
     names = filtered.locator(".scene-frames .name")
@@ -488,6 +560,75 @@ def test_frames_may_be_left_out(filtered: Page) -> None:
     filtered.locator("#scene").press("f")
     expect(filtered.locator(".scene-frames")).to_be_hidden()
     expect(filtered.get_by_role("button", name="Draw the frames")).to_have_attribute("aria-pressed", "false")
+
+
+CLOSED = finds(
+    [2, 3, 5, 8, 9],
+    [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3)],
+    [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD],
+    penetration=[0.006, 0.001, 0.002, 0.004, 0.0],
+    contacts=[1, 2, 3, 2, 1],
+    settled=[
+        *((0, -0.09, 0.03 + moved, 0, 0, 0, 1) for moved in (0.001, 0.002)),
+        (0.09, 0, 0.04, 0, 0, 0, 1),
+        (-0.09, 0, 0.05, 0, 0, 0, 1),
+        np.zeros(7),
+    ],
+)
+
+
+@pytest.fixture
+def closed(chromium: Any) -> Iterator[tuple[Page, str]]:
+    """A page with its filters open, and its address."""
+    records = HandMadeRecords(made_scene(), run="mug")
+    records.record(CLOSED)
+    with serving_records(records) as found:
+        for page in visited(chromium, found):
+            expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+            page.locator("#scene-filters summary").click()
+            yield page, found
+
+
+@pytest.mark.parametrize(
+    ("name", "most", "cells", "numbers"),
+    [
+        ("Most penetration [mm]", "2", "3 of 4 cells of 1 cm", [5, 9, 3]),
+        ("Most motion [mm]", "9.9", "1 of 4 cells of 1 cm", [2]),
+        ("Fewest finger links", "2", "3 of 4 cells of 1 cm", [5, 8, 3]),
+    ],
+)
+def test_only_grasps_that_closed_so_well_are_shown_and_gone_through(
+    closed: tuple[Page, str], name: str, most: str, cells: str, numbers: list[int]
+) -> None:
+    page, _ = closed
+    page.get_by_label(name).fill(most)
+    expect(page.locator("#scene-words")).to_have_text(cells)
+    expect(page.locator("#scene-filters summary")).to_have_text("Filters 1 in use")
+    for number in [*numbers, numbers[0]]:
+        page.locator("#scene").press("n")
+        expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
+
+
+def test_filters_are_kept_in_the_address_until_all_is_shown(closed: tuple[Page, str], chromium: Any) -> None:
+    page, found = closed
+    page.get_by_label("Most penetration").fill("5")
+    page.get_by_label("Fewest finger links").fill("2")
+    expect(page).to_have_url(f"{found}&penetration=5&contacts=2")
+    for other in visited(chromium, page.url):
+        expect(other.locator("#scene-words")).to_have_text("3 of 4 cells of 1 cm")
+        expect(other.locator("#scene-filters summary")).to_have_text("Filters 2 in use")
+        other.locator("#scene-filters summary").click()
+        expect(other.get_by_label("Most penetration")).to_have_value("5")
+        other.get_by_role("button", name="Show all").click()
+        expect(other.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+        expect(other).to_have_url(found)
+        expect(other.get_by_label("Fewest finger links")).to_have_value("")
+
+
+def test_there_is_a_filter_of_margins_once_one_is_known(closed: tuple[Page, str]) -> None:
+    page, _ = closed
+    expect(page.get_by_label("Most motion")).to_be_visible()
+    expect(page.get_by_label("Least margin")).to_be_hidden()
 
 
 def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> None:

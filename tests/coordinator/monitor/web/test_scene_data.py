@@ -47,19 +47,23 @@ def test_links_stand_where_pictures_draw_them(make_scene, name: str) -> None:
     scene = scene_of(name, make_scene)
     drawn, random = hand_geometry(scene.gripper), np.random.default_rng(7)
     find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
-    find["base_to_object"][3:] = Rotation.random(random_state=7).as_quat()
-    find["joints"] = [random.uniform(*sorted((j.opened, j.closed))) for j in scene.gripper.joints]
+    for name in ("base_to_object", "settled"):
+        find[name][3:] = Rotation.random(random_state=random.integers(99)).as_quat()
+    for name in ("pregrasp", "joints"):
+        find[name] = [random.uniform(*sorted((j.opened, j.closed))) for j in scene.gripper.joints]
     told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
     shown = {link.name: link for link in browser_scene(scene, drawn).links}
-    expected: dict[str, list[NDArray[np.float64]]] = {}
-    joints = find["base_to_object"].astype(float), find["joints"].astype(float)
-    for shape, vertices in drawn.place_meshes(*joints):
-        expected.setdefault(shape.link, []).append(vertices)
-    assert told.links.keys() == shown.keys() == expected.keys()
-    for link, parts in expected.items():
-        frame = np.array(told.links[link]).reshape(4, 4)
-        placed = positions(shown[link].mesh) @ frame[:3, :3].T + frame[:3, 3]
-        assert np.allclose(placed, np.concatenate(parts), rtol=0, atol=1e-6)
+    expected: dict[str, list[NDArray[np.float64]]]
+    for place, pose, joints in ((0, "base_to_object", "pregrasp"), (-1, "settled", "joints")):
+        expected = {}
+        for shape, vertices in drawn.place_meshes(find[pose].astype(float), find[joints].astype(float)):
+            expected.setdefault(shape.link, []).append(vertices)
+        assert told.frames.keys() - {told.base} == shown.keys() - {told.base}
+        assert shown.keys() == expected.keys()
+        for link, parts in expected.items():
+            frame = np.array(told.frames[link][place])
+            placed = Rotation.from_quat(frame[3:]).apply(positions(shown[link].mesh)) + frame[:3]
+            assert np.allclose(placed, np.concatenate(parts), rtol=0, atol=1e-6)
 
 
 @pytest.fixture
@@ -97,12 +101,53 @@ def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -
     find["joints"] = [0.02, 0.01]
     told = grasp_view(find, drawn, stands, ["qdgrasp show runs/mug --grasp 41"])
     assert (told.number, told.outcome, told.fitness, told.cell) == (41, Outcome.SHAKEN, 1.0, [3, -2, 7])
-    assert np.allclose(told.position, [0.03, -0.02, 0.07])
-    assert told.quaternion == [0, 0, 0, 1]
+    assert np.allclose(told.commanded.position, [0.03, -0.02, 0.07])
+    assert told.commanded.quaternion == [0, 0, 0, 1]
     assert told.joints == pytest.approx({"left": 0.02, "right": 0.01})
     assert told.commands == ["qdgrasp show runs/mug --grasp 41"]
     assert (told.base, told.synergy, told.eta) == ("palm", "power", 0.5)
-    assert np.allclose(told.position_in_mesh, [0.03, 0.08, 0.07])
+    assert np.allclose(told.commanded.position_in_mesh, [0.03, 0.08, 0.07])
+    assert (told.settled, told.moved, told.turned) == (None, None, None)
+
+
+def settled_find() -> np.void:
+    """A find whose hand went 3 cm down to the object and turned by 60 degrees about z while it closed."""
+    find = finds([41], [(0, 0, 7)], [Outcome.HELD], contacts=2, penetration=0.004)[0]
+    find["settled"] = (0, 0, 0.04, 0, 0, 0.5, np.sqrt(0.75))
+    find["pregrasp"], find["joints"] = (0.04, 0.04), (0.02, 0.01)
+    find["contact_links"] = (3, 0)
+    find["contact_points"][:7] = (0.01, 0, 0.02, 0, 0, -1, 12.5)
+    return find
+
+
+def test_a_grasp_says_how_closing_went(make_scene) -> None:
+    links = ("palm", "left_finger", "right_finger")
+    scene = replace(make_scene(), gripper=replace(make_scene().gripper, links=links))
+    hand = hand_geometry(scene.gripper)
+    told = grasp_view(settled_find(), hand, browser_scene(scene, hand), [], 0.25)
+    assert told.settled is not None
+    assert np.allclose(told.settled.position, [0, 0, 0.04])
+    assert (told.moved, told.turned) == pytest.approx((0.03, np.pi / 3))
+    assert (told.penetration, told.finger_links, told.margin) == (pytest.approx(0.004), 2, 0.25)
+    assert told.pregrasp == pytest.approx({"left": 0.04, "right": 0.04})
+    (contact,) = told.contacts
+    assert (contact.link, contact.finger, contact.force) == ("right_finger", True, 12.5)
+    assert contact.point == pytest.approx([0.01, 0, 0.02], abs=1e-5)
+
+
+def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(
+    drawn: HandGeometry, stands: BrowserScene
+) -> None:
+    find = settled_find()
+    find["contact_links"] = 0
+    middle = {
+        name: poses[len(poses) // 2] for name, poses in grasp_view(find, drawn, stands, []).frames.items()
+    }
+    pose = np.array([0, 0, 0.055, 0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)])
+    for name, frame in drawn.link_frames(pose, np.array([0.03, 0.025])).items():
+        if name in middle:
+            assert np.allclose(middle[name][:3], frame[:3, 3], atol=1e-6)
+            assert np.allclose(Rotation.from_quat(middle[name][3:]).as_matrix(), frame[:3, :3], atol=1e-6)
 
 
 def test_the_frame_of_the_hand_s_base_is_its_pose(make_scene) -> None:
@@ -110,14 +155,15 @@ def test_the_frame_of_the_hand_s_base_is_its_pose(make_scene) -> None:
     drawn = hand_geometry(scene.gripper)
     find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
     find["base_to_object"][3:] = Rotation.random(random_state=7).as_quat()
-    frame = np.array(grasp_view(find, drawn, browser_scene(scene, drawn), []).frame).reshape(4, 4)
-    assert np.allclose(frame[:3, 3], [0.03, -0.02, 0.07], atol=1e-7)
-    assert np.allclose(frame[:3, :3], Rotation.from_quat(find["base_to_object"][3:]).as_matrix(), atol=1e-6)
+    told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
+    for pose in told.frames[told.base]:
+        assert np.allclose(pose[:3], [0.03, -0.02, 0.07], atol=1e-7)
+        assert np.allclose(np.abs(pose[3:]), np.abs(find["base_to_object"][3:]), atol=1e-6)
 
 
 def test_what_is_not_known_of_a_grasp_is_left_out(stands: BrowserScene, drawn: HandGeometry) -> None:
     told = grasp_view(finds([4], [(3, -2, 7)], [Outcome.HELD])[0], drawn, stands, [])
-    assert (told.synergy, told.eta) == ("", None)
+    assert (told.synergy, told.eta, told.margin, told.contacts) == ("", None, None, [])
 
 
 def test_the_page_has_the_colours_of_pictures() -> None:
@@ -127,27 +173,34 @@ def test_the_page_has_the_colours_of_pictures() -> None:
 
 
 Cell = tuple[int, int, int]
-Shown = dict[tuple[Cell, int, int], tuple[int, float]]
-"""The journal number and the eta for each cell, outcome and synergy."""
+Shown = dict[int, tuple[Cell, int, int, float]]
+"""The cell, outcome, synergy and eta for each journal number."""
+PAGE = np.dtype(list(scene_data.PAGE_COLUMNS))
 
 
 def read(page: bytes) -> tuple[int, bool, Shown]:
     """The serial to ask from next, whether there is more at once, and what a page shows."""
     mark, n, upto, more, _, _ = HEADER.unpack_from(page)
     assert mark == scene_data.MARK
-    assert len(page) == HEADER.size + 17 * n
-    numbers = np.frombuffer(page, "<u4", n, HEADER.size).tolist()
-    etas = np.frombuffer(page, "<f4", n, HEADER.size + 4 * n).tolist()
-    places = np.frombuffer(page, "<i2", 3 * n, HEADER.size + 8 * n).reshape(-1, 3).tolist()
-    labels = np.frombuffer(page, "<i2", n, HEADER.size + 14 * n).tolist()
-    outcomes = np.frombuffer(page, "u1", n, HEADER.size + 16 * n).tolist()
-    names = zip(map(tuple, places), outcomes, labels, strict=True)
-    return upto, bool(more), dict(zip(names, zip(numbers, etas, strict=True), strict=True))
+    assert len(page) == HEADER.size + PAGE.itemsize * n
+    found = columns_of(page)
+    places = map(tuple, found["cell"].tolist())
+    values = zip(places, *(found[name].tolist() for name in ("outcome", "synergy", "eta")), strict=True)
+    return upto, bool(more), dict(zip(found["number"].tolist(), values, strict=True))
 
 
 def in_cells(page: bytes) -> dict[Cell, tuple[int, int]]:
     """The journal number and the outcome in each cell, where it has one alone."""
-    return {place: (number, outcome) for (place, outcome, _), (number, _) in read(page)[2].items()}
+    return {place: (number, outcome) for number, (place, outcome, *_) in read(page)[2].items()}
+
+
+def columns_of(page: bytes) -> dict[str, NDArray[np.generic]]:
+    """The columns of a page by their names."""
+    n, start, found = HEADER.unpack_from(page)[1], HEADER.size, {}
+    for name in PAGE.names or ():
+        found[name] = np.frombuffer(page, PAGE[name], n, start)
+        start += found[name].nbytes
+    return found
 
 
 def pages(kept: VoxelPages, first: int = 0) -> Iterator[Shown]:
@@ -158,26 +211,61 @@ def pages(kept: VoxelPages, first: int = 0) -> Iterator[Shown]:
             return
 
 
-def best(found: SuccessTable) -> Shown:
+def every(found: SuccessTable) -> Shown:
     """The same by the plainest means."""
-    kept: Shown = {}
-    for one in found:
-        name = (tuple(cells(one["descriptor"]).tolist()), int(one["outcome"]), int(one["synergy"]))
-        if name not in kept or one["eta"] > kept[name][1]:
-            kept[name] = (int(one["number"]), float(one["eta"]))
-    return kept
+    return {
+        int(one["number"]): (
+            tuple(cells(one["descriptor"]).tolist()),
+            int(one["outcome"]),
+            int(one["synergy"]),
+            float(one["eta"]),
+        )
+        for one in found
+    }
+
+
+def best(found: SuccessTable) -> Shown:
+    """Those of the greatest eta, of equals the earliest, of each cell, outcome and synergy."""
+    kept: dict[tuple[Cell, int, int], int] = {}
+    whole = every(found)
+    for number, (*key, eta) in whole.items():
+        name = (key[0], key[1], key[2])
+        if name not in kept or eta > whole[kept[name]][3]:
+            kept[name] = number
+    return {number: whole[number] for number in kept.values()}
 
 
 def shown(kept: VoxelPages) -> Shown:
     return {name: what for page in pages(kept) for name, what in page.items()}
 
 
-def test_each_cell_outcome_and_synergy_keeps_its_best_find_and_of_equals_the_first() -> None:
+def test_every_find_is_on_the_pages() -> None:
     found = random_finds(2000)
     kept = VoxelPages()
     kept.insert(found, 4000)
-    assert shown(kept) == best(found)
-    assert len(kept) == len(best(found))
+    assert shown(kept) == every(found)
+    assert len(kept) == len(found)
+
+
+def test_a_page_says_how_closing_went() -> None:
+    kept = VoxelPages()
+    found = np.array([settled_find(), finds([42], [(0, 0, 1)], [Outcome.DROPPED])[0]])
+    kept.insert(found, 43)
+    columns = columns_of(kept.page(0))
+    assert columns["penetration"] == pytest.approx([0.004, 0])
+    assert columns["motion"] == pytest.approx([0.03, np.nan], nan_ok=True)
+    assert np.isnan(columns["margin"]).all()
+    assert columns["contacts"].tolist() == [2, 0]
+
+
+def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = random_finds(2000)
+    monkeypatch.setattr(scene_data, "MAX_VOXELS", len(best(found)) + 5)
+    kept = VoxelPages()
+    for start in range(0, 2000, 400):
+        kept.insert(found[start : start + 400], 2 * (start + 400))
+    assert best(found).keys() <= shown(kept).keys()
+    assert len(kept) == len(best(found)) + 5
 
 
 @pytest.mark.parametrize("on_a_page", [1, 7, 100])
@@ -204,7 +292,7 @@ def test_whoever_asks_on_while_finds_come_has_what_a_late_comer_gets(monkeypatch
         heard |= page
     for page in pages(kept, first):
         heard |= page
-    assert heard == shown(kept) == best(found)
+    assert heard == shown(kept) == every(found)
 
 
 def test_only_what_changed_is_on_a_later_page() -> None:
@@ -214,7 +302,7 @@ def test_only_what_changed_is_on_a_later_page() -> None:
     kept.insert(finds([6, 7, 8], [(0, 0, 1), (0, 0, 2), (0, 0, 3)], [Outcome.SHAKEN] * 3), 9)
     upto, more, page = read(kept.page(first))
     assert not more
-    assert page == {((0, 0, 1), Outcome.SHAKEN, -1): (6, -1), ((0, 0, 3), Outcome.SHAKEN, -1): (8, -1)}
+    assert page.keys() == {6, 7, 8}
     assert read(kept.page(upto))[2] == {}
 
 
@@ -225,7 +313,7 @@ def test_a_find_that_is_told_again_is_news_when_its_eta_is_known() -> None:
     kept.insert(found, 3)
     assert read(kept.page(first)) == (first, False, {})
     kept.insert(finds([3, 5], [(0, 0, 1)] * 2, [Outcome.HELD] * 2, etas=[0.25, 0.5]), 6)
-    assert read(kept.page(first))[2] == {((0, 0, 1), Outcome.HELD, -1): (5, 0.5)}
+    assert {number: eta for number, (*_, eta) in read(kept.page(first))[2].items()} == {3: 0.25, 5: 0.5}
 
 
 def test_it_is_told_when_there_is_more_to_read() -> None:
@@ -244,10 +332,10 @@ def test_no_more_are_kept_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch
     for start in range(0, 2000, 500):
         kept.insert(found[start : start + 500], 2 * (start + 500))
     assert len(kept) == 100
-    assert shown(kept).keys() <= best(found).keys()
+    assert shown(kept).keys() <= every(found).keys()
 
 
 def test_a_find_beyond_all_reach_is_left_out() -> None:
     kept = VoxelPages()
     kept.insert(finds([0, 1], [(10**6, 0, 0), (1, 2, 3)], [Outcome.HELD] * 2), 2)
-    assert shown(kept) == {((1, 2, 3), Outcome.HELD, -1): (1, -1)}
+    assert shown(kept) == {1: ((1, 2, 3), Outcome.HELD, -1, -1)}

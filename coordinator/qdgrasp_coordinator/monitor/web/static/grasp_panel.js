@@ -1,8 +1,8 @@
 // The panel of grasps: the view in 3D of a run, and the card of the selected grasp.
 
-import { element, setText } from "./dom.js";
+import { element, setAttribute, setText } from "./dom.js";
 import { several } from "./format.js";
-import { OVER } from "./job_state.js";
+import { addressFilters, OVER } from "./job_state.js";
 import { FilterControls, Legend } from "./scene/controls.js";
 
 /** The view in 3D of a run with its controls; the view itself is loaded when it is first opened. */
@@ -19,7 +19,7 @@ export class GraspPanel {
     this.run = find("scene-run");
     this.words = find("scene-words");
     this.notice = find("scene-empty");
-    this.card = new GraspCard(find("grasp"), () => this.#close());
+    this.card = new GraspCard(find("grasp"), () => this.#close(), (closed) => (this.#view.closed = closed));
     this.legend = new Legend(find("scene-key"));
     this.filters = new FilterControls(find("scene-filters"));
   }
@@ -53,7 +53,7 @@ export class GraspPanel {
       if (number !== this.#number) return;
       this.#notify("");
       this.#view = new SceneView(this.canvas, this.api, job, run);
-      this.#view.onselect = (grasp) => this.card.show(grasp);
+      this.#view.onselect = (grasp) => this.card.show(grasp, this.#view.closed);
       this.#view.onstatus = (words) => this.#writeStatus(words);
       this.#view.onchange = () => [this.legend, this.filters].forEach((part) => part.show());
       this.#connect(this.#view);
@@ -72,7 +72,7 @@ export class GraspPanel {
 
   #connect(view) {
     this.legend.connect(view);
-    this.filters.connect(view);
+    this.filters.connect(view, addressFilters());
   }
 
   #close() {
@@ -86,17 +86,33 @@ export class GraspPanel {
   }
 }
 
-/** The numbers of the selected grasp, the frames of its pose, and the commands that show and draw it. */
+/** The selected grasp: its numbers, a slider that closes the hand, its poses, and the commands that show and draw it. */
 class GraspCard {
-  constructor(node, onclose) {
+  /** `onclose()`: the card is to be closed; `onclosing(closed)`: the hand is to be so far closed, from 0 to 1. */
+  constructor(node, onclose, onclosing) {
     this.node = node;
     this.onclose = onclose;
+    this.onclosing = onclosing;
   }
 
-  /** Show the server's description of a grasp; null: nothing. */
-  show(grasp) {
+  /** Show the server's description of a grasp whose hand is so far closed, from 0 to 1; null: nothing. */
+  show(grasp, closed) {
     this.node.hidden = !grasp;
-    if (grasp) this.node.replaceChildren(this.#header(grasp), figures(grasp), pose(grasp), joints(grasp), ...grasp.commands.map(command));
+    if (!grasp) return;
+    const parts = [this.#header(grasp), this.#slider(closed), figures(grasp), afterClosing(grasp), ...poses(grasp), joints(grasp), contacts(grasp)];
+    this.node.replaceChildren(...parts, ...grasp.commands.map(command));
+  }
+
+  #slider(closed) {
+    const input = element("input", { type: "range", min: 0, max: 1, step: 0.01, value: closed, "aria-label": "Closing of the hand" });
+    const words = element("output", {}, closedWords(closed));
+    input.addEventListener("input", () => {
+      setText(words, closedWords(Number(input.value)));
+      setAttribute(input, "aria-valuetext", words.textContent);
+      this.onclosing(Number(input.value));
+    });
+    setAttribute(input, "aria-valuetext", words.textContent);
+    return element("div", { class: "closing", "aria-live": "off" }, element("span", {}, "Hand"), input, words);
   }
 
   #header({ number }) {
@@ -113,18 +129,40 @@ function figures({ words, fitness, eta, synergy, cell }) {
   return list([...lines, ["Cell [cm]", cell.join(", ")]]);
 }
 
-function pose({ base, position, position_in_mesh: inMesh, quaternion }) {
-  const title = element("h5", {}, "Pose of ", element("code", {}, base));
-  return element("section", {}, title, list([
+function closedWords(closed) {
+  return closed === 1 ? "closed" : closed ? `${Math.round(100 * closed)} % closed` : "open";
+}
+
+function afterClosing({ penetration, moved, turned, finger_links: links, margin }) {
+  const lines = [["Penetration", `${(1000 * penetration).toFixed(2)} mm`], ["Finger links in contact", String(links)]];
+  if (moved !== null) lines.push(["Object moved", `${(1000 * moved).toFixed(1)} mm, ${((180 / Math.PI) * turned).toFixed(1)}°`]);
+  if (margin !== null) lines.push(["Margin", margin.toFixed(3)]);
+  return element("section", {}, element("h5", {}, "After closing"), list(lines));
+}
+
+function poses({ base, commanded, settled }) {
+  if (settled) return [pose("Settled pose of ", base, settled, true), pose("Commanded pose of ", base, commanded)];
+  const words = "Where the hand settled is not recorded: drawn is the commanded pose, though the object moved while the hand closed.";
+  return [element("p", { class: "notes" }, words), pose("Commanded pose of ", base, commanded, true)];
+}
+
+function pose(title, base, { position, position_in_mesh: inMesh, quaternion }, open = false) {
+  return element("details", { class: "pose", open }, element("summary", {}, title, element("code", {}, base)), list([
     ["From the centre of mass [mm]", millimetres(position)],
     ["In the mesh file's frame [mm]", millimetres(inMesh)],
     ["Quaternion x, y, z, w, in both", quaternion.map((part) => part.toFixed(4)).join(", ")],
   ]));
 }
 
-function joints({ joints: positions }) {
-  const lines = Object.entries(positions).map(([name, value]) => [name, value.toFixed(4)]);
-  return element("details", {}, element("summary", {}, `${lines.length} joints [rad or m]`), list(lines));
+function joints({ joints: positions, pregrasp }) {
+  const lines = Object.entries(positions).map(([name, value]) => [name, `${pregrasp[name].toFixed(4)} → ${value.toFixed(4)}`]);
+  return element("details", {}, element("summary", {}, `${lines.length} joints, open → closed [rad or m]`), list(lines));
+}
+
+function contacts({ contacts: found }) {
+  const lines = found.map(({ link, force }) => [link, force.toPrecision(3)]);
+  const swatches = element("p", { class: "notes" }, element("i", { class: "dot finger" }), " finger ", element("i", { class: "dot other" }), " another link");
+  return element("details", {}, element("summary", {}, `${several(lines.length, "contact")} [N]`), list(lines), swatches);
 }
 
 function list(lines) {

@@ -24,6 +24,25 @@ export class Selection {
   }
 }
 
+const FILTERS = ["eta", "synergy", "penetration", "motion", "contacts", "margin"];
+
+/** The filters in the address, numbers by their names: those in use. */
+export function addressFilters() {
+  const kept = new URLSearchParams(location.hash.slice(1));
+  const found = FILTERS.map((name) => [name, Number(kept.get(name) ?? NaN)]);
+  return Object.fromEntries(found.filter(([, value]) => value >= 0 && value < Infinity));
+}
+
+/** Keep filters in the address; one that is not a number there is in use no more. */
+export function keepFilters(filter) {
+  const kept = new URLSearchParams(location.hash.slice(1));
+  for (const name of FILTERS) {
+    if (Number.isFinite(filter[name])) kept.set(name, filter[name]);
+    else kept.delete(name);
+  }
+  history.replaceState(history.state, "", kept.size ? `#${kept}` : location.pathname + location.search);
+}
+
 /** States of jobs that are over. */
 export const OVER = ["gone", "ended", "cancelled"];
 

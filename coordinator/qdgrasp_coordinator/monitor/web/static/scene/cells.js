@@ -1,4 +1,4 @@
-// The best grasp of every kind and synergy in each cell, and the best of those that the filter lets pass.
+// The grasps in each cell, and the best of those that the filter lets pass.
 
 export const ANY = null;
 
@@ -10,6 +10,12 @@ export class CellFilter {
     this.kinds = Array(kinds).fill(true);
     /** The least eta; 0 lets pass what has none, too. */
     this.eta = 0;
+    /** The greatest penetration and motion [m], infinite: any; the least number of finger links and the least margin, 0: any.
+     *  A motion or a margin that is not known passes no bound. */
+    this.penetration = Infinity;
+    this.motion = Infinity;
+    this.contacts = 0;
+    this.margin = 0;
     /** The synergy by its place in the gripper; `ANY`: all. */
     this.synergy = ANY;
     /** The box of cells that are shown, both ends in it. */
@@ -18,8 +24,10 @@ export class CellFilter {
   }
 
   /** Whether a grasp is shown. */
-  passes(kind, eta, synergy) {
-    return this.kinds[kind] && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy);
+  passes({ kind, eta, synergy, penetration, motion, contacts, margin }) {
+    return this.kinds[kind] && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy)
+      && penetration <= this.penetration && (this.motion === Infinity || motion <= this.motion)
+      && contacts >= this.contacts && (!this.margin || margin >= this.margin);
   }
 
   /** Whether a cell is in the box. */
@@ -36,7 +44,8 @@ export class CellFilter {
   /** The number of criteria in use, the kinds apart. */
   get narrowed() {
     const sides = [0, 1, 2].filter((axis) => Number.isFinite(this.low[axis]) || Number.isFinite(this.high[axis]));
-    return Number(this.eta > 0) + Number(this.synergy !== ANY) + sides.length;
+    const bounds = [this.eta > 0, this.synergy !== ANY, this.penetration < Infinity, this.motion < Infinity, this.contacts > 0, this.margin > 0];
+    return bounds.filter(Boolean).length + sides.length;
   }
 }
 
@@ -47,11 +56,15 @@ const NONE = -1;
 export class Cells {
   #slots = new Map(); // of cells
   #firsts = new Int32Array(0); // the first grasp in each slot
-  #grasps = 0;
+  #known = new Map(); // the place of each grasp in what follows, by its number
   #numbers = new Uint32Array(0); // of each grasp, as are the following
   #etas = new Float32Array(0);
   #kinds = new Int8Array(0);
   #synergies = new Int16Array(0);
+  #penetrations = new Float32Array(0);
+  #motions = new Float32Array(0);
+  #contacts = new Uint8Array(0);
+  #margins = new Float32Array(0);
   #nexts = new Int32Array(0); // the next grasp in the same slot
   #best = new Int32Array(0); // the grasp that is shown in each slot
 
@@ -63,6 +76,8 @@ export class Cells {
     this.places = new Int16Array(0);
     /** How many cells show each kind. */
     this.counts = kinds.map(() => 0);
+    /** Whether a motion and a margin of any grasp is known. */
+    this.hasMotions = this.hasMargins = false;
     this.low = [Infinity, Infinity, Infinity];
     this.high = [-Infinity, -Infinity, -Infinity];
     this.#makeRoom(FIRST);
@@ -80,13 +95,14 @@ export class Cells {
   }
 
   /** Add a page of successes; gives the slots, in order, that show another grasp now. */
-  update({ n, numbers, etas, cells, synergies, outcomes }) {
+  update(page) {
+    const { n, cells } = page, grasps = this.#known.size;
     const changed = new Set();
     if (this.size + n > this.#firsts.length) this.#makeRoom(room(this.size + n));
-    if (this.#grasps + n > this.#numbers.length) this.#makeGrasps(room(this.#grasps + n));
+    if (grasps + n > this.#numbers.length) this.#makeGrasps(room(grasps + n));
     for (let i = 0; i < n; i++) {
       const slot = this.#slot(cells[3 * i], cells[3 * i + 1], cells[3 * i + 2]);
-      this.#put(slot, outcomes[i] - this.worst, synergies[i], numbers[i], etas[i]);
+      this.#put(slot, page, i);
       changed.add(slot);
     }
     return Uint32Array.from(changed).sort().filter((slot) => this.#choose(slot));
@@ -134,8 +150,7 @@ export class Cells {
     let best = NONE;
     if (filter.holds(places[place], places[place + 1], places[place + 2])) {
       for (let grasp = this.#firsts[slot]; grasp !== NONE; grasp = this.#nexts[grasp]) {
-        const passes = filter.passes(this.#kinds[grasp], this.#etas[grasp], this.#synergies[grasp]);
-        if (passes && (best === NONE || this.#compare(grasp, best) < 0)) best = grasp;
+        if (filter.passes(this.#grasp(grasp)) && (best === NONE || this.#compare(grasp, best) < 0)) best = grasp;
       }
     }
     const kind = best === NONE ? NONE : this.#kinds[best];
@@ -146,19 +161,34 @@ export class Cells {
     return kind !== before || this.number(slot) !== number;
   }
 
-  /** Set the grasp of a slot, kind and synergy. */
-  #put(slot, kind, synergy, number, eta) {
-    let grasp = this.#firsts[slot];
-    while (grasp !== NONE && (this.#kinds[grasp] !== kind || this.#synergies[grasp] !== synergy)) grasp = this.#nexts[grasp];
-    if (grasp === NONE) {
-      grasp = this.#grasps++;
-      this.#kinds[grasp] = kind;
-      this.#synergies[grasp] = synergy;
+  /** A grasp as the filter sees it. */
+  #grasp(place) {
+    return {
+      kind: this.#kinds[place], eta: this.#etas[place], synergy: this.#synergies[place], penetration: this.#penetrations[place],
+      motion: this.#motions[place], contacts: this.#contacts[place], margin: this.#margins[place],
+    };
+  }
+
+  /** Take grasp `i` of a page into a slot; one that comes again stays there. */
+  #put(slot, page, i) {
+    const number = page.numbers[i];
+    let grasp = this.#known.get(number);
+    if (grasp === undefined) {
+      grasp = this.#known.size;
+      this.#known.set(number, grasp);
       this.#nexts[grasp] = this.#firsts[slot];
       this.#firsts[slot] = grasp;
     }
     this.#numbers[grasp] = number;
-    this.#etas[grasp] = eta;
+    this.#kinds[grasp] = page.outcomes[i] - this.worst;
+    this.#etas[grasp] = page.etas[i];
+    this.#synergies[grasp] = page.synergies[i];
+    this.#penetrations[grasp] = page.penetrations[i];
+    this.#motions[grasp] = page.motions[i];
+    this.#contacts[grasp] = page.contacts[i];
+    this.#margins[grasp] = page.margins[i];
+    this.hasMotions ||= !Number.isNaN(page.motions[i]);
+    this.hasMargins ||= !Number.isNaN(page.margins[i]);
   }
 
   #slot(...cell) {
@@ -187,6 +217,10 @@ export class Cells {
     this.#etas = grown(this.#etas, grasps);
     this.#kinds = grown(this.#kinds, grasps);
     this.#synergies = grown(this.#synergies, grasps);
+    this.#penetrations = grown(this.#penetrations, grasps);
+    this.#motions = grown(this.#motions, grasps);
+    this.#contacts = grown(this.#contacts, grasps);
+    this.#margins = grown(this.#margins, grasps);
     this.#nexts = grown(this.#nexts, grasps);
   }
 }

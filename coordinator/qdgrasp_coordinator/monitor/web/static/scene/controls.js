@@ -2,6 +2,7 @@
 
 import { element, setAttribute, setText, updateChildren } from "../dom.js";
 import { count } from "../format.js";
+import { keepFilters } from "../job_state.js";
 import { ANY } from "./cells.js";
 
 /** The legend of cells: how many show each kind of grasp, which kinds are shown, and the buttons of the view. */
@@ -59,9 +60,16 @@ export class Legend {
 }
 
 const AXES = ["x", "y", "z"];
-const OPEN = { eta: 0, synergy: ANY, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
+const BOUNDS = [
+  { name: "penetration", words: "Most penetration [mm]", unit: 1e-3, open: Infinity, step: 0.1 },
+  { name: "motion", words: "Most motion [mm]", unit: 1e-3, open: Infinity, step: 0.1, isKnown: (cells) => cells.hasMotions },
+  { name: "contacts", words: "Fewest finger links", unit: 1, open: 0, step: 1 },
+  { name: "margin", words: "Least margin", unit: 1, open: 0, step: 0.01, isKnown: (cells) => cells.hasMargins },
+];
+const ALL = Object.fromEntries(BOUNDS.map(({ name, open }) => [name, open]));
+const OPEN = { eta: 0, synergy: ANY, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
 
-/** Filters of grasps by eta, by synergy, and by the hand's position. */
+/** Filters of grasps by eta, by synergy, by how closing went, and by the hand's position. */
 export class FilterControls {
   #view = null;
 
@@ -77,19 +85,24 @@ export class FilterControls {
     this.synergies = element("label", { class: "sort" }, element("span", {}, "Synergy"), this.synergy);
     this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
     this.sorts = element("div", { hidden: true }, this.scores, this.synergies);
+    this.bounds = BOUNDS.map((bound) => this.#bound(bound));
+    const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node));
     const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
     const region = element("fieldset", {}, legend, ...this.spans.map((span) => span.node));
-    node.append(element("div", { class: "filter-form" }, this.sorts, region, this.reset));
+    node.append(element("div", { class: "filter-form" }, this.sorts, after, region, this.reset));
     this.eta.addEventListener("input", () => this.#apply({ eta: Number(this.eta.value) }));
     this.synergy.addEventListener("change", () => this.#apply({ synergy: this.synergy.value === "" ? ANY : Number(this.synergy.value) }));
     this.reset.addEventListener("click", () => this.#showAll());
   }
 
-  /** Filter what this view shows; null: there is none. */
-  connect(view) {
+  /** Filter what this view shows, from the beginning by some filters; null: there is no view. */
+  connect(view, filters = {}) {
     this.#view = view;
     this.node.hidden = !view;
     this.#reset();
+    this.eta.value = filters.eta ?? 0;
+    for (const { bound, input } of this.bounds) input.value = filters[bound.name] ?? "";
+    if (view) view.filter = { eta: Number(this.eta.value), synergy: filters.synergy ?? ANY, ...this.#given() };
   }
 
   /** Show the state of the view's filter. */
@@ -99,7 +112,9 @@ export class FilterControls {
     this.synergies.hidden = !description.synergies.length;
     this.sorts.hidden = this.scores.hidden && this.synergies.hidden;
     const names = [{ value: "", name: "any" }, ...description.synergies.map((name, value) => ({ value, name }))];
+    for (const { bound, node } of this.bounds) node.hidden = bound.isKnown?.(cells) === false && filter[bound.name] === bound.open;
     updateChildren(this.synergy, names, ({ value }) => value, ({ value, name }) => element("option", { value }, name), (option, { name }) => setText(option, name));
+    this.synergy.value = filter.synergy ?? "";
     this.spans.forEach((span, axis) => cells.size && span.reach(cells.low[axis], cells.high[axis]));
     setText(this.least, filter.eta.toFixed(2));
     setText(this.words, filter.narrowed ? `${filter.narrowed} in use` : "");
@@ -116,16 +131,41 @@ export class FilterControls {
     this.#apply(OPEN);
   }
 
+  /** Filter by this too, and keep in the address what is filtered by; the hand's position is not kept. */
   #apply(part) {
-    this.#view?.applyFilter(part);
+    if (!this.#view) return;
+    this.#view.applyFilter(part);
+    const { eta, synergy } = this.#view.cells.filter;
+    const bounds = this.bounds.map(({ bound, input }) => [bound.name, number(input)]);
+    keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, ...Object.fromEntries(bounds) });
+  }
+
+  /** What the bounds stand for, as a part of a filter: float32, as the quantities are. */
+  #given() {
+    return Object.fromEntries(this.bounds.map(({ bound, input }) => {
+      const value = number(input);
+      return [bound.name, Number.isNaN(value) ? bound.open : Math.fround(bound.unit * value)];
+    }));
+  }
+
+  #bound(bound) {
+    const input = element("input", { type: "number", min: 0, step: bound.step, inputmode: "decimal", placeholder: "any", "aria-label": bound.words });
+    input.addEventListener("input", () => this.#apply(this.#given()));
+    return { bound, input, node: element("label", { class: "bound" }, element("span", {}, bound.words), input) };
   }
 
   /** Set all controls so that they leave nothing out. */
   #reset() {
     this.eta.value = 0;
     this.synergy.value = "";
+    for (const { input } of this.bounds) input.value = "";
     for (const span of this.spans) span.open();
   }
+}
+
+/** The number in an input, 0 or more; NaN where there is none. */
+function number(input) {
+  return input.value === "" ? NaN : Math.max(0, input.valueAsNumber);
 }
 
 /** A slider with two handles; a handle at its end sets no bound there. */

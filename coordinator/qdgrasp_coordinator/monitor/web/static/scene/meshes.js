@@ -2,7 +2,7 @@
 
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, FrontSide, GLSL3, Group, LineSegments, Matrix4,
-  Mesh, RawShaderMaterial,
+  Mesh, Quaternion, RawShaderMaterial, Vector3,
 } from "../vendor/three/three.module.min.js";
 
 const CREASE = 0.7; // cosine: faces that meet at a sharper angle keep an edge
@@ -112,6 +112,18 @@ function facesAround(count, corners) {
 
 const PALM = 0.42; // solidity
 
+const ONE = new Vector3(1, 1, 1);
+
+/** The frame of a link at a place on its way, from 0 at its first pose to 1 at its last.
+ *  `poses` are evenly spaced, each x y z qx qy qz qw. */
+export function frameAt(poses, place) {
+  const along = place * (poses.length - 1), first = Math.min(Math.floor(along), poses.length - 2), share = along - first;
+  const [from, to] = [poses[first], poses[first + 1]];
+  const position = new Vector3(...from.slice(0, 3)).lerp(new Vector3(...to.slice(0, 3)), share);
+  const turn = new Quaternion(...from.slice(3)).slerp(new Quaternion(...to.slice(3)), share);
+  return new Matrix4().compose(position, turn, ONE);
+}
+
 /** The hand: its links in the frames that the server gives; fingers solid, the palm like glass. */
 export class HandMesh extends Group {
   #links = new Map();
@@ -129,10 +141,10 @@ export class HandMesh extends Group {
     }
   }
 
-  /** Place the links: `links` has the frame of each, 4 x 4 row by row; null: hide the hand. */
-  pose(links) {
-    this.visible = Boolean(links);
-    if (links) for (const [name, link] of this.#links) link.matrix.copy(new Matrix4().set(...links[name]));
+  /** Place the links at a place on their ways (`frameAt`), of which `frames` has each; null: hide the hand. */
+  pose(frames, place) {
+    this.visible = Boolean(frames);
+    if (frames) for (const [name, link] of this.#links) link.matrix.copy(frameAt(frames[name], place));
   }
 
   recolour(colour) {

@@ -1,4 +1,4 @@
-// Drawn over the canvas as SVG: the axes of the object's frame with a scale bar, and the frames of a grasp.
+// Drawn over the canvas as SVG: the axes of the object's frame with a scale bar, the frames of a grasp, and its contacts.
 
 import { Vector3 } from "../vendor/three/three.module.min.js";
 
@@ -72,10 +72,10 @@ export class FrameOverlay {
     this.node = svgNode(parent, "svg", { class: "scene-frames", "aria-hidden": "true" });
   }
 
-  /** Show the frames of a grasp in a described scene; without a grasp: none. */
-  show(description, grasp) {
+  /** Show the frames of a grasp in a described scene, the hand's at `hand`, 4 x 4 row by row; without it: none. */
+  show(description, hand) {
     this.node.replaceChildren();
-    this.#frames = grasp ? framesOf(description, grasp).map((frame) => this.#drawn(frame)) : [];
+    this.#frames = hand ? framesOf(description, hand).map((frame) => this.#drawn(frame)) : [];
   }
 
   set shown(value) {
@@ -122,11 +122,46 @@ export class FrameOverlay {
   }
 }
 
-function framesOf({ com_in_mesh: com }, { base, frame }) {
+function framesOf({ com_in_mesh: com, base }, frame) {
   const object = { name: "object (centre of mass)", matrix: IDENTITY, kind: "object" };
   const mesh = { name: "mesh file", matrix: IDENTITY.with(3, -com[0]).with(7, -com[1]).with(11, -com[2]), kind: "mesh" };
   const hand = { name: `hand (${base})`, matrix: frame, kind: "hand" };
   return Math.hypot(...com) > SAME ? [mesh, object, hand] : [object, hand];
+}
+
+const NORMAL = 0.018; // m
+const RADIUS = 4; // px
+
+/** Contacts: a dot each, and the normal of the object there. */
+export class ContactOverlay {
+  #marks = [];
+
+  constructor(parent) {
+    this.node = svgNode(parent, "svg", { class: "scene-contacts", "aria-hidden": "true" });
+  }
+
+  /** Show contacts as the server tells them; none: an empty list. */
+  show(contacts) {
+    this.node.replaceChildren();
+    this.#marks = contacts.map(({ finger, point, normal }) => {
+      const group = svgNode(this.node, "g", { class: finger ? "finger" : "other" });
+      const from = new Vector3(...point), to = new Vector3(...normal).multiplyScalar(-NORMAL).add(from);
+      return { from, to, line: svgNode(group, "line"), dot: svgNode(group, "circle", { r: RADIUS }) };
+    });
+  }
+
+  /** Draw the contacts where the projection puts them. */
+  draw(projection) {
+    for (const { from, to, line, dot } of this.#marks) {
+      const [x1, y1] = projected(projection, from), [x2, y2] = projected(projection, to);
+      setNumbers(line, { x1, y1, x2, y2 });
+      setNumbers(dot, { cx: x1, cy: y1 });
+    }
+  }
+
+  dispose() {
+    this.node.remove();
+  }
 }
 
 /** The pixel at which a place appears. */

@@ -2,7 +2,7 @@
 
 import { OrbitControls } from "../vendor/three/OrbitControls.js";
 import { OrthographicCamera, Scene, Vector3, WebGLRenderer, WebGLRenderTarget } from "../vendor/three/three.module.min.js";
-import { AxesOverlay, FrameOverlay } from "./overlays.js";
+import { AxesOverlay, ContactOverlay, FrameOverlay } from "./overlays.js";
 
 const REST = 180; // ms after the last movement: then it is drawn finely
 const COSTLY = 160; // ms: a still picture that takes longer is not smoothed
@@ -31,6 +31,7 @@ export class Renderer {
     this.webgl.setClearAlpha(0);
     this.controls = this.#madeControls();
     this.axes = new AxesOverlay(canvas.parentElement);
+    this.contacts = new ContactOverlay(canvas.parentElement);
     this.frames = new FrameOverlay(canvas.parentElement);
     this.#sizes = new ResizeObserver(() => this.#fit());
     this.#sizes.observe(canvas);
@@ -102,6 +103,7 @@ export class Renderer {
     this.#sizes.disconnect();
     this.controls.dispose();
     this.axes.dispose();
+    this.contacts.dispose();
     this.frames.dispose();
     this.canvas.removeEventListener("webglcontextlost", this.#lost);
     this.canvas.removeEventListener("webglcontextrestored", this.#restored);
@@ -125,6 +127,7 @@ export class Renderer {
     else this.#measureStill();
     this.#drawnAt = moving ? at : 0;
     this.axes.draw(this.projection);
+    this.contacts.draw(this.projection);
     this.frames.draw(this.projection);
     this.drawn += 1;
   }

@@ -38,23 +38,28 @@ function unreachable(error) {
   throw error.name === "AbortError" ? error : new Error("Nobody answers: the page's server has ended, or cannot be reached.");
 }
 
-const MARK = 0x32474451; // "QDG2"
+const MARK = 0x33474451; // "QDG3"
 const HEADER = 24; // bytes
-const WIDTH = 17; // bytes of each voxel
+/** Columns of a page, in their order: the type of their items, and how many of them a voxel has. */
+const COLUMNS = {
+  numbers: [Uint32Array, 1], etas: [Float32Array, 1], penetrations: [Float32Array, 1], motions: [Float32Array, 1],
+  margins: [Float32Array, 1], cells: [Int16Array, 3], synergies: [Int16Array, 1], outcomes: [Uint8Array, 1], contacts: [Uint8Array, 1],
+};
+const WIDTH = 30; // bytes of each voxel
 
-/** Unpack a page of voxels, little-endian as the server packs it: `n` voxels with journal numbers, etas (-1: none), cells (three each), synergies (-1: none) and
- *  outcomes; the serial to ask from `next`, whether there is `more` at once, and the `origin` of all of it. */
+/** Unpack a page of voxels, little-endian as the server packs it: `n` voxels with journal numbers, etas (-1: none), penetrations
+ *  [m], motions [m] and margins (NaN: not known), cells (three each), synergies (-1: none), outcomes and finger links in contact;
+ *  the serial to ask from `next`, whether there is `more` at once, and the `origin` of all of it. */
 function readVoxelPage(buffer) {
   const [mark, n, next, more, total, origin] = buffer.byteLength < HEADER ? [] : new Uint32Array(buffer, 0, 6);
   if (mark !== MARK || buffer.byteLength !== HEADER + WIDTH * n) throw new Error("What came is not a page of voxels.");
-  return {
-    n, next, more: Boolean(more), total, origin,
-    numbers: new Uint32Array(buffer, HEADER, n),
-    etas: new Float32Array(buffer, HEADER + 4 * n, n),
-    cells: new Int16Array(buffer, HEADER + 8 * n, 3 * n),
-    synergies: new Int16Array(buffer, HEADER + 14 * n, n),
-    outcomes: new Uint8Array(buffer, HEADER + 16 * n, n),
-  };
+  const page = { n, next, more: Boolean(more), total, origin };
+  let start = HEADER;
+  for (const [name, [Items, each]] of Object.entries(COLUMNS)) {
+    page[name] = new Items(buffer, start, each * n);
+    start += page[name].byteLength;
+  }
+  return page;
 }
 
 const POLL = 1000; // ms between queries for new successes

@@ -5,7 +5,7 @@ import { Mesh, Vector3 } from "../vendor/three/three.module.min.js";
 import { count, several } from "../format.js";
 import { Cells } from "./cells.js";
 import { handleKey, VoxelPicker } from "./input.js";
-import { BoxEdges, drawnColour, HandMesh, meshGeometry, meshMaterial } from "./meshes.js";
+import { BoxEdges, drawnColour, frameAt, HandMesh, meshGeometry, meshMaterial } from "./meshes.js";
 import { Renderer } from "./renderer.js";
 import { CellUpdates, RunClient } from "./run_data.js";
 import { CELL, Voxels } from "./voxels.js";
@@ -22,6 +22,10 @@ export class SceneView {
   onstatus = () => {};
   /** Called when what is shown changes. */
   onchange = () => {};
+  /** What is filtered from the beginning: some of the fields of a `CellFilter`. */
+  filter = {};
+  #grasp = null; // the selected one, as the server tells it
+  #closed = 1;
   #selected = null;
   #timer = 0;
   #glowing = 0;
@@ -110,6 +114,7 @@ export class SceneView {
 
   /** Change the filter: `part` has some of the fields of a `CellFilter`. */
   applyFilter(part) {
+    Object.assign(this.filter, part);
     Object.assign(this.cells.filter, part);
     this.objects.applyFilter();
     this.#changed();
@@ -123,6 +128,16 @@ export class SceneView {
 
   get cut() {
     return this.objects.voxels.cut;
+  }
+
+  /** How far the hand is closed: 0 as it is commanded, open; 1 as it settled, closed. */
+  set closed(value) {
+    this.#closed = value;
+    this.#place();
+  }
+
+  get closed() {
+    return this.#closed;
   }
 
   /** Whether the frames of the selected grasp are drawn. */
@@ -141,6 +156,7 @@ export class SceneView {
     this.#clear();
     this.objects = new SceneObjects(description, this.#colour);
     this.objects.addTo(this.renderer.scene);
+    Object.assign(this.cells.filter, this.filter);
     this.renderer.voxels = this.objects.voxels;
     this.#recolour();
     await this.updates.begin(description.origin);
@@ -149,7 +165,9 @@ export class SceneView {
 
   #clear() {
     this.objects?.removeFrom(this.renderer.scene);
+    this.#grasp = null;
     this.renderer.frames.show(null, null);
+    this.renderer.contacts.show([]);
     this.renderer.voxels = this.objects = null;
   }
 
@@ -177,10 +195,19 @@ export class SceneView {
 
   #show(grasp) {
     if (!this.objects) return;
-    this.objects.pose(grasp);
-    this.renderer.frames.show(this.description, grasp);
-    this.renderer.invalidate();
+    this.#grasp = grasp;
+    this.#place();
     this.onselect(grasp);
+  }
+
+  /** Place the hand as far closed as it is; contacts are there when it is closed. */
+  #place() {
+    if (!this.objects) return;
+    const grasp = this.#grasp, place = this.#closed;
+    this.objects.pose(grasp, place);
+    this.renderer.frames.show(this.description, grasp && frameAt(grasp.frames[grasp.base], place).transpose().toArray());
+    this.renderer.contacts.show(grasp && place === 1 ? grasp.contacts : []);
+    this.renderer.invalidate();
   }
 
   #changed() {
@@ -246,9 +273,9 @@ class SceneObjects {
     this.voxels.recolour(colour("flash"), colour("paper"));
   }
 
-  /** Pose the hand as in a grasp of the server's; null: hide it. */
-  pose(grasp) {
-    this.hand.pose(grasp?.links ?? null);
+  /** Pose the hand as in a grasp of the server's, as far closed as `place` says; null: hide it. */
+  pose(grasp, place) {
+    this.hand.pose(grasp?.frames ?? null, place);
     this.mark.span(...(grasp ? [grasp.cell.map(lowerEdge), grasp.cell.map(upperEdge)] : []));
     this.voxels.small = Boolean(grasp);
   }
