@@ -282,7 +282,10 @@ def test_a_reference_hand_is_at_the_root_when_the_carrier_is_at_zero(asset_path,
     assert_base_is_root_at_zero(name, protocol)
 
 
-@pytest.mark.parametrize("protocol", CARRIERS)
+SHAKING = [protocol for protocol in CARRIERS if protocol != "physical"]
+
+
+@pytest.mark.parametrize("protocol", SHAKING)
 def test_shakes_move_the_hand_along_its_z_and_about_its_x(protocol):
     hand, robot = carried("panda", protocol)
     shaken = {joint.shake: joint.name for joint in hand.carrier if joint.shake}
@@ -291,8 +294,14 @@ def test_shakes_move_the_hand_along_its_z_and_about_its_x(protocol):
     assert frame[:3, 1] == pytest.approx([0, 0, 1])
 
 
+def test_physical_has_no_carrier_joint_that_moves():
+    hand, robot = carried("panda", "physical")
+    assert hand.carrier == ()
+    assert [joint.name for joint in robot.joints if joint.moves] == [joint.name for joint in hand.joints]
+
+
 def test_the_panda_has_the_forces_of_the_experiment():
-    for protocol in CARRIERS:
+    for protocol in SHAKING:
         hand, _ = carried("panda", protocol)
         shakes = {joint.shake: joint.shake_force for joint in hand.carrier if joint.shake}
         assert shakes == {"z": 20.0, "x": 100.0}
