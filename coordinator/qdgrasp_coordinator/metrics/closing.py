@@ -11,7 +11,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate
 
 Evaluations = NDArray[np.void]
 """(n,), with the columns `base_to_object` and `settled`: rows, or finds of a journal."""
-NOT_SETTLED = "the settled pose is not recorded: drawn is the commanded one, before the object moved"
+NOT_SETTLED = "where hands settled is not recorded: drawn as commanded"
 
 
 def is_settled(found: Evaluations) -> NDArray[np.bool_]:
