@@ -16,7 +16,7 @@ from qdgrasp_protocol.rows import CONTACT_VALUES, Rows
 from qdgrasp_protocol.text import counted
 
 MM = 1e-3
-NOT_SETTLED = "the settled pose is not recorded: drawn is the commanded one, before the object moved"
+NOT_SETTLED = "where hands settled is not recorded: drawn as commanded"
 TORSION = 0.005  # Of finger and object [m]: the radius of a fingertip's patch, as `physical` takes it
 
 

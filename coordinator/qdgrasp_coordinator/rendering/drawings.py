@@ -133,7 +133,7 @@ def _choice_in_words(shown: Rows, successes: Rows) -> str:
     least = max(kind for kind in OUTCOME_NOUNS if (shown["outcome"] >= kind).all())
     noun = "robust grasps" if least is Outcome.HELD else OUTCOME_NOUNS[least]
     words = f"{len(shown)} of {int((successes['outcome'] >= least).sum()):,} {noun}"
-    return words if settled_mask(shown).all() else f"{words}; {NOT_SETTLED}"
+    return words if settled_mask(shown).all() else f"{words}\n{NOT_SETTLED}"
 
 
 def _draw_cells(axes: Axes, view: RenderedView) -> None:

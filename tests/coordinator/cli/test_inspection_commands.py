@@ -74,6 +74,7 @@ VIEWS = ("40", "40,25,3", "x,y", "nan,3", "500,3", "0,91")
 @pytest.mark.parametrize(
     ("name", "flags", "words"),
     [
+        ("a.gif", ("--pregrasp",), "--pregrasp draws one picture, and"),
         ("a.jpg", (), "a.jpg must end with .png or .gif; name another path with --out."),
         ("a.png", ("--what", "shakes"), "--what chooses a part of a film"),
         *(("a.gif", (f"--size={size}",), f"{SIZE_WORDS}, got '{size}'.") for size in SIZES),

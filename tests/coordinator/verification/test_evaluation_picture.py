@@ -15,6 +15,7 @@ from qdgrasp_coordinator.rendering.annotations import (
     OTHER_CONTACT_COLOUR,
     OVERLAP_COLOUR,
 )
+from qdgrasp_coordinator.verification import comparison
 from qdgrasp_coordinator.verification.evaluation_picture import (
     LARGEST,
     SMALLEST,
@@ -30,7 +31,7 @@ from qdgrasp_coordinator.verification.replay_client import (
     replay_target,
 )
 from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayAnswer, ReplayCamera, ReplayFrame
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.rows import Outcome, RowShape
 
 SIZE = PictureSize(640, 560)
 LAYOUT = PictureLayout(SIZE)
@@ -204,3 +205,23 @@ def test_a_picture_is_the_last_frame(held: ReplayTarget, tmp_path: Path) -> None
     write_pictures(tmp_path / "a.png", iter(images), shots)
     with Image.open(tmp_path / "a.png") as written:
         assert np.array_equal(np.array(written), np.array(images[-1]))
+
+
+def test_a_replay_that_settles_or_touches_elsewhere_differs_from_its_row() -> None:
+    answer = replay(shot()).answer
+    (row,) = RowShape(2, 2, contact_slots=2).empty(1)
+    row["outcome"], row["fitness"], row["contacts"] = answer.outcome, answer.fitness, answer.contacts
+    row["joints"], row["settled"], row["contact_links"][:1] = answer.joints, answer.settled, 1
+    assert comparison.row_differences(row, comparison.row_with_answer(row, answer)) == {}
+    row["settled"][0] += 0.001
+    row["contact_points"][0] = 0.02
+    found = comparison.row_differences(row, comparison.row_with_answer(row, answer))
+    assert found.keys() == {"settled", "contact_points"}
+
+
+def test_a_row_of_a_run_without_settled_poses_is_not_compared_by_them() -> None:
+    answer = replay(shot()).answer
+    (row,) = RowShape(2, 2).empty(1)
+    row["outcome"], row["fitness"], row["contacts"] = answer.outcome, answer.fitness, answer.contacts
+    row["joints"] = answer.joints
+    assert comparison.row_differences(row, comparison.row_with_answer(row, answer)) == {}
