@@ -10,7 +10,7 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.run_commands import start_run
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.rendering.drawings import draw_grasps
-from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.errors import FolderError
@@ -24,7 +24,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 def demo(out: Path = Path("runs/demo")) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    start_run(full_spec(dict(SPEC)), out, LocalJobConfig(options.cores()), begun=mark)
+    start_run(full_spec(RUN_DEFAULTS | SPEC), out, LocalJobConfig(options.cores()), begun=mark)
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:

@@ -18,14 +18,13 @@ from math import dist
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Joint, Scene
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import Decoder, HandPose
@@ -39,29 +38,11 @@ HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow", "ref_bh280", "re
 OBJECTS = ("ycb_rubiks_cube", "ycb_mug", "ycb_bowl")
 BATCH = 64
 MOST_BATCHES = 200
-RATED = {
-    "panda": {"": (70.0, 0.1)},
-    "allegro": {"": (0.7, 1.0)},
-    "robotiq_2f": {"": (5.0, 1.0)},
-    "shadow": {"J1": (0.36, 1.0), "J2": (0.6, 1.0), "J3": (1.0, 1.0), "J4": (1.0, 1.0), "J5": (1.0, 1.0)},
-}
-"""Provisional ratings by the end of a joint's name, where the scene has none [N or Nm, m/s or rad/s]."""
-
-
-def rated(hand: str, joint: Joint) -> Joint:
-    """A joint with a provisional rating where it has none."""
-    known = [each for end, each in RATED.get(hand, {}).items() if joint.name.endswith(end)]
-    if joint.rated_effort or not known:
-        return joint
-    return msgspec.structs.replace(joint, rated_effort=known[0][0], rated_velocity=known[0][1])
 
 
 def scene_of(hand: str, target: str, protocol: str) -> Scene:
-    """A scene with provisional ratings."""
-    scene = build_scene(RunSpec(gripper=hand, object=target, protocol=protocol))  # type: ignore[arg-type]
-    name = hand.removeprefix("ref_").removesuffix("_2f") if hand.startswith("ref_") else hand
-    joints = tuple(rated(name, joint) for joint in scene.gripper.joints)
-    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, joints=joints))
+    """The scene of a hand and an object under a protocol."""
+    return build_scene(RunSpec(gripper=hand, object=target, protocol=protocol))  # type: ignore[arg-type]
 
 
 @dataclass

@@ -96,7 +96,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
     if source.is_file() and is_campaign(source):
         return CampaignRunQueue(folder, read_campaign(source).runs)
     if folder is None:
-        spec = run_plan.full_spec(read_run_spec(what), str(what))
+        spec = run_plan.full_spec(run_plan.RUN_DEFAULTS | read_run_spec(what), str(what))
         prepared = run_plan.prepare_scene(spec)
     else:
         run = RunFolder.open(what)

@@ -21,7 +21,8 @@ Friction = Annotated[float | None, typer.Option(help="Lateral friction of the ob
 ProtocolOption = Annotated[
     str | None,
     typer.Option(
-        "--protocol", help="Evaluation protocol: paper, physical, released or robust; default paper."
+        "--protocol",
+        help="Evaluation protocol: paper, physical, released or robust; default: physical for `run`, else paper.",
     ),
 ]
 BaseOption = Annotated[

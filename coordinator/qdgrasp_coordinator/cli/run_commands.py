@@ -125,7 +125,7 @@ def run(
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    asked = run_plan.full_spec(values | flags, str(spec) if spec else "run")
+    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
     start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)

@@ -151,6 +151,10 @@ class SingleRunQueue:
         self._is_due = True
 
 
+RUN_DEFAULTS = {"protocol": "physical"}
+"""Defaults of a run that a user asks for by itself; a campaign's and a spec's are those of the paper."""
+
+
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """Return the complete spec: files as absolute paths, defaults of the method filled in.
 
