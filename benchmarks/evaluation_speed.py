@@ -25,12 +25,12 @@ from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.candidate_ranking import PoseFeatures
-from qdgrasp_worker.contact_filter import ContactFilter
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import Shake
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
-from qdgrasp_worker.overlap_filter import OverlapFilter
+from qdgrasp_worker.filters.contact_filter import ContactFilter
+from qdgrasp_worker.filters.overlap_filter import OverlapFilter
 from qdgrasp_worker.world import World
 
 REST = "rest"

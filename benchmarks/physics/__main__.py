@@ -73,9 +73,9 @@ class SeenEpisode(PhysicalEpisode):
 
     places: list[tuple[Any, Any]] = field(default_factory=list)
 
-    def _closed_grasp(self, fingers: int) -> EpisodeResult:
+    def _closed_grasp(self, pose: HandPose, fingers: int) -> EpisodeResult:
         self.places.append(self.world.object_pose())
-        return super()._closed_grasp(fingers)
+        return super()._closed_grasp(pose, fingers)
 
 
 def judge(world: World, episode: Episode, pose: HandPose) -> Judged:

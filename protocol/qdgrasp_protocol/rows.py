@@ -286,7 +286,7 @@ def deflated(blobs: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def _inflated(column: RowColumn, blob: bytes, size: int) -> bytes:
-    """A column's blob as it was before `deflated`; a MessageError if it becomes more than `size` bytes."""
+    """A column's blob as it was before `deflated`; a MessageError if it is larger than `size`."""
     if not column.is_sparse:
         return blob
     inflater = zlib.decompressobj()
@@ -319,7 +319,7 @@ def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes])
 
 
 def _check_finite(columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> None:
-    """Check that blobs of floats are finite, or raise a MessageError; all of one item type at once."""
+    """Check that blobs of floats are finite, all of an item type at once; or a MessageError."""
     for item in FLOAT_ITEMS:
         named = {column.name: blobs[column.name] for column in columns if column.item == item}
         if np.isfinite(np.frombuffer(b"".join(named.values()), dtype=item)).all():

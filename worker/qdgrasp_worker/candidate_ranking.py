@@ -19,10 +19,10 @@ from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
+from qdgrasp_worker.filters.overlap_filter import OverlapFilter, rotation_matrices, transform_points
+from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid, convex_hulls
 from qdgrasp_worker.hand_geometry import Closing, HandKinematics
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.overlap_filter import OverlapFilter, rotation_matrices, transform_points
-from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid, convex_hulls
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
 STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks where its fingers are

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
@@ -16,6 +15,7 @@ from qdgrasp_worker.evaluation_protocols import (
     Shake,
     TrialSetup,
 )
+from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.world import GraspContact, World
 
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left

@@ -18,10 +18,10 @@ from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
-from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
+from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
 from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
 from qdgrasp_worker.world import GraspContact, World

@@ -14,7 +14,7 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.collision_shapes import is_all_convex, link_convex_parts
 from qdgrasp_assets.grippers.urdf import UrdfJoint, parse_robot
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_worker.voxels import Hull, convex_hulls
+from qdgrasp_worker.filters.voxels import Hull, convex_hulls
 
 Closing = Callable[[Sequence[float], int], list[list[float]]]
 """Courses of a closing hand's joints, by its initial posture and its synergy."""

@@ -17,9 +17,9 @@ from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import BREAKING_THRESHOLD, STILL, UPRIGHT, Bullet, Contact, Motor
-from qdgrasp_worker.contact_filter import SweptBox
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
+from qdgrasp_worker.filters.contact_filter import SweptBox
 from qdgrasp_worker.hand_geometry import free_posture
 
 HAND_GROUP, OBJECT_GROUP = (
@@ -214,7 +214,7 @@ class World:
         return rotate(back, position - origin), multiply(back, quaternion)
 
     def contact_forces(self) -> list[GraspContact]:
-        """The contacts of the hand's links with the object that bear, or are about to: of the last step."""
+        """The contacts of the hand with the object that bear a force, or are about to."""
         origin, turn = (np.array(part) for part in self._bullet.pose(self._target.body))
         back = conjugate(turn)
         return [

@@ -22,7 +22,7 @@ ProtocolOption = Annotated[
     str | None,
     typer.Option(
         "--protocol",
-        help="Evaluation protocol: paper, physical, released or robust; default: physical for `run`, else paper.",
+        help="Evaluation protocol: paper, physical, released, robust; default paper, of `run` physical.",
     ),
 ]
 BaseOption = Annotated[

@@ -242,7 +242,7 @@ class Grasps:
 
     @cached_property
     def is_settled(self) -> NDArray[np.bool_]:
-        """(n,): True where the settled pose is recorded: of successes, in runs later than version 0.1.0."""
+        """(n,): True where the settled pose is recorded: of successes, later than 0.1.0."""
         return settled_mask(self.rows)
 
     @cached_property
@@ -336,7 +336,7 @@ def select_grasps(
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
 ) -> Grasps:
-    """Select grasps that are good enough and within limits, of these the best, of these well spread ones.
+    """Select grasps that are good and within limits, of these the best, of these spread ones.
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
     successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by

@@ -1,4 +1,4 @@
-"""What closing did to a grasp, from its row: motion of the object, margin, and limits to both.
+"""Settled pose, motion of the object and margin of recorded grasps, and limits to them.
 
 Rows are those of a journal or of success pages. Runs of version 0.1.0 recorded no settled pose: their motion
 and margin are NaN, which no limit admits.
@@ -26,7 +26,7 @@ def settled_mask(rows: Rows) -> NDArray[np.bool_]:
 
 
 def settled_poses(rows: Rows) -> Floats:
-    """(n, 7): the hand's base link in the object's CoM frame after closing; where unknown, as commanded."""
+    """(n, 7): the hand's base link after closing, CoM frame; as commanded where unknown."""
     poses, known = rows["base_to_object"].astype(np.float64), settled_mask(rows)
     if known.any():  # rows of version 0.1.0 have no room for it
         poses[known] = rows["settled"][known]
@@ -34,9 +34,9 @@ def settled_poses(rows: Rows) -> Floats:
 
 
 def object_motion(rows: Rows) -> Floats:
-    """(n, 2): how far the object moved in the hand while it closed [m], and turned [rad]; NaN: unknown.
+    """(n, 2): how far the object moved in the hand while it closed [m], and turned [rad].
 
-    The way of its centre of mass, in the hand's frame.
+    The way of its centre of mass, in the hand's frame. NaN where it is not known.
     """
     before, after = rows["base_to_object"].astype(np.float64), settled_poses(rows)
     first, last = (rotate(conjugate(poses[:, 3:]), -poses[:, :3]) for poses in (before, after))
@@ -52,7 +52,7 @@ def contact_values(rows: Rows) -> Floats:
 
 
 def recorded_margins(rows: Rows, body: SceneObject) -> Floats:
-    """(n,): the Ferrari-Canny margin of contacts with an object (`grasp_margin`); NaN: none were recorded."""
+    """(n,): the Ferrari-Canny margin of contacts (`grasp_margin`); NaN: none were recorded."""
     from qdgrasp_coordinator.metrics.grasp_margin import grasp_margins  # scipy takes its time
 
     known, values = settled_mask(rows), contact_values(rows)
@@ -93,7 +93,7 @@ class GraspLimits:
         return {name: value for name, value in values.items() if value is not None}
 
     def admitted(self, rows: Rows, scene: Scene) -> NDArray[np.bool_]:
-        """(n,): True for rows within all limits; margins are computed for rows within the others alone."""
+        """(n,): True for rows within all limits; margins are computed last, for the others' rows."""
         mask = np.ones(len(rows), dtype=bool)
         if self.max_penetration is not None:
             mask &= rows["penetration"] <= self.max_penetration * MM

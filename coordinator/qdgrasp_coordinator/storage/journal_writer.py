@@ -107,7 +107,7 @@ class JournalWriter(Journal):
 def insert_rows(
     database: sqlite3.Connection, part: JournalSlice, epoch: int, *, deflates: bool = True
 ) -> None:
-    """Add rows to the tables of a journal, within a transaction; one of version 0.1.0 does not deflate."""
+    """Add rows to the tables of a journal, within a transaction; 0.1.0 did not deflate."""
     blob = part.rows.tobytes()
     if deflates:
         by_row = np.frombuffer(blob, dtype=np.uint8).reshape(len(part), part.rows.dtype.itemsize)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
+from qdgrasp_worker.filters.voxels import Hull, Singles
 from qdgrasp_worker.hand_geometry import HandKinematics
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.voxels import Hull, Singles
 
 SAMPLE_POINTS = 1024
 DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart

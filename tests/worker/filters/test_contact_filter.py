@@ -13,7 +13,10 @@ from tests.worker.genomes import HANDS, REFERENCE, decoded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
-from qdgrasp_worker.contact_filter import (
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.filters.contact_filter import (
     MAX_VOXELS,
     SWEPT_MARGIN,
     BoundingBalls,
@@ -22,12 +25,9 @@ from qdgrasp_worker.contact_filter import (
     coarseness,
     interpolate_course,
 )
-from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.filters.voxels import convex_hulls
 from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.voxels import convex_hulls
 from qdgrasp_worker.world import World
 
 RADIUS = 0.05
@@ -209,7 +209,7 @@ def away(zone, frame, points):
 
 @pytest.mark.parametrize("most", [MAX_VOXELS, 30_000])
 def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
-    monkeypatch.setattr("qdgrasp_worker.contact_filter.MAX_VOXELS", most)
+    monkeypatch.setattr("qdgrasp_worker.filters.contact_filter.MAX_VOXELS", most)
     world = World(cube)
     reach, skeleton = reach_of(cube, world), HandKinematics(cube.gripper)
     [zone] = reach._measure(-1).values()

@@ -9,9 +9,9 @@ from tests.worker.genomes import HANDS, REFERENCE, decoded, draw, evaluated, res
 from qdgrasp_assets.genes import layout
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.filters.overlap_filter import OverlapFilter
+from qdgrasp_worker.filters.voxels import convex_hulls
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.overlap_filter import OverlapFilter
-from qdgrasp_worker.voxels import convex_hulls
 from qdgrasp_worker.world import World
 
 SCENES = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]

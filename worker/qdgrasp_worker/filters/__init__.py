@@ -1,0 +1,1 @@
+"""Filters of poses that need no simulation: the hand overlaps, or surely misses."""
