@@ -218,6 +218,9 @@ def resume(
 def rerank(
     directory: options.RunDir,
     protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
+    base: Annotated[
+        str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
+    ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
@@ -265,7 +268,7 @@ def rerank(
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
     chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
-    spec = rerank_spec(source, protocol, chosen)
+    spec = rerank_spec(source, protocol, base, chosen)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
@@ -304,14 +307,14 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
     return found
 
 
-def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
-    """The spec of a run that scores grasps of another."""
+def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows) -> RunSpec:
+    """The spec of a run that scores grasps of another; its base is that of the run unless given."""
     genomes = as_given(source.scene(), method(source.spec.method).prior, chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     values = to_values(source.spec) | {
         "method": GIVEN,
         "protocol": protocol,
-        "base": "physical" if source.spec.nominal_protocol == "physical" else "paper",
+        "base": base or ("physical" if source.spec.nominal_protocol == "physical" else "paper"),
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,

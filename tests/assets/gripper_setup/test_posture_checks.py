@@ -38,7 +38,7 @@ def test_the_file_of_a_built_in_hand_has_the_pairs_that_its_shapes_give(name):
     assert_file_has_its_pairs(name)
 
 
-@pytest.mark.parametrize("name", set(NAMES) - set(OWN))
+@pytest.mark.parametrize("name", sorted(set(NAMES) - set(OWN)))
 def test_the_file_of_a_reference_hand_has_the_pairs_that_its_shapes_give(asset_path, name):
     assert_file_has_its_pairs(name)
 
@@ -60,7 +60,7 @@ def test_a_built_in_hand_is_rated(name):
     assert_is_rated(name)
 
 
-@pytest.mark.parametrize("name", set(NAMES) - set(OWN))
+@pytest.mark.parametrize("name", sorted(set(NAMES) - set(OWN)))
 def test_a_reference_hand_is_rated(asset_path, name):
     assert_is_rated(name)
 

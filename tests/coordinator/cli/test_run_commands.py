@@ -69,7 +69,7 @@ def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> N
 def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
     with source.journal() as journal:
         chosen: Rows = journal.rows(0, 3)
-    spec = rerank_spec(source, "robust", chosen)
+    spec = rerank_spec(source, "robust", None, chosen)
     check_spec(spec)
     assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
