@@ -24,7 +24,7 @@ from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Failure, Join, Joined, Result
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, deflated, pack
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
 from qdgrasp_worker.runtime.job_registry import JobSession
@@ -184,7 +184,7 @@ class Formula:
             n=len(found),
             joints=self._task.shape.joints,
             descriptors=self._task.shape.descriptors,
-            columns=deflated(pack(found, RESULT)),
+            columns=pack(found, RESULT),
             failures=[Failure(row=place, reason="it raised") for place in failed],
             cpu_seconds=len(found) * self._speed.row_seconds,
         )

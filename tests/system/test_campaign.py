@@ -83,7 +83,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
 
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, name):
-    flags = ("--gripper", "panda", "--object", name.split("-")[1], "--population", 40, *RUNS[name])
+    scene = ("--gripper", "panda", "--object", name.split("-")[1], "--protocol", "paper")
+    flags = (*scene, "--population", 40, *RUNS[name])
     qdgrasp.succeed("run", *flags, "--workers", 1, "--out", "alone")
     assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
 

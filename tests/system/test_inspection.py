@@ -54,7 +54,7 @@ def test_a_film_goes_through_an_evaluation(qdgrasp: Commands, reference: Referen
     run, held = reference[0], first(rows_of(reference[0]), Outcome.HELD)
     qdgrasp.succeed("render", run, "--grasp", held, "-o", "a.gif", "--size", "320x240", "--what", "closing")
     with Image.open(qdgrasp.home / "a.gif") as film:
-        assert (film.n_frames, film.size) == (19, (320, 240))
+        assert (film.n_frames, film.size) == (14, (320, 240))
 
 
 def test_an_evaluation_that_failed_is_shown_as_well(qdgrasp: Commands, reference: Reference) -> None:
@@ -70,7 +70,7 @@ def test_a_replay_that_differs_is_drawn_and_told(qdgrasp: Commands, untrue: Path
     held = first(rows_of(untrue), Outcome.HELD)
     done = qdgrasp("render", untrue, "--grasp", held, "-o", "a.png")
     assert done.code == 1
-    assert f"The replay differs from row {held}: fitness 2.0 instead of 1.0." in done.err
+    assert f"The replay differs from row {held}: fitness 6.0 instead of 1.0." in done.err
     assert "On which platform it was recorded is not known." in done.err
     assert (qdgrasp.home / "a.png").is_file()
 
@@ -88,7 +88,7 @@ def test_a_row_that_is_not_what_it_was_is_named(qdgrasp: Commands, untrue: Path)
     done = qdgrasp("verify", untrue, "--all", "--workers", 2)
     n = len(rows_of(untrue))
     assert done.code == 1, done.err
-    assert done.out.splitlines()[0] == f"row {held} of {untrue}, trial 0: fitness 2.0 instead of 1.0"
+    assert done.out.splitlines()[0] == f"row {held} of {untrue}, trial 0: fitness 6.0 instead of 1.0"
     assert f"{n - 1} of {n} rows the same: " in done.out
     assert f"{n} of them were made on a platform that is not recorded" in done.out
 

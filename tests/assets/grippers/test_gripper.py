@@ -340,7 +340,7 @@ def test_shakes_move_the_hand_along_its_z_and_about_its_x(protocol):
 
 
 def test_the_panda_has_the_forces_of_the_experiment():
-    for protocol in CARRIERS:
+    for protocol in CARRIERS.keys() - {"physical"}:
         hand, _ = carried("panda", protocol)
         shakes = {joint.shake: joint.shake_force for joint in hand.carrier if joint.shake}
         assert shakes == {"z": 20.0, "x": 100.0}

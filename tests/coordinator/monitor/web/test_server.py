@@ -437,7 +437,7 @@ def test_it_lists_jobs_and_their_runs(path: Path) -> None:
 
 def test_the_cells_are_those_of_all_successes(path: Path) -> None:
     answer = folder_client(path).get("/api/jobs/mug/runs/run/cells")
-    places = {place for place, _, _ in read_page(answer.content)[2]}
+    places = {place for place, *_ in read_page(answer.content)[2].values()}
     assert places == {tuple(place) for place in cells(successes(ROWS)["descriptor"]).tolist()}
 
 
