@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
@@ -68,6 +69,12 @@ class WrittenWorld:
     def finger_positions(self):
         return [0.01, 0.02]
 
+    def hand_pose(self):
+        return np.array(POSE.position), -np.array(POSE.quaternion)
+
+    def contact_forces(self):
+        return []
+
 
 def during(first: int, last: int, *contacts: Contact) -> Callable[[int], list[Contact]]:
     return lambda step: list(contacts) if first <= step <= last else []
@@ -111,7 +118,9 @@ class TestEveryProtocolThatShakes:
 
     def test_an_object_held_through_both_shakes_is_held(self, protocol):
         verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
-        assert verdict == EpisodeResult(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003, fitness=2)
+        settled = [*POSE.position, *POSE.quaternion]  # the sign is that of the commanded quaternion
+        expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, touches=[])
+        assert verdict == expected
 
     def test_a_palm_is_enough_to_hold_through_a_shake(self, protocol):
         def touching(step):

@@ -6,6 +6,7 @@ and margin are NaN, which no limit admits.
 
 from dataclasses import dataclass, fields
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,7 +110,7 @@ class GraspLimits:
         """Say how many of some rows each limit admits, for a person."""
         if not settled_mask(rows).any() and {"max_motion", "min_margin"} & self.given.keys():
             return "motion and margin are not known, the run was recorded before they were"
-        alone = {name: GraspLimits(**{name: value}) for name, value in self.given.items()}  # type: ignore[arg-type]
+        alone = {name: msgspec.convert({name: value}, GraspLimits) for name, value in self.given.items()}
         counts = {name: int(limit.admitted(rows, scene).sum()) for name, limit in alone.items()}
         words = (f"--{name.replace('_', '-')} {self.given[name]:g} admits {n}" for name, n in counts.items())
         return f"of {counted(len(rows), 'grasp')} {', '.join(words)}"

@@ -176,7 +176,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
     reason: str
     """Of an error; else empty."""
     fitness: float
-    """Shakes survived: 0, 1 or 2."""
+    """Disturbances survived."""
     eta: float | None
     """The estimated probability of transfer; None where not all trials of a success are there."""
     trials: int

@@ -31,7 +31,7 @@ def show(*arguments: object) -> Result:
 
 def test_a_grasp_is_shown_line_by_line_and_the_run_by_the_name_of_its_folder(path: Path) -> None:
     lines = show(path, "--grasp", 1).stdout.splitlines()
-    for words in ("run              mug", "outcome          held: both shakes were survived"):
+    for words in ("run              mug", "outcome          held: every disturbance was survived"):
         assert words in lines
     assert "number           1 of 5 rows, counted from 0" in lines
 

@@ -104,7 +104,7 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
     assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")
     assert float(said["object_scale"]) == 1.0
     assert said["success"] == "a finger touches the object after closing"
-    assert "at least one of the two shakes" in said["grasp"]
+    assert "at least one disturbance" in said["grasp"]
     assert "higher is better" in said["fitness"]
     assert ("x from one finger to the other" in said["gripper_axes"]) == (name in TURNED)
 
@@ -261,7 +261,7 @@ def test_isaac_names_grasps_by_their_numbers_and_frames_by_both_spellings_and_ha
     assert list(told["grasps"]) == [f"grasp_{number}" for number in grasps.numbers]
     assert told["gripper_frame"] == told["gripper_frame_link"] == "palm"
     assert told["object_frame"] == told["object_frame_link"] == "block"
-    assert list(told["qdgrasp"]["grasps"]) == ["fitness", "penetration"]
+    assert list(told["qdgrasp"]["grasps"]) == ["fitness", "margin", "penetration"]
 
 
 def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:

@@ -194,7 +194,7 @@ def test_the_command_that_is_shown_prints_the_grasp(
     said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)
     assert shown["commands"][0] == f"qdgrasp show '{path}' --grasp 3"
     assert "number           3 of 5 rows" in said.stdout
-    assert "outcome          shaken: one of the two shakes was survived" in said.stdout
+    assert "outcome          shaken: some of the disturbances were survived" in said.stdout
 
 
 def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(
