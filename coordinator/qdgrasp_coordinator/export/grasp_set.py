@@ -58,7 +58,7 @@ class Grasp(NamedTuple):
     """The synergy that closes the hand; empty: all driven joints."""
     outcome: Outcome
     fitness: float
-    """Shakes survived: 0, 1 or 2."""
+    """Disturbances survived in the nominal evaluation."""
     eta: float
     """The estimated probability of transfer; NaN where it is not known."""
     confidence: float

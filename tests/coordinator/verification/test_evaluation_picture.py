@@ -153,7 +153,7 @@ def test_a_caption_says_what_it_is_and_what_came_of_it(held: ReplayTarget) -> No
     caption = ReplayCaption.of(held, [shot()], [])
     assert caption.title == "jaw on block, grasp 0: held, fitness 2"
     assert caption.lines == (
-        "both shakes were survived; 0 finger links in contact, penetration 0 mm",
+        "every disturbance was survived; 0 finger links in contact, penetration 0 mm",
         "protocol paper, method me_scs, seed 0; replayed as recorded",
     )
 

@@ -191,7 +191,7 @@ STAGE = scene_data.BrowserScene(
     high=(0.05, 0.05, 0.05),
     reach=0.2,
     kinds=[
-        scene_data.SuccessKind(5, "no shake survived", "#bdb7ad"),
+        scene_data.SuccessKind(5, "no disturbance survived", "#bdb7ad"),
         scene_data.SuccessKind(6, "one", "#f2a431"),
         scene_data.SuccessKind(7, "both", "#2a73b9"),
     ],

@@ -60,8 +60,8 @@ export class SummaryPanel {
     const figures = [
       ["Evaluations/s", rate(speed ?? 0), `${rate(subject.rate ?? 0)} on average`],
       ["Successes", short(subject.successes), share(subject.successes), "a finger touches the object after closing"],
-      ["Grasps", short(subject.grasps), share(subject.grasps), "at least one shake survived"],
-      ["Robust", short(subject.robust), share(subject.robust), "both shakes survived"],
+      ["Grasps", short(subject.grasps), share(subject.grasps), "at least one disturbance survived"],
+      ["Robust", short(subject.robust), share(subject.robust), "every disturbance survived"],
       ["Cells", short(subject.cells), "of 1 cm", "distinct cells with a success"],
       ["Workers", ...workers(job)],
       ["Errors", short(subject.errors), `${count(job.figures.requeued)} requeued`, "rows given up, and batches queued again"],
@@ -102,9 +102,9 @@ const OUTCOMES = [
   ["overlap", "Overlap", "the open hand is inside the object"],
   ["missed", "Missed", "no finger touched it while closing"],
   ["brushed", "Brushed", "touched while closing, not after"],
-  ["dropped", "Dropped", "touched; no shake survived"],
-  ["shaken", "Shaken", "one shake survived"],
-  ["held", "Held", "both survived: robust"],
+  ["dropped", "Dropped", "touched; no disturbance survived"],
+  ["shaken", "Shaken", "some disturbances survived"],
+  ["held", "Held", "all survived: robust"],
 ];
 
 /** The outcomes of evaluations, from worst to best, as a bar and a list. */
