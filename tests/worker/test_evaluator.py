@@ -9,7 +9,7 @@ import pytest
 from tests.worker.genomes import draw, evaluated, outcomes, results
 
 from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, unpack
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, deflated, unpack
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache
 
@@ -32,9 +32,9 @@ def nominal(genomes):
 
 def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator, rows, genomes):
     shape = evaluator.shape("approach")
-    assert shape == RowShape(genes=7, joints=2)
+    assert shape == RowShape(genes=7, joints=2, contact_slots=8)
     assert rows.dtype == shape.dtype
-    copy = unpack(shape.empty(len(rows)), RESULT, results(rows))
+    copy = unpack(shape.empty(len(rows)), RESULT, deflated(results(rows)))
     assert results(copy) == results(rows)
     np.testing.assert_array_equal(rows["genome"], genomes)
 
