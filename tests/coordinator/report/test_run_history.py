@@ -65,7 +65,7 @@ def test_a_number_holds_from_the_evaluation_at_which_it_changes() -> None:
 def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: int) -> None:
     rows = random_rows(600, seed=3, reach=0.05)
     whole = finds(rows)
-    curves = (whole.found(KNOWN), whole.found(KNOWN.robust, fitness=2), whole.published(KNOWN, ARCHIVE))
+    curves = (whole.found(KNOWN), whole.found(KNOWN.robust, Outcome.HELD), whole.published(KNOWN, ARCHIVE))
     assert tuple(int(curve.after(n)) for curve in curves) == at_once(rows[:n])
 
 
