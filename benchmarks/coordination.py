@@ -24,8 +24,8 @@ from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.messages import VERSION, Join, Open, OpenRun, Result, Work
-from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, deflated, pack, unpack
+from qdgrasp_protocol.messages import VERSION, Join, Open, OpenRun, Result, Work, deflated
+from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = RowShape(genes=7, joints=2)

@@ -30,9 +30,9 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import BusError, NoReply
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work
+from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, deflated, pack
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 

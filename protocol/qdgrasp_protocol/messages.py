@@ -7,6 +7,8 @@ Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, 
 passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
 """
 
+import zlib
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -38,6 +40,17 @@ JobId = Annotated[str, Meta(max_length=32)]
 """Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
 """Text for a person; made with `shorten`."""
+
+
+DEFLATED_COLUMNS = frozenset({"contact_links", "contact_points"})
+"""Columns of rows that are mostly zeros: they travel deflated (zlib)."""
+
+
+def deflated(columns: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return columns of rows by name as they travel."""
+    return {
+        name: zlib.compress(blob, 1) if name in DEFLATED_COLUMNS else blob for name, blob in columns.items()
+    }
 
 
 def shorten(text: str) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import DEFLATED_COLUMNS
 
 
 class Outcome(IntEnum):
@@ -171,8 +172,6 @@ class RowColumn:
     width: str
     """Number of items: "1", "7", or the name of a `RowShape` field."""
     meaning: str
-    is_sparse: bool = False
-    """Mostly zeros: it travels deflated (zlib)."""
 
 
 KEY = (
@@ -215,14 +214,12 @@ RESULT = (
         "<u1",
         "contact_slots",
         "successes: of each contact after closing, the hand's link, counted from 1; 0: no contact",
-        is_sparse=True,
     ),
     RowColumn(
         "contact_points",
         "<f2",
         "contact_values",
         "of each contact x y z [m] on the object and the normal into it, CoM frame, and the normal force [N]",
-        is_sparse=True,
     ),
 )
 COLUMNS = KEY + GENOME + RESULT
@@ -279,15 +276,9 @@ def pack(rows: Rows, columns: Sequence[RowColumn]) -> dict[str, bytes]:
     return {column.name: np.ascontiguousarray(rows[column.name]).tobytes() for column in columns}
 
 
-def deflated(blobs: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Blobs of rows by name as they travel: those of sparse columns deflated."""
-    sparse = {column.name for column in COLUMNS if column.is_sparse}
-    return {name: zlib.compress(blob, 1) if name in sparse else blob for name, blob in blobs.items()}
-
-
 def _inflated(column: RowColumn, blob: bytes, size: int) -> bytes:
     """A column's blob as it was before `deflated`; a MessageError if it is larger than `size`."""
-    if not column.is_sparse:
+    if column.name not in DEFLATED_COLUMNS:
         return blob
     inflater = zlib.decompressobj()
     try:

@@ -16,9 +16,9 @@ from tests.worker.runtime import scripted_simulator
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work
+from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import COLUMNS, RESULT, deflated, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.runtime.background_requests import SceneStore
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings

@@ -24,8 +24,8 @@ from qdgrasp_coordinator.scheduler.batch_queue import read_result
 from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.messages import Heartbeat, Message
-from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, deflated, pack, unpack
+from qdgrasp_protocol.messages import Heartbeat, Message, deflated
+from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = RowShape(genes=7, joints=2, contact_slots=2)

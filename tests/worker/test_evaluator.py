@@ -9,7 +9,8 @@ import pytest
 from tests.worker.genomes import draw, evaluated, outcomes, results
 
 from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, deflated, unpack
+from qdgrasp_protocol.messages import deflated
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, unpack
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache
 

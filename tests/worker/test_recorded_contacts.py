@@ -1,5 +1,7 @@
 """Settled poses and contacts of successes: they belong to the joints after closing."""
 
+from math import dist
+
 import msgspec
 import numpy as np
 import pytest
@@ -72,12 +74,13 @@ def test_what_is_no_success_has_neither_and_the_other_columns_do_not_depend_on_t
 def test_of_many_contacts_those_far_from_each_other_are_kept_with_all_of_the_force():
     random = np.random.default_rng(1)
     contacts = [
-        GraspContact(1 + i % 3, random.uniform(-0.05, 0.05, 3), np.eye(3)[2], float(i)) for i in range(20)
+        GraspContact(1 + i % 3, random.uniform(-0.05, 0.05, 3).tolist(), [0.0, 0.0, 1.0], float(i))
+        for i in range(20)
     ]
     kept = spread_contacts(contacts, 6)
     assert len(kept) == 6
     assert sum(contact.force for contact in kept) == sum(range(20))
-    assert kept[0].point is contacts[19].point
+    assert kept[0].point == contacts[19].point
     assert spread_contacts(contacts[:6], 6) == contacts[:6]
-    nearest = [min(np.linalg.norm(a.point - b.point) for b in kept if b is not a) for a in kept]
+    nearest = [min(dist(a.point, b.point) for b in kept if b is not a) for a in kept]
     assert min(nearest) > 0.03

@@ -113,10 +113,10 @@ class GraspContact(NamedTuple):
 
     link: int
     """The hand's link, counted from 1 (`SceneGripper.links`)."""
-    point: Floats
-    """(3,) on the object [m], CoM frame."""
-    normal: Floats
-    """(3,) unit, into the object, CoM frame."""
+    point: list[float]
+    """x, y, z on the object [m], CoM frame."""
+    normal: list[float]
+    """Unit, into the object, CoM frame."""
     force: float
     """Along the normal [N]."""
 
@@ -220,8 +220,8 @@ class World:
         return [
             GraspContact(
                 self._hand.link_numbers[contact.link],
-                rotate(back, np.array(contact.point) - origin),
-                rotate(back, np.array(contact.normal)),
+                rotate(back, np.array(contact.point) - origin).tolist(),
+                rotate(back, np.array(contact.normal)).tolist(),
                 contact.force,
             )
             for contact in self._bullet.contact_forces(self._hand.body, self._target.body)

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Recordable
-from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, deflated, pack, unpack
+from qdgrasp_protocol.messages import Failure, Recordable, deflated
+from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta, known_scores
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_protocol.messages import SuccessPage
+from qdgrasp_protocol.messages import SuccessPage, deflated
 from qdgrasp_protocol.rows import (
     GIVEN,
     NO_SYNERGY,
@@ -23,7 +23,6 @@ from qdgrasp_protocol.rows import (
     RowColumn,
     Rows,
     RowShape,
-    deflated,
     pack,
     unpack,
 )

@@ -11,8 +11,8 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     read_result,
 )
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
-from qdgrasp_protocol.messages import Result
-from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, deflated, pack
+from qdgrasp_protocol.messages import Result, deflated
+from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
 
 SHAPE = RowShape(genes=2, joints=1)
 

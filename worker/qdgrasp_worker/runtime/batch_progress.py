@@ -5,8 +5,7 @@ Pure: no process, no clock. Time is passed in, in seconds of any steady clock.
 
 from dataclasses import dataclass, field
 
-from qdgrasp_protocol.messages import Failure, Result, Work, shorten
-from qdgrasp_protocol.rows import deflated
+from qdgrasp_protocol.messages import Failure, Result, Work, deflated, shorten
 from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResult
 
 
