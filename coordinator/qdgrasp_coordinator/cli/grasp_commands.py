@@ -40,7 +40,7 @@ def export(
         ),
     ],
     min_fitness: Annotated[
-        int, typer.Option(min=0, max=2, help="Shakes survived, at least; 0 takes all successes.")
+        int, typer.Option(min=0, max=6, help="Disturbances survived, at least; 0 takes all successes.")
     ] = 1,
     top: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, penetration.")

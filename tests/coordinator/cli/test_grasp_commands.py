@@ -94,3 +94,9 @@ def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
     for gripper, object_ in (("pandaa", "mug"), ("panda", "mugg")):
         asked = (tmp_path / "f.yaml", "--gripper", gripper, "--object", object_, "-o", tmp_path / "p.npz")
         assert "Unknown" in str(command(*asked).exception)
+
+
+def test_grasps_that_survived_all_six_pushes_may_be_asked_for(tmp_path: Path) -> None:
+    asked = ("export", str(tmp_path / "run"), "--format", "csv", "--out", str(tmp_path / "out"))
+    assert isinstance(CliRunner().invoke(app, [*asked, "--min-fitness", "6"]).exception, FolderError)
+    assert CliRunner().invoke(app, [*asked, "--min-fitness", "7"]).exit_code == 2
