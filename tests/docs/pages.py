@@ -320,7 +320,7 @@ class PageRun:
             if is_asked and not any(f"--listen {place}" in text for text in texts):
                 jobs.append(self._start(f"{STANDING}-{len(self._started)} --listen {place} {security}"))
         for job in jobs:
-            job.says(r"listening on(.|\n)* [1-9]\d* workers")
+            job.says(r"listening on(.|\n)* [1-9]\d* workers?")
         return jobs
 
     def _ready(self, ready: str, text: str, others: list[str]) -> str:
