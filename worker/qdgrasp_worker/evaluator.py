@@ -231,13 +231,20 @@ def fill_rows(
     if slots := rows.dtype["contact_links"].shape[0]:
         rows["settled"][places] = [verdict.settled for verdict in found]
         for place, verdict in zip(places, found, strict=True):
-            kept = spread_contacts(verdict.touches, slots)
-            rows["contact_links"][place, : len(kept)] = [contact.link for contact in kept]
-            values = np.array([[*contact.point, *contact.normal, contact.force] for contact in kept])
-            rows["contact_points"][place, : values.size] = values.clip(-MAX_HALF, MAX_HALF).reshape(-1)
+            links, values = contact_columns(verdict.touches, slots)
+            rows["contact_links"][place, : len(links)] = links
+            rows["contact_points"][place, : len(values)] = values
 
 
 MAX_HALF = float(np.finfo(np.float16).max)
+
+
+def contact_columns(contacts: Sequence[GraspContact], slots: int) -> tuple[list[int], list[float]]:
+    """Links of the contacts that a row has room for, and their points, normals and forces."""
+    kept = spread_contacts(contacts, slots) if slots else []
+    values = np.array([[*contact.point, *contact.normal, contact.force] for contact in kept])
+    numbers: list[float] = values.clip(-MAX_HALF, MAX_HALF).ravel().tolist()
+    return [contact.link for contact in kept], numbers
 
 
 def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspContact]:

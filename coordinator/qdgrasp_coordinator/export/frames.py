@@ -98,6 +98,6 @@ class UniformSolid:
 def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:
     """Return the object of a scene in one of its frames."""
     com = np.zeros(3) if frame == COM else np.array(body.com_in_mesh)
-    vertices = np.frombuffer(body.mesh_vertices, dtype="<f4").reshape(-1, 3).astype(np.float64)
+    vertices = body.vertices.astype(np.float64)
     faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
     return UniformSolid(Mesh(vertices + com, faces), body.mass, com)

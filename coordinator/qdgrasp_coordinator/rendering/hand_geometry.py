@@ -113,7 +113,7 @@ class TablePlane:
 def table_under(scene: Scene, object_to_world: Rotation = AS_MODELLED) -> TablePlane:
     """Return the table that an object stands on in this orientation; z of the world is up."""
     up = object_to_world.inv().apply([0.0, 0.0, 1.0])
-    vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3).astype(np.float64)
+    vertices = scene.object.vertices.astype(np.float64)
     return TablePlane(up, float((vertices @ up).min()))
 
 

@@ -187,7 +187,7 @@ def best_in_cells(successes: Rows) -> Rows:
 
 def object_mesh(scene: Scene) -> Mesh:
     """Return the object's surface, CoM frame."""
-    vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3)
+    vertices = scene.object.vertices
     faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)
     return Mesh(vertices.astype(np.float64), faces.astype(np.int64))
 

@@ -36,7 +36,7 @@ from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
-from qdgrasp_worker.evaluator import MAX_HALF, make_episode, spread_contacts
+from qdgrasp_worker.evaluator import contact_columns, make_episode
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
@@ -87,9 +87,8 @@ class EpisodeReplay:
             for frame, timed in zip(frames, shown, strict=True):
                 renderer.place(timed.snapshot)
                 frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
-        found, slots = self.verdict, self._scene.contact_slots
-        kept = spread_contacts(found.touches, slots) if slots else []
-        values = np.array([[*one.point, *one.normal, one.force] for one in kept])
+        found = self.verdict
+        links, points = contact_columns(found.touches, self._scene.contact_slots)
         return ReplayAnswer(
             outcome=found.outcome,
             fitness=found.fitness,
@@ -97,8 +96,8 @@ class EpisodeReplay:
             contacts=found.contacts,
             penetration=found.penetration,
             settled=make_pose(list(found.settled[:3]), list(found.settled[3:])),
-            contact_links=tuple(one.link for one in kept),
-            contact_points=tuple(values.clip(-MAX_HALF, MAX_HALF).ravel().tolist()),
+            contact_links=tuple(links),
+            contact_points=tuple(points),
             camera=camera.camera(width, height),
             shots=tuple(self._frame(timed) for timed in shown),
         )

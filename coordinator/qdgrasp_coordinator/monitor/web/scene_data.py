@@ -121,7 +121,7 @@ SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
     """Return the view of a scene; `hand` is the scene's."""
     body = scene.object
-    vertices = np.frombuffer(body.mesh_vertices, "<f4").reshape(-1, 3)
+    vertices = body.vertices
     return BrowserScene(
         gripper=scene.gripper.name,
         object=body.name,
