@@ -278,7 +278,7 @@ class PhysicalWorld(World):
         states = bullet.joint_motion(hand.body, hand.fingers)
         torques = self._control.torques(states, self.physics.time_step)
         bullet.apply_torques(hand.body, hand.fingers, torques)
-        bullet.step()
+        super().step()
 
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next step, along a direction in hand frame."""

@@ -172,6 +172,7 @@ class World:
         bullet.detect()
         bullet.place(hand.body, pose.position, pose.quaternion)
         bullet.detect()
+        self._detected_at = bullet.pose(target.body)
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
@@ -195,6 +196,7 @@ class World:
 
     def step(self) -> None:
         """Move on by 1/240 s."""
+        self._detected_at = self._bullet.pose(self._target.body)
         self._bullet.step()
 
     def is_touching(self) -> bool:
@@ -214,8 +216,11 @@ class World:
         return rotate(back, position - origin), multiply(back, quaternion)
 
     def contact_forces(self) -> list[GraspContact]:
-        """The contacts of the hand with the object that bear a force, or are about to."""
-        origin, turn = (np.array(part) for part in self._bullet.pose(self._target.body))
+        """The contacts of the hand with the object that bear a force, or are about to.
+
+        Bullet finds contacts before it moves the bodies: they go with the pose that the object had then.
+        """
+        origin, turn = (np.array(part) for part in self._detected_at)
         back = conjugate(turn)
         return [
             GraspContact(
