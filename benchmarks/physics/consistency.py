@@ -4,6 +4,7 @@ Each hand closes on each object in a run; its grasps are written as Parquet, rea
 shares nothing with qdgrasp, and the closed hand is put where the file says, as convex bodies of its own
 (`tests.coordinator.export.collision_bodies`). Lengths are mm. Depths are compared with the recorded ones,
 which Bullet took before its last step: of the bodies as they are, and of those grown by Bullet's margin.
+A contact is a point on the object: where bodies are inside each other it may be off the link by their depth.
 """
 
 import argparse
@@ -83,11 +84,9 @@ def figures(run: Path, most: int) -> Iterator[str]:
         bare.append(plain.depth(at))
         simulated.append(grown.depth(here))
         commanded.append(grown.depth(before))
-        bare_off = np.array(plain.apart(at, hands.contacts[place])).reshape(-1, 2)[:, 0]
-        for first, (from_object, from_link) in zip(
-            bare_off, grown.apart(here, hands.contacts[place]), strict=True
-        ):
-            contacts.append((first, from_object, from_link, from_link - hands.penetration[place]))
+        told, depth = hands.contacts[place], hands.penetration[place]
+        pairs = zip(plain.apart(at, told), grown.apart(here, told), strict=True)
+        contacts += [(first, *both, both[1] - depth) for (first, _), both in pairs]
     deeper = np.array(bare) - hands.penetration
     off, before_off = (np.abs(np.array(each) - hands.penetration) for each in (simulated, commanded))
     bare_off, from_object, from_link, beyond = np.array(contacts).T
