@@ -176,10 +176,10 @@ def figures(
     }
     if refine:
         half = replace(physics, time_step=physics.time_step / 2, look_every=2 * physics.look_every)
-        for label, other in {
-            "half step": half,
-            "100 its": replace(physics, iterations=2 * physics.iterations),
-        }.items():
+        twice = replace(
+            physics, iterations=2 * physics.iterations, jaw_iterations=2 * physics.jaw_iterations
+        )
+        for label, other in {"half step": half, "twice its": twice}.items():
             again = physical_runs(scene, other, poses)
             away, turned = spread_of(physical, again)
             row[f"same, {label}"] = np.mean(held(physical) == held(again))

@@ -61,7 +61,10 @@ class PhysicalWorld(World):
 
     def _prepare_motion(self, gripper: SceneGripper) -> None:
         bullet, hand, target = self._bullet, self._hand, self._target
-        bullet.set_stepping(self.physics.time_step, self.physics.iterations)
+        bullet.set_breaking_threshold(self._breaking_threshold)  # a pair keeps the one that it first met with
+        iterations = self.physics.jaw_iterations if gripper.jaw else self.physics.iterations
+        bullet.set_stepping(self.physics.time_step, iterations)
+        bullet.set_contact_recovery(self.physics.recovery)
         target.lateral_friction /= HAND_FRICTION
         target.frictions = self.physics.rolling / HAND_FRICTION, self.physics.spinning / HAND_FRICTION
         links = bullet.links(hand.body)
@@ -286,11 +289,11 @@ class PhysicalEpisode(Episode):
         return len(PUSHES)
 
     def _holds_against(self, direction: Vector, position: Vector, quaternion: Quaternion) -> bool:
-        physics = self.world.physics
-        for step in range(1, physics.steps(physics.push_time) + 1):
-            self.world.push(direction)
-            self.world.step()
-            if step % physics.look_every == 0 and self._has_lost(position, quaternion):
+        world, physics = self.world, self.world.physics
+        for step in world.steps_to_rest(physics.steps(physics.push_time)):
+            world.push(direction)
+            world.step()
+            if (step + 1) % physics.look_every == 0 and self._has_lost(position, quaternion):
                 return False
         return True
 
