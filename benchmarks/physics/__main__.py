@@ -176,9 +176,7 @@ def figures(
     }
     if refine:
         half = replace(physics, time_step=physics.time_step / 2, look_every=2 * physics.look_every)
-        twice = replace(
-            physics, iterations=2 * physics.iterations, jaw_iterations=2 * physics.jaw_iterations
-        )
+        twice = replace(physics, iterations=2 * physics.iterations, jaw_iterations=2 * physics.jaw_iterations)
         for label, other in {"half step": half, "twice its": twice}.items():
             again = physical_runs(scene, other, poses)
             away, turned = spread_of(physical, again)
