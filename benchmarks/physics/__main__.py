@@ -4,7 +4,8 @@ Poses are those that touch the object in `paper`, of the priors `contact` and, f
 `antipodal`. Each is judged by both protocols, and by `physical` at half the time step and with twice the
 iterations. CPU times are of all poses of one hand and object, the protocols in turns.
 
-Tuned on: Panda with rubiks_cube, mug and power_drill, Allegro with mug. All else is held out.
+Constants were chosen on: Panda with rubiks_cube, mug and power_drill; Robotiq, Allegro, Shadow and Barrett
+with rubiks_cube; Allegro with mug. All else is held out.
 """
 
 import argparse
