@@ -41,8 +41,8 @@ class WrittenWorld:
     finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
     opened: tuple[float, ...] = (0.04, 0.04)
 
-    def reset(self, pose, posture, frictions, grip):
-        self.told.append(("reset", list(posture), frictions))
+    def reset(self, trial, posture):
+        self.told.append(("reset", list(posture), trial.frictions))
 
     def set_fingers(self, posture):
         self.told.append(("fingers", list(posture)))

@@ -93,7 +93,7 @@ class Episode:
         """Place the open hand; whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
-        self.world.reset(pose, first, trial.frictions, trial.grip)
+        self.world.reset(trial, first)
         overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
         if not self.protocol.free_joints_first:
             self.world.set_fingers(pose.joints)
