@@ -19,7 +19,7 @@ EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"19d3ec1eaa8e3c42ef3a222e41fb98ff005f0f94b14dae9f15f7b9d4ce7300d0": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"c2474880c92cbdeba4ce673fc41eaaf0903a78cb36a230e2613c3303d9155226": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
