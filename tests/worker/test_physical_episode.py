@@ -45,7 +45,7 @@ def judged(scene: Scene, pose: HandPose = ABOVE) -> EpisodeResult:
 
 def test_a_cube_between_the_fingers_of_a_panda_is_held_against_every_push(scene):
     verdict = judged(scene)
-    assert (verdict.outcome, verdict.fitness, verdict.contacts) == (Outcome.HELD, 6, 2)
+    assert (verdict.outcome, verdict.fitness, verdict.finger_links) == (Outcome.HELD, 6, 2)
     assert verdict.penetration < 1e-3
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
 

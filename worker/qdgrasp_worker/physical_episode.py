@@ -18,11 +18,10 @@ from math import acos, dist
 from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import BASE, UPRIGHT, Bullet, BulletLink, Quaternion, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import Physics
+from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.world import AWAY_POSITION, FREE_POSTURES, HandBody, World, closing_joints
@@ -117,18 +116,12 @@ class PhysicalWorld(World):
             added = [moment + inertia for moment in moments]
         self._bullet.set_inertia(self._hand.body, mass, added, index)
 
-    def reset(
-        self,
-        pose: HandPose,
-        posture: Sequence[float],
-        frictions: tuple[float, float] | None = None,
-        grip: float = 1.0,
-    ) -> None:
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place as `World.reset` does; the object is free and undamped."""
         self._bullet.set_damping(self._target.body, 0.0)
         self._bullet.set_inertia(self._target.body, self._mass, self._moments)
-        super().reset(pose, posture, frictions, grip)
-        self._axes = pose.axes
+        super().reset(trial, posture)
+        self._axes = trial.pose.axes
         self._posture = list(posture)
 
     def set_fingers(self, posture: Sequence[float]) -> None:
@@ -198,7 +191,7 @@ class PhysicalWorld(World):
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
+        self.reset(self._away, posture)
         course = [self.finger_positions()]
         for _ in self.steps_of_closing(synergy):
             self.step()

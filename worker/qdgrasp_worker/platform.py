@@ -19,7 +19,7 @@ EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"a605880ae0933c378b473fdb8150e467c2ae98a68831c00eb07f428525747b3f": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"5cbe4df5762d690f283b2d8997a8865e5b043ab26cae59735d6f0bc7787ef57e": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
