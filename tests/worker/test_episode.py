@@ -41,8 +41,8 @@ class WrittenWorld:
     finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
     opened: tuple[float, ...] = (0.04, 0.04)
 
-    def reset(self, pose, posture, frictions, grip):
-        self.told.append(("reset", list(posture), frictions))
+    def reset(self, trial, posture):
+        self.told.append(("reset", list(posture), trial.frictions))
 
     def set_fingers(self, posture):
         self.told.append(("fingers", list(posture)))
@@ -119,7 +119,7 @@ class TestEveryProtocolThatShakes:
     def test_an_object_held_through_both_shakes_is_held(self, protocol):
         verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
         settled = [*POSE.position, *POSE.quaternion]  # the sign is that of the commanded quaternion
-        expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, touches=[])
+        expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, contacts=[])
         assert verdict == expected
 
     def test_a_palm_is_enough_to_hold_through_a_shake(self, protocol):
@@ -139,7 +139,7 @@ class TestEveryProtocolThatShakes:
     def test_a_finger_link_counts_once_however_many_contacts_it_has(self, protocol):
         world = WrittenWorld(during(20, END, *GRIP, *GRIP, Contact(PALM, -0.01)))
         verdict = run(world, protocol)
-        assert (verdict.contacts, verdict.penetration) == (2, 0.01)
+        assert (verdict.finger_links, verdict.penetration) == (2, 0.01)
 
     def test_a_success_without_penetration_has_none(self, protocol):
         assert run(WrittenWorld(during(20, END, Contact(FINGER, 0.002))), protocol).penetration == 0.0

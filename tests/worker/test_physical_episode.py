@@ -13,9 +13,10 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_worker.bullet import Bullet
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import EpisodeResult
-from qdgrasp_worker.evaluation_protocols import PHYSICAL, SMALL_MIXTURE, TrialSetup
+from qdgrasp_worker.evaluation_protocols import PAPER, PHYSICAL, SMALL_MIXTURE, TrialSetup
 from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
 from qdgrasp_worker.physical_episode import PhysicalWorld
 
@@ -44,7 +45,7 @@ def judged(scene: Scene, pose: HandPose = ABOVE) -> EpisodeResult:
 
 def test_a_cube_between_the_fingers_of_a_panda_is_held_against_every_push(scene):
     verdict = judged(scene)
-    assert (verdict.outcome, verdict.fitness, verdict.contacts) == (Outcome.HELD, 6, 2)
+    assert (verdict.outcome, verdict.fitness, verdict.finger_links) == (Outcome.HELD, 6, 2)
     assert verdict.penetration < 1e-3
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
 
@@ -81,6 +82,19 @@ def test_fingers_that_meet_touch_each_other_and_not_the_object(scene):
         world.closing([0.04, 0.04], NO_SYNERGY)
         assert world._bullet.contacts(world._hand.body, world._hand.body)
         assert world.contacts() == []
+
+
+def test_links_that_pass_through_each_other_do_not_depend_on_the_worlds_before(make_scene, monkeypatch):
+    passing = []
+    monkeypatch.setattr(Bullet, "pass_through", lambda _, body, *links: passing.append((body, *links)))
+    found = []
+    for protocol in (PAPER, PHYSICAL):
+        with closing(make_world(make_scene("barrett", "rubiks_cube", protocol.name), protocol)) as before:
+            before.closing(before.opened, NO_SYNERGY)
+        passing.clear()
+        make_world(make_scene("barrett", "rubiks_cube", "physical"), PHYSICAL).close()
+        found.append([*passing])
+    assert found[0] == found[1] != []
 
 
 class TestResults:

@@ -15,10 +15,10 @@ from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS, TrialSetup
 from qdgrasp_worker.world import World
 
-FAR = HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
+FAR = TrialSetup(HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY))
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
 TABLE = {
     "z": [0.014, 0.054, 0.120, 0.175, 0.204, 0.206, 0.181, 0.131, 0.062, 0.016, -0.005, -0.003],
@@ -118,7 +118,7 @@ def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
     touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 
     def trace():
-        world.reset(touching, touching.joints)
+        world.reset(TrialSetup(touching), touching.joints)
         close_hand(world)
         bullet, body = world._bullet, world._target.body
         return world.contacts(), world.finger_positions(), bullet.position(body), bullet.velocity(body)

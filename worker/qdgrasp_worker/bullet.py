@@ -136,6 +136,10 @@ class Bullet:
             fixedTimeStep=time_step, numSolverIterations=iterations, physicsClientId=self._client
         )
 
+    def set_contact_recovery(self, share: float) -> None:
+        """Set the share of a penetration that the solver makes good in a step."""
+        pb.setPhysicsEngineParameter(contactERP=share, physicsClientId=self._client)
+
     def set_breaking_threshold(self, share: float) -> None:
         """Set the share of a shape's size at which contacts are seen, in the whole process."""
         pb.setPhysicsEngineParameter(contactBreakingThreshold=share, physicsClientId=self._client)

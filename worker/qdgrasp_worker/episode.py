@@ -27,15 +27,15 @@ class EpisodeResult(NamedTuple):
     outcome: Outcome
     joints: list[float]
     """Finger joints [rad or m] after closing if that was a success, else as they were at first."""
-    contacts: int = 0
-    """Finger links that touch the object after closing."""
+    finger_links: int = 0
+    """Number of finger links that touch the object after closing."""
     penetration: float = 0.0
     """Deepest penetration of hand and object after closing, 0 or positive [m]."""
     fitness: int = 0
     """Disturbances survived."""
     settled: Sequence[float] = (0.0,) * 7
     """The hand's base link in the object's frame after closing: x y z [m], qx qy qz qw; else zeros."""
-    touches: Sequence[GraspContact] = ()
+    contacts: Sequence[GraspContact] = ()
     """The contacts after closing."""
 
 
@@ -93,7 +93,7 @@ class Episode:
         """Place the open hand; whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
-        self.world.reset(pose, first, trial.frictions, trial.grip)
+        self.world.reset(trial, first)
         overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
         if not self.protocol.free_joints_first:
             self.world.set_fingers(pose.joints)
@@ -118,7 +118,7 @@ class Episode:
             fingers,
             self._penetration(),
             settled=settled_pose(self.world, pose),
-            touches=self.world.contact_forces(),
+            contacts=self.world.contact_forces(),
         )
 
     def _touching_fingers(self) -> set[int]:

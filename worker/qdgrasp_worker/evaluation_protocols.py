@@ -156,6 +156,10 @@ class Physics:
     """Length of a step [s]."""
     iterations: int = 50
     """Of the solver in each step."""
+    jaw_iterations: int = 300
+    """Of a jaw's: with fewer what it grips turns slowly between two fingers that press hard."""
+    recovery: float = 0.2
+    """Share of a penetration that the solver makes good in a step."""
     breaking_threshold: float = 0.002
     """Share of a shape's size at which contacts are seen; a tenth of Bullet's, and cheaper."""
     rolling: float = 1e-4

@@ -223,7 +223,7 @@ def fill_rows(
         "joints": [verdict.joints for verdict in found],
         "surface_point": grasps.surface_points[taken],
         "nu": grasps.nu[taken],
-        "contacts": [verdict.contacts for verdict in found],
+        "contacts": [verdict.finger_links for verdict in found],
         "penetration": [verdict.penetration for verdict in found],
     }
     for name, values in columns.items():
@@ -231,7 +231,7 @@ def fill_rows(
     if slots := rows.dtype["contact_links"].shape[0]:
         rows["settled"][places] = [verdict.settled for verdict in found]
         for place, verdict in zip(places, found, strict=True):
-            links, values = contact_columns(verdict.touches, slots)
+            links, values = contact_columns(verdict.contacts, slots)
             rows["contact_links"][place, : len(links)] = links
             rows["contact_points"][place, : len(values)] = values
 

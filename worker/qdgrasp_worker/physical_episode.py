@@ -14,79 +14,30 @@ The constants, and where they are from: `evaluation_protocols.Physics`, docs/pro
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import acos, dist, inf
+from math import acos, dist
 from typing import NamedTuple
 
-from qdgrasp_assets.scene import Joint, Scene, SceneGripper
-from qdgrasp_protocol.rows import DISTURBANCES, NO_SYNERGY
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_worker.bullet import BASE, UPRIGHT, Bullet, BulletLink, Quaternion, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Physics
+from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
+from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.world import AWAY_POSITION, FREE_POSTURES, HandBody, World, closing_joints
 
-SLIDING_EFFORT = 70.0  # Force of a sliding joint whose drive is not known, at most: Franka hand [N]
-FINGERTIP_FORCE = 15.0  # Force at the fingertip of a turning joint whose drive is not known, at most [N]
-JAW_PRELOAD = 0.5  # Share of its greatest force with which each finger of a jaw grips: one drive moves both
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links; Bullet multiplies it with the object's
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
 REST_SPEED, REST_SPIN = 2e-3, 0.04  # Below them a released object rests [m/s, rad/s]
-AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-@dataclass(frozen=True)
-class FingerDrive:
-    """The drive of a finger joint; lengths in m, angles in rad, forces in N or Nm."""
-
-    name: str
-    opened: float
-    closed: float
-    lowest: float
-    """Least target."""
-    highest: float
-    """Greatest target."""
-    limit: float
-    """Greatest force or torque."""
-    stiffness: float
-    damping: float
-    inertia: float
-    """Reflected inertia [kg or kg m2]."""
-    lead: float
-    """Greatest distance of the target from the joint."""
-    speed: float
-    """Closing speed [m/s or rad/s]."""
-    rest_speed: float
-
-    @classmethod
-    def of(cls, joint: Joint, link: BulletLink, reach: float, *, in_jaw: bool, haste: float) -> "FingerDrive":
-        """The drive of a joint that reaches `reach` [m] to the farthest point that it moves."""
-        gains = SLIDING if link.slides else TURNING
-        known = SLIDING_EFFORT if link.slides else FINGERTIP_FORCE * reach
-        limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
-        stiffness = limit / gains.lag
-        # Bullet stops joints at limits in order, against any preload, and knows none that are reversed.
-        lower, upper = sorted((link.lower, link.upper))
-        is_reversed = link.lower > link.upper
-        return cls(
-            name=joint.name,
-            opened=joint.opened,
-            closed=joint.closed if joint.driven else joint.opened,
-            lowest=lower if is_reversed else -inf,
-            highest=upper if is_reversed else inf,
-            limit=limit,
-            stiffness=stiffness,
-            damping=2 * DAMPING_RATIO * stiffness / gains.frequency,
-            inertia=stiffness / gains.frequency**2,
-            lead=gains.lag * (JAW_PRELOAD if in_jaw else 1.0),
-            speed=haste * (joint.rated_velocity or gains.speed),
-            rest_speed=gains.rest_speed,
-        )
-
-    @property
-    def duration(self) -> float:
-        """Time in which it closes freely [s]."""
-        return (abs(self.closed - self.opened) + self.lead) / self.speed
+PUSHES = (
+    (1.0, 0.0, 0.0),
+    (-1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (0.0, -1.0, 0.0),
+    (0.0, 0.0, 1.0),
+    (0.0, 0.0, -1.0),
+)
+"""Directions of the pushes, hand frame."""
 
 
 class PosesNow(NamedTuple):
@@ -95,78 +46,6 @@ class PosesNow(NamedTuple):
     joints: list[float]
     position: Vector
     quaternion: Quaternion
-
-
-class TargetMotion(NamedTuple):
-    """Direction and end of the motion of a joint's target."""
-
-    sense: int
-    """+1 or -1; 0: it stays."""
-    end: float
-
-
-class FingerControl:
-    """The PD laws of a hand's finger joints, with their targets."""
-
-    def __init__(self, drives: Sequence[FingerDrive], *, is_coupled: bool) -> None:
-        self.drives = drives
-        self.is_coupled = is_coupled
-        self._targets = [drive.opened for drive in drives]
-        self._ways = [TargetMotion(0, drive.opened) for drive in drives]
-
-    def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
-        """Let the targets of the joints `closing` walk from `posture`; the others hold theirs."""
-        self._targets = list(posture)
-        self._ways = [
-            target_motion(drive, place) if drive.name in closing else TargetMotion(0, place)
-            for drive, place in zip(self.drives, posture, strict=True)
-        ]
-
-    def stop(self) -> None:
-        """Let all targets stay where they are."""
-        self._ways = [TargetMotion(0, target) for target in self._targets]
-
-    def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
-        """Walk on; the force or torque of each joint by its position and velocity."""
-        share = self._mean_share(states) if self.is_coupled else None
-        torques = []
-        for i, (drive, way, (position, velocity)) in enumerate(
-            zip(self.drives, self._ways, states, strict=True)
-        ):
-            sense, end = way
-            if sense:
-                place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
-                ahead = min(
-                    sense * self._targets[i] + drive.speed * time_step,
-                    sense * place + drive.lead,
-                    sense * end,
-                )
-                self._targets[i] = sense * ahead
-            torque = drive.stiffness * (self._targets[i] - position) - drive.damping * velocity
-            torques.append(max(-drive.limit, min(drive.limit, torque)))
-        return torques
-
-    def _mean_share(self, states: Sequence[tuple[float, float]]) -> float:
-        """Share of their way that the moving joints have gone in the mean."""
-        shares = [
-            (position - drive.opened) / (drive.closed - drive.opened)
-            for drive, way, (position, _) in zip(self.drives, self._ways, states, strict=True)
-            if way.sense
-        ]
-        return sum(shares) / len(shares) if shares else 0.0
-
-    def rests(self, before: Sequence[float], after: Sequence[float], seconds: float) -> bool:
-        """Return whether no joint has moved faster than at rest from one look to the next."""
-        return all(
-            abs(now - then) < drive.rest_speed * seconds
-            for drive, then, now in zip(self.drives, before, after, strict=True)
-        )
-
-
-def target_motion(drive: FingerDrive, place: float) -> TargetMotion:
-    """The way of a joint from `place` beyond its closed position, within its limits."""
-    sense = (drive.closed > place) - (drive.closed < place)
-    return TargetMotion(sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest))
 
 
 class PhysicalWorld(World):
@@ -181,7 +60,10 @@ class PhysicalWorld(World):
 
     def _prepare_motion(self, gripper: SceneGripper) -> None:
         bullet, hand, target = self._bullet, self._hand, self._target
-        bullet.set_stepping(self.physics.time_step, self.physics.iterations)
+        bullet.set_breaking_threshold(self._breaking_threshold)  # a pair keeps the one that it first met with
+        iterations = self.physics.jaw_iterations if gripper.jaw else self.physics.iterations
+        bullet.set_stepping(self.physics.time_step, iterations)
+        bullet.set_contact_recovery(self.physics.recovery)
         target.lateral_friction /= HAND_FRICTION
         target.frictions = self.physics.rolling / HAND_FRICTION, self.physics.spinning / HAND_FRICTION
         links = bullet.links(hand.body)
@@ -234,18 +116,12 @@ class PhysicalWorld(World):
             added = [moment + inertia for moment in moments]
         self._bullet.set_inertia(self._hand.body, mass, added, index)
 
-    def reset(
-        self,
-        pose: HandPose,
-        posture: Sequence[float],
-        frictions: tuple[float, float] | None = None,
-        grip: float = 1.0,
-    ) -> None:
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place as `World.reset` does; the object is free and undamped."""
         self._bullet.set_damping(self._target.body, 0.0)
         self._bullet.set_inertia(self._target.body, self._mass, self._moments)
-        super().reset(pose, posture, frictions, grip)
-        self._axes = pose.axes
+        super().reset(trial, posture)
+        self._axes = trial.pose.axes
         self._posture = list(posture)
 
     def set_fingers(self, posture: Sequence[float]) -> None:
@@ -315,7 +191,7 @@ class PhysicalWorld(World):
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
+        self.reset(self._away, posture)
         course = [self.finger_positions()]
         for _ in self.steps_of_closing(synergy):
             self.step()
@@ -381,7 +257,7 @@ class PhysicalEpisode(Episode):
     @property
     def disturbances(self) -> int:
         """Number of pushes that a grasp meets."""
-        return DISTURBANCES["physical"]
+        return len(PUSHES)
 
     def _close(self, pose: HandPose) -> bool:
         """Close on the fixed object, then let it go and come to rest."""
@@ -400,18 +276,17 @@ class PhysicalEpisode(Episode):
         """Push the object along the axes of the hand; how many pushes the hand holds it through."""
         self.world.begin_pushes()
         start = self.world.object_pose()
-        directions = [(sense * x, sense * y, sense * z) for x, y, z in AXES for sense in (1.0, -1.0)]
-        for survived, direction in enumerate(directions):
+        for survived, direction in enumerate(PUSHES):
             if not self._holds_against(direction, *start):
                 return survived
-        return len(directions)
+        return len(PUSHES)
 
     def _holds_against(self, direction: Vector, position: Vector, quaternion: Quaternion) -> bool:
-        physics = self.world.physics
-        for step in range(1, physics.steps(physics.push_time) + 1):
-            self.world.push(direction)
-            self.world.step()
-            if step % physics.look_every == 0 and self._has_lost(position, quaternion):
+        world, physics = self.world, self.world.physics
+        for step in world.steps_to_rest(physics.steps(physics.push_time)):
+            world.push(direction)
+            world.step()
+            if (step + 1) % physics.look_every == 0 and self._has_lost(position, quaternion):
                 return False
         return True
 

@@ -18,7 +18,7 @@ from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import BREAKING_THRESHOLD, STILL, UPRIGHT, Bullet, Contact, Motor
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import SweptBox
 from qdgrasp_worker.hand_geometry import free_posture
 
@@ -147,28 +147,22 @@ class World:
         """Leave Bullet and free the world; closing twice is allowed."""
         self._bullet.close()
 
-    def reset(
-        self,
-        pose: HandPose,
-        posture: Sequence[float],
-        frictions: tuple[float, float] | None = None,
-        grip: float = 1.0,
-    ) -> None:
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before.
 
-        `frictions` are the object's coefficients of rolling and spinning friction; None: its own. `grip` is
-        a factor of its lateral friction.
+        The finger joints are at `posture` [rad or m].
 
         In this order the same pose gives the same bits whatever came before: a collision detection with
         the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
-        bullet, hand, target = self._bullet, self._hand, self._target
+        bullet, hand, target, pose = self._bullet, self._hand, self._target, trial.pose
+        frictions = trial.frictions or target.frictions
         bullet.set_breaking_threshold(self._breaking_threshold)
         bullet.place(hand.body, AWAY_POSITION, UPRIGHT)
         bullet.set_joints(hand.body, self._joints, [*self._at_zero, *posture])
         bullet.place(target.body, STILL, UPRIGHT)
         bullet.halt(target.body)
-        bullet.set_friction(target.body, grip * target.lateral_friction, *(frictions or target.frictions))
+        bullet.set_friction(target.body, trial.grip * target.lateral_friction, *frictions)
         bullet.detect()
         bullet.place(hand.body, pose.position, pose.quaternion)
         bullet.detect()
@@ -245,6 +239,7 @@ class World:
     def _prepare(self, gripper: SceneGripper) -> None:
         self.finger_links = self._hand.finger_links
         self.opened = [joint.opened for joint in gripper.joints]
+        self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
         self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
         self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))
         self._prepare_motion(gripper)
@@ -260,7 +255,7 @@ class World:
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
+        self.reset(self._away, posture)
         self.close_fingers(synergy)
         course = [self.finger_positions()]
         for _ in range(CLOSING_STEPS):
@@ -270,10 +265,9 @@ class World:
 
     def _measure_sweep(self, gripper: SceneGripper) -> SweptBox:
         """Close the hand far from the object, with its free joints all along their ranges."""
-        away = HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY)
         boxes = []
         for i in range(FREE_POSTURES if gripper.free_joints else 1):
-            self.reset(away, free_posture(gripper, i / (FREE_POSTURES - 1)))
+            self.reset(self._away, free_posture(gripper, i / (FREE_POSTURES - 1)))
             self.close_fingers(NO_SYNERGY)
             for _ in range(CLOSING_STEPS):
                 boxes += [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]

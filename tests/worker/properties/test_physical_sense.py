@@ -33,12 +33,12 @@ class TurnedWorld(World):
         super().__init__(scene)
         self._turns = turns
 
-    def reset(self, pose, posture, frictions=None):
-        super().reset(pose, posture, frictions)
+    def reset(self, trial, posture):
+        super().reset(trial, posture)
         self._bullet.place(self._hand.body, AWAY_POSITION, UPRIGHT)
         self._bullet.place(self._target.body, STILL, next(self._turns))
         self._bullet.detect()
-        self._bullet.place(self._hand.body, pose.position, pose.quaternion)
+        self._bullet.place(self._hand.body, trial.pose.position, trial.pose.quaternion)
         self._bullet.detect()
 
 

@@ -9,8 +9,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import BASE
-from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake
+from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
@@ -80,16 +79,10 @@ class RecordingWorld(World):
         self.snapshots: list[Snapshot] = []
         self._is_watching = True
 
-    def reset(
-        self,
-        pose: HandPose,
-        posture: Sequence[float],
-        frictions: tuple[float, float] | None = None,
-        grip: float = 1.0,
-    ) -> None:
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, and forget what was remembered."""
-        super().reset(pose, posture, frictions, grip)
-        self._root = pose.position, pose.quaternion
+        super().reset(trial, posture)
+        self._root = trial.pose.position, trial.pose.quaternion
         if self._is_watching:
             self.snapshots.clear()
             self._begin("placed")

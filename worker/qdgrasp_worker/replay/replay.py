@@ -88,12 +88,12 @@ class EpisodeReplay:
                 renderer.place(timed.snapshot)
                 frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
         found = self.verdict
-        links, points = contact_columns(found.touches, self._scene.contact_slots)
+        links, points = contact_columns(found.contacts, self._scene.contact_slots)
         return ReplayAnswer(
             outcome=found.outcome,
             fitness=found.fitness,
             joints=tuple(found.joints),
-            contacts=found.contacts,
+            contacts=found.finger_links,
             penetration=found.penetration,
             settled=make_pose(list(found.settled[:3]), list(found.settled[3:])),
             contact_links=tuple(links),

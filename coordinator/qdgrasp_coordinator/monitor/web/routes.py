@@ -97,7 +97,8 @@ def _run_routes(runs: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
     """Return the routes of one run's data, which both sites have."""
 
     def cells(request: Request) -> bytes:
-        return runs.cells(*_run(request), _row(request.query_params.get("from", "")) or 0)
+        since = _row(request.query_params.get("from", "")) or 0
+        return runs.cells(*_run(request), since, margins="margins" in request.query_params)
 
     def grasp(request: Request) -> bytes:
         row = _row(text := request.path_params["number"])

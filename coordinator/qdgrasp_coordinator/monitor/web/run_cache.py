@@ -16,6 +16,7 @@ from typing import Generic, TypeVar
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
@@ -28,7 +29,8 @@ from qdgrasp_coordinator.monitor.web.scene_data import (
     browser_scene,
     grasp_view,
 )
-from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
+from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
@@ -40,6 +42,8 @@ MAX_SCENES = 2  # Scenes of a run: another journal may have another one
 FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
 LISTED_SECONDS = 5.0  # Nor are lists of runs and curves [s]
 SCENE_WAIT_SECONDS = 1.0  # Successes are read for so long before an answer is given with those that came [s]
+MARGIN_SECONDS = 0.25  # Margins are computed for so long before an answer is given [s]
+MARGINS_AT_ONCE = 4  # Margins, 10 to 40 ms, between two looks at the clock
 
 T = TypeVar("T")
 
@@ -113,6 +117,8 @@ class JournalReading:
 
     origin: JournalId
     voxels: VoxelPages
+    rows: SuccessTable | None = None
+    """Successes with their contacts, read to compute margins; some have theirs by now."""
 
     def with_pages(self, pages: list[RecordPage]) -> "JournalReading":
         """Return this with the pages that follow."""
@@ -120,7 +126,15 @@ class JournalReading:
         before = pages[-2].next if len(pages) > 1 else voxels.next
         found = np.concatenate([page.found for page in pages])
         voxels.insert(found, last.next, is_whole=last.is_last(before))
-        return JournalReading(self.origin, voxels)
+        return JournalReading(self.origin, voxels, self.rows)
+
+    def with_margins(
+        self, rows: SuccessTable, numbers: NDArray[np.uint32], margins: Floats
+    ) -> "JournalReading":
+        """Return this with margins (n,) by journal number (n,), which are of some of the rows."""
+        voxels = copy(self.voxels)
+        voxels.add_margins(numbers, margins)
+        return JournalReading(self.origin, voxels, rows)
 
 
 class RunCache:
@@ -134,6 +148,7 @@ class RunCache:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
 
         self._scenes = made_once(MAX_SCENES, scene)
+        self._wants_margins = False
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
@@ -141,8 +156,12 @@ class RunCache:
         _, scene, _ = self._scenes(reading.origin.scene).get()
         return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
 
-    def cells(self, first: int) -> bytes:
-        """Return a page of voxels from the serial `first` on, with the successes read until now."""
+    def cells(self, first: int, *, margins: bool) -> bytes:
+        """Return a page of voxels from the serial `first` on, with the successes read until now.
+
+        With `margins` some more of these are computed, for `MARGIN_SECONDS`, when successes are read next.
+        """
+        self._wants_margins |= margins
         return self._reading.get().voxels.page(first)
 
     def grasp(self, number: int) -> bytes:
@@ -161,6 +180,35 @@ class RunCache:
         return hand, browser_scene(scene, hand), scene.object
 
     def _read(self, before: JournalReading | None) -> JournalReading:
+        """Read the successes since then, and compute margins if a browser has asked for them."""
+        reading = self._read_successes(before)
+        if not self._wants_margins:
+            return reading
+        self._wants_margins = False
+        return self._compute_margins(reading)
+
+    def _compute_margins(self, reading: JournalReading) -> JournalReading:
+        """Compute margins in the order of `lacking_margins`, for `MARGIN_SECONDS`; at least one."""
+        until, lacking = self._clock() + MARGIN_SECONDS, reading.voxels.lacking_margins()
+        if not len(lacking):
+            return reading
+        rows = reading.rows
+        if rows is None or lacking[0] not in rows["number"]:
+            page = self._records.page(self._job, self._run, int(lacking[0]))
+            if page.origin != reading.origin:
+                return reading  # the next answer notices it
+            rows = page.found
+        found = rows[np.isin(rows["number"], lacking)]
+        _, _, body = self._scenes(reading.origin.scene).get()
+        margins: list[Floats] = []
+        for start in range(0, len(found), MARGINS_AT_ONCE):
+            margins.append(recorded_margins(found[start : start + MARGINS_AT_ONCE], body))
+            if self._clock() > until:
+                break
+        known = np.concatenate([np.zeros(0), *margins])
+        return reading.with_margins(rows, found["number"][: len(known)], known)
+
+    def _read_successes(self, before: JournalReading | None) -> JournalReading:
         """Read the successes since then; all of them where the journal is another, or fell back."""
         pages = self._pages(before.voxels.next if before else 0)
         if before:
@@ -222,9 +270,12 @@ class RunCaches:
         """Return the object, the hand and the bounds of a run: JSON of `BrowserScene`."""
         return self._runs(job, run).scene()
 
-    def cells(self, job: str, run: str, since: int) -> bytes:
-        """Return a page of voxels from the serial `since` on, as `scene_data` packs them."""
-        return self._runs(job, run).cells(since)
+    def cells(self, job: str, run: str, since: int, *, margins: bool = False) -> bytes:
+        """Return a page of voxels from the serial `since` on, as `scene_data` packs them.
+
+        Margins are computed as long as they are asked for, and come with voxels that come again.
+        """
+        return self._runs(job, run).cells(since, margins=margins)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
         """Return the success in a journal row: JSON of `GraspView`."""

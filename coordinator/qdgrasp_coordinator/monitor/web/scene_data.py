@@ -248,7 +248,7 @@ PAGE_COLUMNS = (
     ("eta", "<f4"),  # -1 where there is none
     ("penetration", "<f4"),  # [m]
     ("motion", "<f4"),  # How far the object moved while the hand closed [m]; NaN where it is not recorded
-    ("margin", "<f4"),  # NaN where it is not known
+    ("margin", "<f4"),  # NaN where it is not known, or not yet
     ("cell", "<i2", 3),
     ("synergy", "<i2"),  # -1 for none
     ("outcome", "u1"),
@@ -284,9 +284,30 @@ class VoxelPages:
         self.next, self.is_whole = upto, is_whole
         if len(found):
             voxels = _voxels_of(found)
+            _, known, again = np.intersect1d(self._kept["number"], voxels["number"], return_indices=True)
+            voxels["margin"][again] = self._kept["margin"][known]
             voxels["serial"] = self._serial + np.arange(len(voxels))
             self._kept = _thinned(_latest(np.concatenate([self._kept, voxels])))
             self._serial = int(self._kept["serial"][-1]) + 1 if len(self._kept) else 0
+
+    def lacking_margins(self) -> NDArray[np.uint32]:
+        """Journal numbers (n,) of grasps whose margin is to be computed next, in order.
+
+        Of those that settled and have none: the best of each key, and the others once these have one.
+        """
+        is_lacking = ~np.isnan(self._kept["motion"]) & np.isnan(self._kept["margin"])
+        is_first = is_lacking & _best_mask(self._kept)
+        numbers: NDArray[np.uint32] = self._kept["number"][is_first if is_first.any() else is_lacking]
+        return np.sort(numbers)
+
+    def add_margins(self, numbers: NDArray[np.uint32], margins: Floats) -> None:
+        """Set the margins (n,) of grasps by journal number (n,); later pages have them again."""
+        _, known, given = np.intersect1d(self._kept["number"], numbers, return_indices=True)
+        again = self._kept[known]
+        again["margin"] = margins[given]
+        again["serial"] = self._serial + np.arange(len(again))
+        self._kept = np.concatenate([np.delete(self._kept, known), again])
+        self._serial += len(again)
 
     def page(self, first: int) -> bytes:
         """Return the voxels with the serial `first` or a later one, as many as a page holds.
@@ -310,7 +331,7 @@ def _voxels_of(found: SuccessTable) -> NDArray[np.void]:
     for name in ("number", "eta", "penetration", "synergy", "outcome", "contacts"):
         voxels[name] = found[name]
     voxels["motion"] = object_motion(found)[:, 0]
-    voxels["margin"] = np.nan  # of thousands of grasps it takes many seconds; a grasp's card has it
+    voxels["margin"] = np.nan  # of thousands of grasps it takes many seconds: `add_margins`
     voxels["key"] = _keys(voxels)
     return voxels
 
@@ -336,9 +357,14 @@ def _thinned(voxels: NDArray[np.void]) -> NDArray[np.void]:
     """Return at most `MAX_VOXELS`, by serial: first the best of each key, then the earliest."""
     if len(voxels) <= MAX_VOXELS:
         return voxels
+    kept = np.argsort(~_best_mask(voxels), kind="stable")[:MAX_VOXELS]
+    return voxels[np.sort(kept)]
+
+
+def _best_mask(voxels: NDArray[np.void]) -> NDArray[np.bool_]:
+    """(n,): True for the voxel of the greatest eta of each key, of equals the earliest."""
     order = np.lexsort((voxels["number"], -voxels["eta"]))
     _, first = np.unique(voxels["key"][order], return_index=True)
-    is_other = np.ones(len(voxels), dtype=bool)
-    is_other[order[first]] = False
-    kept = np.argsort(is_other, kind="stable")[:MAX_VOXELS]
-    return voxels[np.sort(kept)]
+    is_best = np.zeros(len(voxels), dtype=bool)
+    is_best[order[first]] = True
+    return is_best

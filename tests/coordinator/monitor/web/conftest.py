@@ -169,7 +169,7 @@ class FakeLibrary:
             raise UnknownName("run", run, ["mug"])
         return msgspec.json.encode(STAGE)
 
-    def cells(self, job: str, run: str, since: int) -> bytes:
+    def cells(self, job: str, run: str, since: int, *, margins: bool = False) -> bytes:
         return scene_data.HEADER.pack(scene_data.MARK, 0, since, 0, 0, 7)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:

@@ -5,15 +5,23 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from numpy.typing import NDArray
 from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import ORIGIN, HandMadeRecords, finds, random_finds
-from tests.coordinator.monitor.web.test_scene_data import in_cells, read
+from tests.coordinator.monitor.web.test_scene_data import columns_of, in_cells, read, settled
 
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage
 from qdgrasp_coordinator.monitor.web import run_cache
-from qdgrasp_coordinator.monitor.web.run_cache import BUSY_SECONDS, FRESH_SECONDS, LISTED_SECONDS, RunCaches
+from qdgrasp_coordinator.monitor.web.run_cache import (
+    BUSY_SECONDS,
+    FRESH_SECONDS,
+    LISTED_SECONDS,
+    MARGIN_SECONDS,
+    RunCaches,
+)
 from qdgrasp_coordinator.monitor.web.scene_data import HEADER
+from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
 from qdgrasp_protocol.rows import Outcome
 
@@ -212,6 +220,65 @@ def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
     records.now += FRESH_SECONDS
     assert {n: eta for n, (*_, eta) in read(library.cells("job", "run", upto))[2].items()} == {5: 0.75}
     assert asked == [0, 5, 5, 5]
+
+
+@pytest.fixture
+def computed(records: HandMadeRecords, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of grasps whose margin was computed, which is a thousandth of it.
+
+    Each takes half of the time that there is for one answer.
+    """
+    numbers: list[int] = []
+
+    def margins(rows: SuccessTable, _: SceneObject) -> NDArray[np.float64]:
+        numbers.extend(rows["number"].tolist())
+        records.now += MARGIN_SECONDS * len(rows) / 2
+        return rows["number"] / 1000
+
+    monkeypatch.setattr(run_cache, "recorded_margins", margins)
+    monkeypatch.setattr(run_cache, "MARGINS_AT_ONCE", 1)
+    return numbers
+
+
+def margins_of(page: bytes) -> dict[int, float]:
+    """The margins on a page that are known, in thousandths, by journal number."""
+    columns = columns_of(page)
+    known = ~np.isnan(columns["margin"])
+    return dict(
+        zip(columns["number"][known].tolist(), np.round(1000 * columns["margin"][known]), strict=True)
+    )
+
+
+def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(
+    records: HandMadeRecords, library: RunCaches, computed: list[int]
+) -> None:
+    found = settled(range(20, 30))
+    records.record(found)
+    records.on_a_page = 20
+    counts = []
+    for margins in (False, True, True, False, True, True):
+        page = library.cells("job", "run", 0, margins=margins)
+        counts.append(len(margins_of(page)))
+        records.now += FRESH_SECONDS
+    assert counts == [0, 1, 4, 4, 7, 10]  # that of the best in the cell alone at first
+    assert margins_of(page) == {number: number for number in found["number"].tolist()}
+    records.record(settled([40]))
+    assert margins_of(library.cells("job", "run", 0, margins=True)).keys() == {*found["number"].tolist(), 40}
+    assert sorted(computed) == [*found["number"].tolist(), 40]
+
+
+def test_margins_of_another_journal_are_computed_anew(
+    records: HandMadeRecords, library: RunCaches, computed: list[int], make_scene
+) -> None:
+    old = settled([3, 4], [Outcome.HELD, Outcome.SHAKEN])
+    records.record(old)
+    assert margins_of(library.cells("job", "run", 0, margins=True)) == {3: 3, 4: 4}
+    records.become(make_scene(), JournalId("2" * 64, 2.0), old[1:])
+    records.now += FRESH_SECONDS
+    assert margins_of(library.cells("job", "run", 0)) == {}
+    records.now += FRESH_SECONDS
+    assert margins_of(library.cells("job", "run", 0, margins=True)) == {4: 4}
+    assert computed == [3, 4, 4]
 
 
 def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, library: RunCaches) -> None:

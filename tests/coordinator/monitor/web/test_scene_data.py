@@ -1,12 +1,12 @@
 """Data of the view in 3D."""
 
 from base64 import b64decode
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from tests.coordinator.monitor.web.conftest import finds, random_finds
 
@@ -256,6 +256,38 @@ def test_a_page_says_how_closing_went() -> None:
     assert columns["motion"] == pytest.approx([0.03, np.nan], nan_ok=True)
     assert np.isnan(columns["margin"]).all()
     assert columns["contacts"].tolist() == [2, 0]
+
+
+def settled(numbers: Sequence[int], outcomes: ArrayLike = Outcome.HELD, etas: ArrayLike = -1) -> SuccessTable:
+    """Finds in one cell whose margin can be computed, by journal number (n,)."""
+    return finds(numbers, [(0, 0, 1)] * len(numbers), outcomes, etas=etas, settled=(0, 0, 0, 0, 0, 0, 1))
+
+
+def test_margins_are_lacking_of_the_best_in_a_cell_first_and_of_none_that_did_not_settle() -> None:
+    kept = VoxelPages()
+    outcomes = [Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
+    kept.insert(settled([2, 3, 5, 6], outcomes, etas=[0, 1, 0, 0.5]), 7)
+    kept.insert(finds([8], [(0, 0, 1)], [Outcome.DROPPED]), 9)
+    assert kept.lacking_margins().tolist() == [3, 5]
+    kept.add_margins(np.array([3, 5]), np.array([0.1, 0.0]))
+    assert kept.lacking_margins().tolist() == [2, 6]
+    kept.add_margins(np.array([2, 6]), np.array([0.2, 0.3]))
+    assert kept.lacking_margins().tolist() == []
+
+
+def test_a_margin_comes_on_the_next_page_and_stays_when_the_eta_is_known() -> None:
+    kept = VoxelPages()
+    kept.insert(settled([3, 5, 6]), 7)
+    first, _, _ = read(kept.page(0))
+    kept.add_margins(np.array([5, 3]), np.array([0.5, 0.25]))
+    columns = columns_of(kept.page(first))
+    assert dict(zip(columns["number"].tolist(), columns["margin"].tolist(), strict=True)) == {3: 0.25, 5: 0.5}
+    upto, _, _ = read(kept.page(first))
+    kept.insert(settled([3, 5, 6], etas=[0.5, 1, 0]), 7)
+    columns = columns_of(kept.page(upto))
+    assert (columns["number"].tolist(), columns["eta"].tolist()) == ([3, 5, 6], [0.5, 1, 0])
+    assert columns["margin"] == pytest.approx([0.25, 0.5, np.nan], nan_ok=True)
+    assert len(kept) == 3
 
 
 def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

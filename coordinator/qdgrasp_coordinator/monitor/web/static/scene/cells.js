@@ -76,8 +76,8 @@ export class Cells {
     this.places = new Int16Array(0);
     /** How many cells show each kind. */
     this.counts = kinds.map(() => 0);
-    /** Whether a motion and a margin of any grasp is known. */
-    this.hasMotions = this.hasMargins = false;
+    /** Whether the motion of any grasp is known, and thus its margin can be. */
+    this.hasMotions = false;
     this.low = [Infinity, Infinity, Infinity];
     this.high = [-Infinity, -Infinity, -Infinity];
     this.#makeRoom(FIRST);
@@ -92,6 +92,17 @@ export class Cells {
   /** How many of them show something. */
   get shown() {
     return this.counts.reduce((sum, count) => sum + count, 0);
+  }
+
+  /** Of how many grasps the margin is `known`, and of how many it is `possible`: of those whose motion is. */
+  get margins() {
+    const known = (values) => values.subarray(0, this.#known.size).reduce((sum, value) => sum + !Number.isNaN(value), 0);
+    return { known: known(this.#margins), possible: known(this.#motions) };
+  }
+
+  /** Whether margins are filtered by that are not all known. */
+  get lacksMargins() {
+    return this.filter.margin > 0 && this.margins.known < this.margins.possible;
   }
 
   /** Add a page of successes; gives the slots, in order, that show another grasp now. */
@@ -188,7 +199,6 @@ export class Cells {
     this.#contacts[grasp] = page.contacts[i];
     this.#margins[grasp] = page.margins[i];
     this.hasMotions ||= !Number.isNaN(page.motions[i]);
-    this.hasMargins ||= !Number.isNaN(page.margins[i]);
   }
 
   #slot(...cell) {

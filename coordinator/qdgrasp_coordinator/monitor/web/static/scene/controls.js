@@ -64,7 +64,7 @@ const BOUNDS = [
   { name: "penetration", words: "Most penetration [mm]", unit: 1e-3, open: Infinity, step: 0.1 },
   { name: "motion", words: "Most motion [mm]", unit: 1e-3, open: Infinity, step: 0.1, isKnown: (cells) => cells.hasMotions },
   { name: "contacts", words: "Fewest finger links", unit: 1, open: 0, step: 1 },
-  { name: "margin", words: "Least margin", unit: 1, open: 0, step: 0.01, isKnown: (cells) => cells.hasMargins },
+  { name: "margin", words: "Least margin", unit: 1, open: 0, step: 0.01, isKnown: (cells) => cells.hasMotions },
 ];
 const ALL = Object.fromEntries(BOUNDS.map(({ name, open }) => [name, open]));
 const OPEN = { eta: 0, synergy: ANY, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
@@ -117,7 +117,7 @@ export class FilterControls {
     this.synergy.value = filter.synergy ?? "";
     this.spans.forEach((span, axis) => cells.size && span.reach(cells.low[axis], cells.high[axis]));
     setText(this.least, filter.eta.toFixed(2));
-    setText(this.words, filter.narrowed ? `${filter.narrowed} in use` : "");
+    setText(this.words, [filter.narrowed && `${filter.narrowed} in use`, cells.lacksMargins && margins(cells)].filter(Boolean).join(", "));
     setAttribute(this.reset, "disabled", !filter.narrowed);
   }
 
@@ -161,6 +161,11 @@ export class FilterControls {
     for (const { input } of this.bounds) input.value = "";
     for (const span of this.spans) span.open();
   }
+}
+
+/** How many margins have come. */
+function margins({ margins: { known, possible } }) {
+  return `margins: ${count(known)} of ${count(possible)}`;
 }
 
 /** The number in an input, 0 or more; NaN where there is none. */

@@ -12,8 +12,9 @@ export class RunClient {
     return (await this.#get("scene")).json();
   }
 
-  async cells(from) {
-    return readVoxelPage(await (await this.#get(`cells?from=${from}`)).arrayBuffer());
+  /** Voxels from a serial on; with `margins` the server computes some more of these. */
+  async cells(from, margins) {
+    return readVoxelPage(await (await this.#get(`cells?from=${from}${margins ? "&margins" : ""}`)).arrayBuffer());
   }
 
   async grasp(number) {
@@ -63,6 +64,7 @@ function readVoxelPage(buffer) {
 }
 
 const POLL = 1000; // ms between queries for new successes
+const MARGINS = 250; // ms between them while margins are computed
 const LONGEST = 10000; // ms at most between them while there is no answer
 
 /** Reads the successes of a run page by page, and polls for new ones. */
@@ -73,9 +75,9 @@ export class CellUpdates {
   #stopped = false;
 
   /** `onpage(page, isFirst)` with each page; `onother()` where the journal is another one now, which is awaited;
-   *  `onfail(error)` where there is no answer. */
-  constructor(client, { onpage, onother, onfail }) {
-    Object.assign(this, { client, onpage, onother, onfail });
+   *  `onfail(error)` where there is no answer; `lacksMargins()` says whether margins are asked for. */
+  constructor(client, { onpage, onother, onfail, lacksMargins }) {
+    Object.assign(this, { client, onpage, onother, onfail, lacksMargins });
   }
 
   /** Read all successes of the scene with this origin, and from then on new ones. */
@@ -95,7 +97,7 @@ export class CellUpdates {
   async #poll() {
     try {
       if (!document.hidden) await this.#read(false);
-      this.#wait = POLL;
+      this.#wait = this.lacksMargins() ? MARGINS : POLL;
     } catch (error) {
       this.#wait = Math.min(2 * this.#wait, LONGEST);
       this.onfail(error);
@@ -111,7 +113,7 @@ export class CellUpdates {
   /** Read all pages that there are. */
   async #read(isFirst) {
     for (;;) {
-      const page = await this.client.cells(this.#from);
+      const page = await this.client.cells(this.#from, this.lacksMargins());
       if (page.origin !== this.origin) return this.onother();
       this.#from = page.next;
       this.onpage(page, isFirst);

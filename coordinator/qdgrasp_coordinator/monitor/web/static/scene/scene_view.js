@@ -45,7 +45,8 @@ export class SceneView {
     this.renderer.onlost = (lost) => this.onstatus(lost ? "The graphics were lost, and come back by themselves." : "");
     const onfail = (error) => this.#fail(error);
     const onpage = (page, isFirst) => this.#addPage(page, isFirst);
-    this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail });
+    const lacksMargins = () => this.objects?.cells.lacksMargins ?? false;
+    this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail, lacksMargins });
     this.pointer = new VoxelPicker(this.renderer, { onpick: (slot) => this.#selectSlot(slot), onfail });
   }
 
