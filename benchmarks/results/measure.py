@@ -124,7 +124,7 @@ def covered(found: SuccessHistory, known: ReferenceSet, evaluations: int) -> Fig
             if milestone <= evaluations
         },
         "coverage": reached.end / size,
-        "robust_coverage": found.found(known, fitness=2).end / size,
+        "robust_coverage": found.found(known, Outcome.HELD).end / size,
     }
 
 

@@ -48,7 +48,8 @@ def object_motion(rows: Rows) -> Floats:
 
 def contact_values(rows: Rows) -> Floats:
     """(n, k, 7): point [m], normal into the object and force [N] of each contact, CoM frame."""
-    values: Floats = rows["contact_points"].astype(np.float64).reshape(len(rows), -1, CONTACT_VALUES)
+    slots = rows.dtype["contact_links"].shape[0]
+    values: Floats = rows["contact_points"].astype(np.float64).reshape(len(rows), slots, CONTACT_VALUES)
     return values
 
 
