@@ -19,32 +19,36 @@ from benchmarks.measure import machine
 from rich.console import Console
 from rich.table import Table
 
+from qdgrasp_assets.genes import FEATURES, VALUE_FEATURES
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.aimed import AimedGrasps, AimedSearch
 from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import NEIGHBOURS, Places
+from qdgrasp_coordinator.search.touch_search import TouchSearch
+from qdgrasp_coordinator.search.value_search import ValueModel, ValueSearch
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.platform import code_digest
 
 LOOSE = 0.5
 
 
-class WithoutGate(AimedSearch):
+class WithoutGate(TouchSearch):
     """Whatever is left of a genome's candidates is simulated, likely or not."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return super()._weights(np.zeros_like(wanted))
 
 
-class WithoutRanking(AimedSearch):
+class WithoutRanking(TouchSearch):
     """Candidates are ranked by what is swept, and nothing is learned of them."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return np.zeros_like(super()._weights(wanted))
 
 
-class WithoutCandidates(AimedSearch):
+class WithoutCandidates(TouchSearch):
     """One candidate of each genome; where overlaps are redrawn, by the next genome."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -55,7 +59,7 @@ class WithoutCandidates(AimedSearch):
         return np.zeros_like(super()._weights(wanted))
 
 
-class WithoutLikelihood(AimedSearch):
+class WithoutLikelihood(TouchSearch):
     """Cells by successful neighbours over tries, as if nothing were learned."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -63,7 +67,7 @@ class WithoutLikelihood(AimedSearch):
         self._frontier._model.likely = lambda features: (1.0 + len(NEIGHBOURS) * features[:, 2]) / 27.0  # type: ignore[method-assign]
 
 
-class WithoutPreference(AimedSearch):
+class WithoutPreference(TouchSearch):
     """Any successful neighbour's grasp."""
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
@@ -73,7 +77,7 @@ class WithoutPreference(AimedSearch):
         return parents
 
 
-class WithLooseGrasps(AimedSearch):
+class WithLooseGrasps(TouchSearch):
     """Every second candidate looks anywhere, with any roll."""
 
     def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
@@ -81,7 +85,7 @@ class WithLooseGrasps(AimedSearch):
         return replace(aims, looseness=np.full(len(aims), LOOSE))
 
 
-class WithoutSpareTries(AimedSearch):
+class WithoutSpareTries(TouchSearch):
     """Weak grasps are not tried again."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -89,14 +93,14 @@ class WithoutSpareTries(AimedSearch):
         self._retries.ask = lambda *_: np.zeros(0, np.intp)  # type: ignore[method-assign]
 
 
-class WithoutAim(AimedSearch):
+class WithoutAim(TouchSearch):
     """Scouts alone, with the same candidates and the same ranking."""
 
     def _targets(self, generation: int) -> Places:
         return np.zeros(0, np.intp)
 
 
-class WithAnyCell(AimedSearch):
+class WithAnyCell(TouchSearch):
     """Cells of the frontier at random."""
 
     def _targets(self, generation: int) -> Places:
@@ -106,8 +110,71 @@ class WithAnyCell(AimedSearch):
         return generator.choice(edge, min(len(targets), len(edge)), replace=False)
 
 
+class PlainFeatureModel(ValueModel):
+    """Nothing is learned of predicted contacts."""
+
+    def learn(self, simulated: Rows, quality: Floats) -> None:
+        simulated = simulated.copy()
+        simulated["descriptor"][:, 3 + len(FEATURES) - 1 : -1] = 0.0
+        super().learn(simulated, quality)
+
+
+class TouchModel(ValueModel):
+    """Candidates are ranked by P(touch) alone."""
+
+    def ranking(self, wanted: Floats) -> Floats:
+        weights = super().ranking(wanted)
+        weights[:, len(VALUE_FEATURES) : -1] = 0.0
+        return weights
+
+
+class WithoutGripFeatures(ValueSearch):
+    """Candidates are told apart by the five features that touch was ranked by."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._model = PlainFeatureModel()
+
+
+class WithoutCandidateQuality(ValueSearch):
+    """Quality decides on cells alone."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._model = TouchModel()
+
+
+class WithoutCellQuality(ValueSearch):
+    """Quality decides on candidates alone: all cells have the same."""
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space)
+        self._frontier._quality.likely = lambda features: np.full(len(features), 0.5)  # type: ignore[method-assign]
+
+
+class WithoutSecondTries(ValueSearch):
+    """A cell's first touch closes it."""
+
+    def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
+        edge = self._frontier.edge
+        return self._frontier.best(n, generator, edge[~self._frontier.successful[edge]])
+
+
+class WithoutValueThreshold(ValueSearch):
+    """Whatever is left of a genome's candidates is simulated, of value or not."""
+
+    def _weights(self, wanted: Floats) -> Floats:
+        return super()._weights(np.zeros_like(wanted))
+
+
 VARIANTS: dict[str, Callable[[RunSpec, SearchSpace], AimedSearch]] = {
-    "aimed": AimedSearch,
+    "hold": ValueSearch,
+    "hold, five features": WithoutGripFeatures,
+    "hold, candidates by touch": WithoutCandidateQuality,
+    "hold, cells by touch": WithoutCellQuality,
+    "hold, no second tries": WithoutSecondTries,
+    "hold, no threshold": WithoutValueThreshold,
+    "aimed": TouchSearch,
     "no gate": WithoutGate,
     "no learned ranking": WithoutRanking,
     "one candidate": WithoutCandidates,
@@ -166,7 +233,8 @@ def measure(
         }
         run = finished.find(asked)
         if run is None:
-            spec = full_spec(values | {"object": thing, "seed": seed, "method": "aimed"})
+            aim = "hold" if name.startswith("hold") else "touch"
+            spec = full_spec(values | {"object": thing, "seed": seed, "method": "aimed", "aim_for": aim})
             ran = single_run.run(spec, VARIANTS[name], shakes=shakes)
             run = {"asked": asked, "variant": name} | ran.as_dict()
             finished.add(run)
@@ -177,22 +245,35 @@ def measure(
 
 def table(found: Sequence[dict[str, Any]]) -> Table:
     """Means over the seeds."""
-    shown = Table("object", "variant", "coverage, %", "less", "robust, %", "fitness", "genomes", "CPU s")
+    shown = Table(
+        "object", "variant", "coverage, %", "less", "robust, %", "cells", "hold", "genomes", "CPU s"
+    )
     pairs = dict.fromkeys((each["object"], each["variant"]) for each in found)
-    whole = {thing: _mean(found, thing, "aimed", _last) for thing, variant in pairs if variant == "aimed"}
+    whole = {
+        (thing, first): _mean(found, thing, first, _last)
+        for thing, variant in pairs
+        for first in ("aimed", "hold")
+        if variant == first
+    }
     for thing, variant in pairs:
         coverage = _mean(found, thing, variant, _last)
         robust = _mean(found, thing, variant, lambda each: 100 * each["robust_coverage"][-1])
-        fitness, genomes, seconds = (
+        genomes, seconds = (
             _mean(found, thing, variant, lambda each, key=key: each[key])
-            for key in ("mean_fitness", "genomes", "evaluation_cpu_seconds")
+            for key in ("genomes", "evaluation_cpu_seconds")
         )
-        less = f"{whole[thing] - coverage:.1f}" if thing in whole else "-"
+        cells, held = (
+            _mean(found, thing, variant, lambda each, key=key: each[key][-1])
+            for key in ("cells", "cells_that_hold")
+        )
+        first = thing, "hold" if variant.startswith("hold") else "aimed"
+        less = f"{whole[first] - coverage:.1f}" if first in whole else "-"
         values = (
             f"{coverage:.1f}",
             less,
             f"{robust:.1f}",
-            f"{fitness:.2f}",
+            f"{cells:.0f}",
+            f"{held:.0f}",
             f"{genomes:.0f}",
             f"{seconds:.0f}",
         )

@@ -59,9 +59,15 @@ class Coordinator:
 
     def __init__(self, name: str) -> None:
         chosen = method(name)
-        space = synthetic_scene.space("aimed") if chosen is AIMED else plain(SHAPE.genes)
+        aim_for = chosen.aim_for
+        space = synthetic_scene.space(chosen.prior) if chosen is AIMED else plain(SHAPE.genes)
         spec = RunSpec(
-            gripper="panda", object="mug", method=name, evaluations=10**9, population=chosen.population
+            gripper="panda",
+            object="mug",
+            method=name,
+            aim_for=aim_for,
+            evaluations=10**9,
+            population=chosen.population,
         )
         self._prior = chosen.prior
         self._shape = synthetic_scene.shape(space) if chosen is AIMED else SHAPE

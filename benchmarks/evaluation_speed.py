@@ -21,7 +21,7 @@ from qdgrasp_coordinator.local.benchmark_figures import BENCH_PRIOR, PoseRegime,
 from qdgrasp_coordinator.scheduler.batch_queue import BATCH_SECONDS, FIRST_ROWS
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.candidate_ranking import PoseFeatures
@@ -320,9 +320,8 @@ def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
 def _searched(pair: Pair, evaluator: Evaluator) -> TimedEvaluations:
     spec = full_spec({"gripper": pair.hand, "object": pair.object, "method": DEFAULT_METHOD})
     chosen, name = method(spec.method), f"{pair.hand} on {pair.object}, {spec.method}"
-    return TimedEvaluations(
-        name, chosen.build(spec, search_space(evaluator.scene, chosen.prior)), chosen.prior, evaluator
-    )
+    prior = prior_of(spec)
+    return TimedEvaluations(name, chosen.build(spec, search_space(evaluator.scene, prior)), prior, evaluator)
 
 
 HAND, OBJECT = "panda", "mug"

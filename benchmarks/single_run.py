@@ -20,9 +20,9 @@ from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
-from qdgrasp_coordinator.search.registry import BuildSearch, method
+from qdgrasp_coordinator.search.registry import BuildSearch, method, prior_of
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Genomes, Rows, trial_count
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
@@ -51,13 +51,13 @@ class Alone:
     def finds(self) -> SuccessHistory:
         return SuccessHistory.among(self.rows, self.spec.overlaps)
 
-    def coverage(self, evaluations: Sequence[int], fitness: int = 0) -> NDArray[np.float64]:
-        """The share of S_G after so many evaluations, each cell with this fitness; NaN without a set."""
+    def coverage(self, evaluations: Sequence[int], least: Outcome = Outcome.DROPPED) -> NDArray[np.float64]:
+        """The share of S_G, or of its robust cells, found with this outcome at least; NaN without a set."""
         known = ReferenceLookup().of(self.scene, self.spec.object).reference
         if known is None:
             return np.full(len(evaluations), np.nan)
-        known = known.robust if fitness == 2 else known
-        return self.finds.found(known, fitness).after(evaluations) / len(known)
+        known = known.robust if least is Outcome.HELD else known
+        return self.finds.found(known, least).after(evaluations) / len(known)
 
     def as_dict(self) -> dict[str, Any]:
         spent = int(self.evaluations[-1])
@@ -67,13 +67,15 @@ class Alone:
             "gripper": self.spec.gripper,
             "object": self.spec.object,
             "method": self.spec.method,
+            "aim_for": self.spec.aim_for,
             "overlaps": self.spec.overlaps,
             "protocol": self.spec.protocol,
             "seed": self.spec.seed,
             "evaluations": passed,
             "coverage": np.round(self.coverage(passed), 4).tolist(),
-            "robust_coverage": np.round(self.coverage(passed, fitness=2), 4).tolist(),
+            "robust_coverage": np.round(self.coverage(passed, Outcome.HELD), 4).tolist(),
             "cells": self.finds.cells().after(passed).tolist(),
+            "cells_that_hold": self.finds.cells(Outcome.HELD).after(passed).tolist(),
             "successes": len(self.finds.rows),
             "mean_fitness": round(float(self.finds.rows["fitness"].mean()), 3) if len(self.finds.rows) else 0,
             "genomes": len(nominal),
@@ -112,7 +114,7 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
         False leaves the shakes out, and every success has fitness 0: coverage of success then costs a
         fraction, but a search that prefers robust grasps finds none.
     """
-    prior = method(spec.method).prior
+    prior = prior_of(spec)
     scene = build_scene(spec)
     search = Timed((build or method(spec.method).build)(spec, search_space(scene, prior)))
     in_flight, more = spec.generations_in_flight, trial_count(spec.protocol)

@@ -1,6 +1,7 @@
 """Genes: the layout of a prior's genomes for a scene, and the box of hand positions."""
 
 from collections.abc import Callable
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,21 @@ Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
 ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
-AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates
+AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates by a linear score
+VALUED = "valued"  # The same prior with candidates chosen by what a grasp is worth
 FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
 """Features by which `AIMED` ranks candidates, also reported with a pose (docs/methods.md)."""
+GRIP_FEATURES = ("fingers", "squareness", "opposition", "alignment", "lever", "depth", "stroke")
+"""Features of the contacts that closing fingers would make."""
+VALUE_FEATURES = (*FEATURES[:-1], *GRIP_FEATURES, "constant")
+"""Features by which `VALUED` ranks candidates, also reported with a pose."""
+PRIOR_FEATURES = {AIMED: FEATURES, VALUED: VALUE_FEATURES}
+RANKING_GENES = {AIMED: len(FEATURES), VALUED: 2 * len(VALUE_FEATURES) + 1}
+"""Number of genes that rank candidates: weights of a score, or of two models with the value wanted."""
 MOST_CANDIDATES = 32
-STEEPEST = 8.0  # Largest absolute weight of a feature
+STEEPEST = 8.0  # Largest absolute weight of a feature in the score of `AIMED`
+TOUCH_VALUE = 0.2  # Value of a grasp that touches and is worth nothing else, relative to the best
+STEEPEST_VALUE = 64.0  # Largest absolute weight of a feature in the models of `VALUED`
 
 
 def layout(scene: Scene, prior: str) -> Layout:
@@ -36,7 +47,7 @@ def layout(scene: Scene, prior: str) -> Layout:
 
 def descriptors(prior: str) -> int:
     """Return how many numbers describe a genome's pose: position and the prior's features."""
-    return 3 + (len(FEATURES) if prior == AIMED else 0)
+    return 3 + len(PRIOR_FEATURES.get(prior, ()))
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
@@ -97,7 +108,18 @@ def _spherical(scene: Scene) -> Genes:
 
 
 def _aimed(scene: Scene) -> Genes:
-    """Return the genes of `AIMED`: target cell, contact point, roll, looseness, ranking weights."""
+    """Return the genes of `AIMED`: of the aim, and the weight of each feature."""
+    return *_aim(scene), *_weights("w", FEATURES, STEEPEST)
+
+
+def _valued(scene: Scene) -> Genes:
+    """Return the genes of `VALUED`: the aim, weights of both models, and the value wanted."""
+    models = (_weights(model, VALUE_FEATURES, STEEPEST_VALUE) for model in ("touch", "quality"))
+    return *_aim(scene), *chain(*models), Gene("wanted", 0.0, 1.0)
+
+
+def _aim(scene: Scene) -> Genes:
+    """Return target cell, contact point, roll, looseness and number of candidates."""
     target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, AIMED)), strict=True)
     contact = zip("xyz", scene.object_low, scene.object_high, strict=True)
     return (
@@ -106,12 +128,16 @@ def _aimed(scene: Scene) -> Genes:
         Gene("omega", 0.0, 2 * np.pi),
         Gene("looseness", 0.0, 1.0),
         Gene("candidates", 1.0, float(MOST_CANDIDATES)),
-        *(Gene(f"w_{feature}", -STEEPEST, STEEPEST) for feature in FEATURES),
     )
+
+
+def _weights(model: str, features: tuple[str, ...], steepest: float) -> Genes:
+    return tuple(Gene(f"{model}_{feature}", -steepest, steepest) for feature in features)
 
 
 PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
     AIMED: _aimed,
+    VALUED: _valued,
     GIVEN: _given,
     ANTIPODAL: _antipodal,
     "approach": lambda scene: _cone(scene, NU_A),

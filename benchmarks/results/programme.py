@@ -63,7 +63,7 @@ def programme(home: Path = HOME) -> Programme:
     files = sorted(home.glob("*.toml"))
     if not files:
         raise InputError(f"{home} holds no campaigns; the programme of results is made of some.")
-    return Programme({file.stem: _wanted(read_campaign(file, here=False)) for file in files})
+    return Programme({file.stem: _wanted(read_campaign(file, here=False, is_begun=True)) for file in files})
 
 
 def chosen(known: Programme, names: Collection[str]) -> Programme:

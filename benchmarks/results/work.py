@@ -216,9 +216,10 @@ def work(place: Path, stage: Sequence[Wanted], team: LocalJobConfig, stop: Stop)
 
 def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
     """The campaign in a folder with a stage more; a run that is there already gets the greater budget."""
-    known = read_campaign(place / CAMPAIGN).runs if (place / CAMPAIGN).is_file() else {}
+    known = read_campaign(place / CAMPAIGN, is_begun=True).runs if (place / CAMPAIGN).is_file() else {}
     runs: dict[str, RunSpec] = dict(known)
     for one in stage:
         if one.name not in runs or runs[one.name].evaluations < one.spec.evaluations:
             runs[one.name] = one.spec
-    return make_campaign({"cross": [to_values(spec) for spec in runs.values()]}, str(place / CAMPAIGN))
+    source = {"cross": [to_values(spec) for spec in runs.values()]}
+    return make_campaign(source, str(place / CAMPAIGN), is_begun=True)

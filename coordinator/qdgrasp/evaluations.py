@@ -79,8 +79,8 @@ class Evaluations:
     Parameters
     ----------
     prior
-        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed" or "given"
-        (docs/methods.md).
+        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed", "valued" or
+        "given" (docs/methods.md).
     place
         Where it is done.
     **scenery

@@ -12,7 +12,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.export.grasp_set import Grasps, read_run, select_grasps
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -45,7 +45,7 @@ class Run:
     @property
     def layout(self) -> Layout:
         """The genes of its genomes: names, and what -1 and 1 stand for."""
-        return layout(self.scene, method(self.spec.method).prior)
+        return layout(self.scene, prior_of(self.spec))
 
     @property
     def summary(self) -> RunSummary:

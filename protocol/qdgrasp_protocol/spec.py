@@ -51,6 +51,9 @@ BaseName = Literal["paper", "physical"]
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
+AimFor = Literal["hold", "touch", "eta", "margin"]
+"""Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
+
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
@@ -76,12 +79,14 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     method: str = DEFAULT_METHOD
     """A search with its prior.
 
-    When a run is requested it decides `overlaps`, `population` and `generations_in_flight` unless they are
-    given; their defaults here are the paper's.
+    When a run is requested it decides `aim_for`, `overlaps`, `population` and `generations_in_flight` unless
+    they are given; their defaults here are the paper's.
     """
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
+    aim_for: AimFor | None = None
+    """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
@@ -192,7 +197,7 @@ def _expected_value(kind: Any) -> str:
     """A field's type in words."""
     info = msgspec.inspect.type_info(kind)
     if isinstance(info, msgspec.inspect.UnionType):
-        info = next(option for option in info.types if not isinstance(option, msgspec.inspect.NoneType))
+        return next(_expected_value(option) for option in get_args(kind) if option is not type(None))
     if isinstance(info, msgspec.inspect.LiteralType):
         return "one of " + ", ".join(repr(value) for value in get_args(kind) or info.values)
     if isinstance(info, msgspec.inspect.StrType):

@@ -5,7 +5,16 @@ import pytest
 from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import PRIOR_GENES, archive_box, descriptors, layout, spherical_radius
+from qdgrasp_assets.genes import (
+    PRIOR_FEATURES,
+    PRIOR_GENES,
+    RANKING_GENES,
+    VALUE_FEATURES,
+    archive_box,
+    descriptors,
+    layout,
+    spherical_radius,
+)
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.spec import RunSpec
@@ -16,14 +25,20 @@ def cube() -> Scene:
     return build_scene(RunSpec(gripper="panda", object="rubiks_cube"))
 
 
+AIM = ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates")
 WEIGHTS = ("w_swept", "w_opposed", "w_facing", "w_distance", "w_height", "w_constant")
 NAMES = {
-    "aimed": ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates", *WEIGHTS),
+    "aimed": (*AIM, *WEIGHTS),
     "antipodal": ("x_r", "y_r", "z_r", "Omega"),
     "approach": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "contact": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "given": ("x", "y", "z", "qx", "qy", "qz", "qw"),
     "spherical": ("r", "longitude", "colatitude", "alpha", "beta", "gamma"),
+    "valued": (
+        *AIM,
+        *(f"{model}_{feature}" for model in ("touch", "quality") for feature in VALUE_FEATURES),
+        "wanted",
+    ),
 }
 
 
@@ -54,7 +69,7 @@ def test_the_search_radius_is_that_of_the_released_code_but_for_the_margins_of_b
 
 
 def test_positions_about_the_object_are_kept_within_its_box_and_the_reach(cube) -> None:
-    for prior in ("aimed", "antipodal", "approach", "contact"):
+    for prior in ("aimed", "antipodal", "approach", "contact", "valued"):
         low, high = archive_box(cube, prior)
         np.testing.assert_allclose(low, np.array(cube.object_low) - 0.112)
         np.testing.assert_allclose(high, np.array(cube.object_high) + 0.112)
@@ -73,9 +88,13 @@ def test_the_target_of_aimed_may_be_anywhere_in_the_box_of_its_archive(cube) -> 
     assert [gene.high for gene in genes] == high.tolist()
 
 
-def test_aimed_describes_a_pose_by_the_features_of_its_ranking_too() -> None:
-    assert descriptors("aimed") == 9
-    assert {descriptors(prior) for prior in PRIOR_GENES if prior != "aimed"} == {3}
+def test_what_ranks_candidates_by_features_describes_a_pose_by_them_too() -> None:
+    assert {prior: descriptors(prior) for prior in RANKING_GENES} == {"aimed": 9, "valued": 16}
+    assert {descriptors(prior) for prior in PRIOR_GENES if prior not in PRIOR_FEATURES} == {3}
+
+
+def test_the_genes_that_rank_candidates_are_the_last_ones_of_their_prior(cube) -> None:
+    assert {prior: len(NAMES[prior]) - len(AIM) for prior in RANKING_GENES} == RANKING_GENES
 
 
 def test_a_hand_without_a_jaw_has_no_antipodal_genes(cube) -> None:

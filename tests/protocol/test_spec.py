@@ -8,7 +8,16 @@ from hypothesis import strategies as st
 
 from qdgrasp_protocol import spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.spec import Overlaps, ProtocolName, RunSpec, from_toml, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import (
+    AimFor,
+    Overlaps,
+    ProtocolName,
+    RunSpec,
+    from_toml,
+    read_run_spec,
+    run_spec,
+    to_toml,
+)
 
 LEAST = {"gripper": "panda", "object": "mug"}
 POSITIVE = {"min_value": 1e-6, "allow_nan": False}
@@ -21,6 +30,7 @@ SPECS = st.builds(
     friction=st.none() | st.floats(max_value=10, **POSITIVE),
     method=st.text(),
     protocol=st.sampled_from(get_args(ProtocolName)),
+    aim_for=st.none() | st.sampled_from(get_args(AimFor)),
     evaluations=st.integers(1, 10**9),
     seed=st.integers(0, 2**63 - 1),
     overlaps=st.sampled_from(get_args(Overlaps)),
@@ -87,6 +97,7 @@ def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
         ("generations_in_flight", 17, "a whole number at least 1 and at most 16"),
         ("protocol", "papr", "one of 'paper', 'released'"),
         ("overlaps", "ignore", "one of 'count', 'redraw'"),
+        ("aim_for", "grip", "one of 'hold', 'touch', 'eta', 'margin'"),
         ("gripper", 3, "text"),
         ("method", ["a"], "text"),
     ],

@@ -178,7 +178,7 @@ def aimed_task(overlaps: Overlaps) -> Task:
     where = synthetic_scene.space(AIMED.prior, ("synergy", "spread"))
 
     def build(population: int, seed: int) -> SearchAlgorithm:
-        asked = {"population": population, "seed": seed, "overlaps": overlaps}
+        asked = {"population": population, "seed": seed, "overlaps": overlaps, "aim_for": AIMED.aim_for}
         return AIMED.build(RunSpec(gripper="hand", object="thing", **asked), where)
 
     def evaluated(rows: Rows) -> Rows:

@@ -7,9 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from tests.common import PATIENCE
 
-from qdgrasp_assets.genes import layout
+from qdgrasp_assets.genes import RANKING_GENES, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
@@ -22,8 +23,10 @@ NEAR = (-1.0, -0.5)
 """Genes nu and d of genomes that look straight at the surface from near by."""
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
 REFERENCE = [f"ref_{name}" for name in ("panda_2f", "bh280", "allegro", "shadow", "robotiq_2f")]
-LOOSENESS, CANDIDATES, WEIGHTS, CONSTANT = 7, 8, slice(9, 15), 14
+LOOSENESS, CANDIDATES, WEIGHTS = 7, 8, slice(9, 15)
 """Genes of the prior aimed."""
+RANKED_BY = {prior: slice(9, 9 + genes) for prior, genes in RANKING_GENES.items()}
+"""The genes that rank candidates; the last one sets a threshold."""
 
 
 def draw(n: int, genes: int = 7, seed: int = 0, near: int = 0) -> Genomes:
@@ -67,17 +70,17 @@ def elsewhere(act: Callable[..., T], *arguments: object) -> T:
         return pool.submit(act, *arguments).result(PATIENCE)
 
 
-def encoded(scene: Scene, values: NDArray[np.float64]) -> Genomes:
-    """Genomes (n, d) of the prior aimed that stand for `values` (n, d) [m or rad]."""
-    genes = layout(scene, "aimed").genes
+def encoded(scene: Scene, values: NDArray[np.float64], prior: str = "aimed") -> Genomes:
+    """Genomes (n, d) of a prior that stand for `values` (n, d) [m or rad]."""
+    genes = layout(scene, prior).genes
     low, high = np.array([gene.low for gene in genes]), np.array([gene.high for gene in genes])
     return ((values - low) / (high - low) * 2 - 1).astype(np.float32)
 
 
 def facing(
-    scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0
+    scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0, prior: str = "aimed"
 ) -> NDArray[np.float64]:
-    """Values (n, 15) of genomes of the prior aimed that look straight at surface points.
+    """Values (n, d) of genomes of the prior aimed or valued that look straight at surface points.
 
     Their hands are a third into the stand-off, at any roll, and their weights zero.
     """
@@ -85,9 +88,28 @@ def facing(
     chosen = random.integers(len(scene.surface_points), size=n)
     low, high = scene.gripper.standoff
     distance = scene.gripper.palm_offset + low + (high - low) / 3
-    values = random.uniform(0.0, 1.0, (n, len(layout(scene, "aimed"))))
+    values = random.uniform(0.0, 1.0, (n, len(layout(scene, prior))))
     values[:, 3:6] = scene.surface_points[chosen]
     values[:, :3] = values[:, 3:6] + distance * scene.surface_normals[chosen]
     values[:, 6] *= 2 * np.pi
-    values[:, LOOSENESS], values[:, CANDIDATES], values[:, WEIGHTS] = looseness, candidates, 0.0
+    values[:, LOOSENESS], values[:, CANDIDATES], values[:, RANKED_BY[prior]] = looseness, candidates, 0.0
     return values
+
+
+def side_of(scene: Scene) -> NDArray[np.float64]:
+    """The normal (3,) of an upright side of a cube."""
+    normals = scene.surface_normals.astype(np.float64)
+    side: NDArray[np.float64] = normals[np.abs(normals[:, 2]).argmin()]
+    return side
+
+
+def above(
+    scene: Scene, along: float = 0.0, aside: float = 0.0, height: float = 0.1, roll: float = 0.0
+) -> list[float]:
+    """The Panda's pose over a cube, looking down: its fingers are before a side and the opposite one.
+
+    It is moved from the middle along the line of its fingers, or aside, or rolled [m, rad].
+    """
+    x, y, _ = side_of(scene)
+    turn = Rotation.from_euler("z", np.arctan2(x, -y) + roll) * Rotation.from_euler("x", np.pi)
+    return [along * x - aside * y, along * y + aside * x, height, *turn.as_quat().tolist()]

@@ -1,16 +1,17 @@
-"""The screen, and what is simulated of a genome with several candidates."""
+"""The screen and its features, and what is simulated of a genome with several candidates."""
 
-from functools import partial
+from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from tests.worker.genomes import CANDIDATES, CONSTANT, WEIGHTS, decoded, draw, encoded, facing, outcomes
+from tests.worker.genomes import CANDIDATES, RANKED_BY, above, decoded, encoded, facing, outcomes
 
-from qdgrasp_assets.genes import layout
-from qdgrasp_protocol.rows import NO_SYNERGY, RESULT, Outcome
-from qdgrasp_worker.candidate_ranking import SweptVolumes, candidate_scores
+from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE, layout
+from qdgrasp_protocol.rows import RESULT, Outcome
+from qdgrasp_worker.candidate_ranking import RANKINGS, PoseFeatures
 from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.world import World
 
 N = 40
@@ -29,13 +30,21 @@ def evaluator(scene):
         yield evaluator
 
 
+@pytest.fixture(scope="module", params=RANKINGS)
+def prior(request):
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def genomes(scene):
-    values = facing(scene, N, candidates=12, seed=1)
-    values[N // 2 :, WEIGHTS] = np.random.default_rng(2).uniform(-8.0, 8.0, (N - N // 2, 6))
-    values[::2, CONSTANT] = 0.0
+def genomes(scene, prior):
+    values = facing(scene, N, candidates=12, seed=1, prior=prior)
+    ranked_by = values[:, RANKED_BY[prior]]
+    ranked_by[N // 2 :] = np.random.default_rng(2).uniform(-4.0, 4.0, ranked_by[N // 2 :].shape)
+    ranked_by[::2, -1] = 0.0
+    if prior == "valued":
+        ranked_by[:, -1] = np.abs(ranked_by[:, -1] / 8)
     values[::9, :3] *= 0.6  # inside the object, some
-    return encoded(scene, values)
+    return encoded(scene, values, prior)
 
 
 def rows_of(evaluator, prior, genomes, trial=0):
@@ -45,31 +54,32 @@ def rows_of(evaluator, prior, genomes, trial=0):
 
 
 @pytest.fixture(scope="module")
-def rows(evaluator, genomes):
-    return rows_of(evaluator, "aimed", genomes)
+def rows(evaluator, prior, genomes):
+    return rows_of(evaluator, prior, genomes)
 
 
 @pytest.fixture(scope="module")
-def candidates(scene, evaluator, genomes):
+def candidates(scene, evaluator, prior, genomes):
     """The poses (m, 7) of all candidates, the genome of each, and their features."""
-    grasps = decoded(scene, "aimed", genomes)
+    grasps = decoded(scene, prior, genomes)
     (places,) = np.nonzero(~grasps.dead_ends)
-    features = evaluator._candidate_screen._ranking.features(grasps, places)
+    features = evaluator._candidate_screen._features.features(grasps, places)
     poses = np.concatenate([grasps.positions[places], grasps.quaternions[places]], axis=1)
     return poses, grasps.genome_of[places], features, grasps.weights
 
 
 def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulated(
-    evaluator, rows, candidates
+    evaluator, prior, rows, candidates
 ):
-    poses, of, features, weights = candidates
+    (poses, of, features, weights), ranking = candidates, RANKINGS[prior]
+    thresholds = ranking.thresholds(weights)
     overlaps = rows_of(evaluator, "given", poses)["outcome"] == Outcome.OVERLAP
     chosen = refused = 0
     for i, row in enumerate(rows):
         mine = np.flatnonzero((of == i) & ~overlaps)
-        value = candidate_scores(features[mine], np.tile(weights[i], (len(mine), 1)))
+        value = ranking.scores(features[mine], np.tile(weights[i], (len(mine), 1)))
         is_choosy = weights[i, -1] != 0
-        if not len(mine) or (is_choosy and value.max() < 0):
+        if not len(mine) or value.max() < thresholds[i]:
             refused += len(mine) > 0
             assert row["outcome"] in (
                 (Outcome.DEAD_END,) if is_choosy else (Outcome.OVERLAP, Outcome.DEAD_END)
@@ -100,18 +110,39 @@ def test_features_are_those_of_simulated_poses_and_end_with_the_constant(rows):
     simulated = np.array([outcome.is_simulated for outcome in outcomes(rows)])
     features = rows["descriptor"][:, 3:]
     assert not features[~simulated].any()
-    assert (features[simulated, 5] == 1.0).all()
+    assert (features[simulated, -1] == 1.0).all()
     assert np.abs(features).max() <= 1.0 + 1e-6
     assert (~simulated).any()
     assert simulated.sum() > N / 2
 
 
-def test_a_genome_without_weights_is_ranked_by_what_is_swept_from_opposite_sides():
-    features = np.array([[0.9, 0.2, 1, 1, 1, 1], [0.5, 0.4, 0, 0, 0, 1], [0.5, 0.5, -1, 0, -1, 1]])
-    assert candidate_scores(features.astype(np.float32), np.zeros((3, 6))).argsort().tolist() == [0, 1, 2]
+@pytest.mark.parametrize(("prior", "weights"), [("aimed", [0] * 6), ("valued", [0] * 6 + [3] * 6 + [0])])
+def test_a_genome_without_weights_is_ranked_by_what_is_swept_from_opposite_sides(prior, weights):
+    features = np.array(
+        [[0.9, 0.2, 1, 1, 1, 1], [0.5, 0.4, 0, 0, 0, 1], [0.5, 0.5, -1, 0, -1, 1]], np.float32
+    )
+    scores = RANKINGS[prior].scores(features, np.tile(np.array(weights, float), (3, 1)))
+    assert scores.tolist() == pytest.approx([0.425, 0.525, 0.625])
+
+
+def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene_is_above_zero():
+    random, ranking = np.random.default_rng(0), RANKINGS["valued"]
+    features = random.uniform(-1, 1, (200, 13)).astype(np.float32)
+    weights = random.normal(0, 2, (200, 27))
+    touch, quality = (
+        1 / (1 + np.exp(-(features * some).sum(axis=1))) for some in (weights[:, :13], weights[:, 13:26])
+    )
+    scores = ranking.scores(features, weights)
+    np.testing.assert_allclose(scores, touch * (TOUCH_VALUE + (1 - TOUCH_VALUE) * quality), atol=6e-7)
+    assert (scores == scores.round(6)).all()
+    assert np.ptp(scores) > 0.9
+    assert ranking.scores(features[7:8], weights[7:8]) == scores[7]
+    expected = np.where(weights[:, 26] > 0, weights[:, 26], -np.inf)
+    np.testing.assert_array_equal(ranking.thresholds(weights), expected)
 
 
 def test_weights_decide_and_the_constant_changes_nothing():
+    candidate_scores = RANKINGS["aimed"].scores
     features = np.random.default_rng(0).uniform(-1, 1, (20, 6)).astype(np.float32)
     features[:, 5] = 1.0
     weights = np.tile([0.0, 0.0, -2.0, 0.0, 1.0, 0.0], (20, 1))
@@ -131,122 +162,67 @@ def test_one_candidate_is_simulated_as_it_is_drawn(scene, evaluator):
     assert (rows["outcome"] == Outcome.OVERLAP).any()
 
 
-def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, rows, genomes):
+def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, prior, rows, genomes):
     found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)[:6]
     assert len(found) == 6
     for trial in (1, 2):
-        again = rows_of(evaluator, "aimed", genomes[found], trial)
+        again = rows_of(evaluator, prior, genomes[found], trial)
         np.testing.assert_array_equal(again["base_to_object"], rows["base_to_object"][found])
         alone = rows_of(evaluator, "given", rows["base_to_object"][found], trial)
         for name in POSE:
             assert alone[name].tobytes() == again[name].tobytes(), name
 
 
-def test_a_genome_that_is_not_finite_fails_alone(evaluator, genomes, rows):
+def test_a_genome_that_is_not_finite_fails_alone(evaluator, prior, genomes, rows):
     broken = genomes[:4].copy()
     broken[1, 0], broken[2, CANDIDATES] = np.nan, np.inf
-    evaluation = evaluator.evaluate("aimed", broken, np.zeros(4, dtype=np.uint16))
+    evaluation = evaluator.evaluate(prior, broken, np.zeros(4, dtype=np.uint16))
     assert [place for place, _ in evaluation.failures] == [1, 2]
     for column in RESULT:
         np.testing.assert_array_equal(evaluation.rows[column.name][[0, 3]], rows[column.name][[0, 3]])
 
 
-def test_genes_far_beyond_their_intervals_are_dead_ends(evaluator, scene):
-    genomes = np.full((2, len(layout(scene, "aimed"))), 1e30, dtype=np.float32)
+def test_genes_far_beyond_their_intervals_are_dead_ends(evaluator, prior, scene):
+    genomes = np.full((2, len(layout(scene, prior))), 1e30, dtype=np.float32)
     genomes[1] *= -1
-    assert (rows_of(evaluator, "aimed", genomes)["outcome"] == Outcome.DEAD_END).all()
-
-
-TIP = np.array([0.0, 0.0, 0.1])
-"""Between the tips of the Panda's fingers, hand frame [m]."""
-
-
-@pytest.fixture(scope="module", params=["panda", "barrett", "allegro"])
-def hand_scene(request, make_scene):
-    return make_scene(request.param, "tennis_ball", "paper")
+    assert (rows_of(evaluator, prior, genomes)["outcome"] == Outcome.DEAD_END).all()
 
 
 @pytest.fixture(scope="module")
-def volumes(hand_scene):
-    world = World(hand_scene)
-    yield SweptVolumes(hand_scene.gripper, world.closing)
-    world.close()
+def grip(scene):
+    """The grip features of the Panda over the cube, by how it is moved."""
+    with closing(World(scene)) as world:
+        features = PoseFeatures(scene, ObjectSolid(scene), world.closing)
+
+        def find(*moves):
+            poses = np.array([above(scene, **move) for move in moves], np.float32)
+            grasps = replace(decoded(scene, "given", poses), prior="valued")
+            found = features.features(grasps, np.arange(len(poses)))[:, 5:-1].T
+            return dict(zip(GRIP_FEATURES, found, strict=True))
+
+        yield find
 
 
-@pytest.fixture(scope="module")
-def grasps(hand_scene):
-    return decoded(hand_scene, "approach", draw(60, len(layout(hand_scene, "approach"))))
+def test_two_fingers_before_opposite_sides_are_more_square_than_before_edges(grip):
+    square, edgewise = (grip({"roll": roll}) for roll in (0.0, np.pi / 4))
+    assert square["fingers"].tolist() == edgewise["fingers"].tolist() == [1.0]
+    for name in ("squareness", "alignment"):
+        assert 0.3 < edgewise[name][0] < square[name][0] - 0.1
+    assert square["opposition"][0] > 0.5
 
 
-@pytest.fixture(scope="module")
-def around(hand_scene):
-    """Points (4000, 3) about where the hand grasps, hand frame [m]."""
-    grasp = np.array(hand_scene.gripper.approach_axis) * hand_scene.gripper.reach
-    return grasp + np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3))
+def test_the_lever_is_how_far_the_line_between_the_fingers_passes_the_centre_of_mass(grip, scene):
+    aside = np.array([0.005, 0.01, 0.015])
+    lever = grip({}, *({"aside": way} for way in aside))["lever"] * ObjectSolid(scene).radius
+    np.testing.assert_allclose(np.sqrt(lever[1:] ** 2 - lever[0] ** 2), aside, atol=0.003)
+    assert lever[0] < 0.02  # above it: the hand does not reach the middle of the cube's height
 
 
-def shares(volumes, grasps, points):
-    """The shares (n, 2) of each of the grasps."""
-    return volumes.shares(points.astype(np.float32), grasps, np.arange(len(grasps)))
+def test_a_hand_farther_off_grips_with_its_tips_alone(grip):
+    depth = grip({}, {"height": 0.115})["depth"]
+    assert 0 < depth[1] < depth[0] - 0.1 < 0.9
 
 
-def seen(grasps, i, points):
-    """Points of the hand's frame in the object's."""
-    turn = Rotation.from_quat(grasps.quaternions[i].astype(float))
-    return turn.apply(points) + grasps.positions[i]
-
-
-def test_what_is_in_it_is_more_than_what_is_so_from_opposite_sides_and_nothing_is_far_away(
-    volumes, grasps, hand_scene
-):
-    found = shares(volumes, grasps, hand_scene.surface_points)
-    assert (found[:, 1] <= found[:, 0]).all()
-    assert (found[:, 1] > 0).any()
-    assert (found[:, 0] > 0).mean() > 0.3
-    assert found.max() <= 1.0
-    assert not shares(volumes, grasps, hand_scene.surface_points + 3.0).any()
-
-
-def test_what_is_in_it_moves_with_the_hand(volumes, grasps, around):
-    """Points that stand alike before every hand are alike in its volume, if hands close alike."""
-    alike = np.flatnonzero(grasps.synergies == grasps.synergies[0])
-    alike = alike[(np.abs(grasps.joints[alike] - grasps.joints[0]) < 1e-6).all(axis=1)][:8]
-    found = [
-        volumes.shares(seen(grasps, i, around).astype(np.float32), grasps, np.array([i]))[0] for i in alike
-    ]
-    assert found[0][0] > 5 / len(around)
-    np.testing.assert_allclose(found, np.tile(found[0], (len(found), 1)), atol=2 / len(around))
-
-
-def test_a_share_does_not_depend_on_the_batch(volumes, grasps, hand_scene):
-    together = shares(volumes, grasps, hand_scene.surface_points)
-    points = hand_scene.surface_points.astype(np.float32)
-    for i in range(0, len(grasps), 7):
-        np.testing.assert_array_equal(volumes.shares(points, grasps, np.array([i]))[0], together[i])
-
-
-def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, hand_scene, monkeypatch):
-    shares(volumes, grasps, hand_scene.surface_points)
-    monkeypatch.setattr(volumes, "_closing", None)  # to call it would fail
-    shares(volumes, grasps, hand_scene.surface_points)
-    synergies, places = len(hand_scene.gripper.synergies) or 1, 5 ** len(hand_scene.gripper.free_joints)
-    assert 1 <= len(volumes._found) <= synergies * places
-    assert sum(volume.voxels.levels.nbytes for volume in volumes._found.values()) < 50e6
-
-
-def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):
-    hand_scene = make_scene("panda", "rubiks_cube", "paper")
-    grasps = decoded(hand_scene, "given", np.array([[0, 0, 0, 0, 0, 0, 1]], dtype=np.float32))
-    assert grasps.synergies.tolist() == [NO_SYNERGY]
-    world = World(hand_scene)
-    share = partial(shares, SweptVolumes(hand_scene.gripper, world.closing), grasps)
-    line = TIP + np.linspace(-0.035, 0.035, 50)[:, None] * (0.0, 1.0, 0.0)
-    [(within, opposed)] = share(line)
-    assert within == 1.0
-    assert opposed > 0.9
-    for side in (line[:20], line[-20:]):  # one finger comes first, and pushes
-        [(within, opposed)] = share(side)
-        assert within == 1.0
-        assert opposed < 0.1
-    assert share(line - TIP * 1.5).tolist() == [[0.0, 0.0]]
-    world.close()
+def test_of_a_hand_far_away_all_of_it_is_zero(grip):
+    found = grip({"height": 3.0})
+    assert {name: float(column[0]) for name, column in found.items() if column[0]} == {}

@@ -145,7 +145,7 @@ def test_a_trial_that_the_protocol_does_not_have_fails(make_scene, genomes, prot
     assert all(reason in failure for failure in failures.values())
 
 
-@pytest.mark.parametrize("prior", ["approach", "antipodal", "aimed"])
+@pytest.mark.parametrize("prior", ["approach", "antipodal", "aimed", "valued"])
 def test_an_empty_batch_gives_no_rows(evaluator, prior):
     none = evaluator.shape(prior).empty(0)["genome"]
     evaluation = evaluator.evaluate(prior, none, nominal(none))

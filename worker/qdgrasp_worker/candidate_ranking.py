@@ -1,178 +1,121 @@
 """Screening: choose the candidate of each genome to simulate, as far as geometry can tell.
 
-Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md). Two of
-these are of the volume that the closing fingers sweep, and of the direction in which they do. It is a
-measure for ranking poses, and decides nothing else. An object of which much is in the swept volume is likely
-to be touched; where all of it is passed through in one direction, it is likely to be pushed away.
+Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md), and those
+that promise too little are refused. A genome's own numbers say how features make a score, so that what is
+simulated depends on the genome alone.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import FEATURES
-from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.genes import AIMED, PRIOR_FEATURES, TOUCH_VALUE, VALUED
 from qdgrasp_assets.geometry.rotation import Floats, dot
-from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.filters.overlap_filter import OverlapFilter, rotation_matrices, transform_points
-from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid, convex_hulls
-from qdgrasp_worker.hand_geometry import Closing, HandKinematics
+from qdgrasp_worker.filters.overlap_filter import OverlapFilter, rotation_matrices
+from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import ObjectSolid
+from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
 
-VOXEL_PITCH = 3e-3  # The side of a voxel [m]
-STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks where its fingers are
-FREE_JOINT_PLACES = 5
-"""Places of each free joint at which a swept volume is measured; the nearest one is used."""
-POSES_AT_ONCE = 64  # Poses that are looked up at once: their points fit in the cache
-MIN_MOTION = 1e-5  # What a finger moves at least from one look to the next to have a direction [m]
-DIRECTION_UNIT = 1 << 12
-"""The length of a direction: in whole numbers, whose sums do not depend on their order."""
+DEFAULT_WEIGHTS = np.array([0.25, 1.0])
+"""Weights of swept and opposed for a genome whose own are zero: the share above all from opposite sides."""
+VALUE_DECIMALS = 6  # Decimals of a value: rounded so, the last bits of an exponential decide no order
 
 
-@dataclass(frozen=True)
-class SweptVolume:
-    """One way of closing, hand frame."""
+class Ranking(Protocol):
+    """Scores candidates by features and the numbers of their genomes."""
 
-    voxels: VoxelGrid
-    """The level tells the first finger there, and its time: greater is earlier; 0: none."""
-    ways: NDArray[np.int32]
-    """(levels, 3): in which direction across the approach axis it comes, see `motion_directions`."""
+    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
+        """Scores (p,) of poses, of their features (p, f) and the weights (p, w) of their genomes."""
 
-    def shares(self, x: Singles, y: Singles, z: Singles) -> NDArray[np.float32]:
-        """Return the share of points (n, p) [m] inside, and inside from opposite sides: (n, 2)."""
-        levels = self.voxels.at(x, y, z)
-        within = np.count_nonzero(levels, axis=1)
-        push = self.ways[levels].sum(axis=1, dtype=np.int64).astype(np.float64)
-        opposed = np.maximum(within - np.sqrt(dot(push, push)) / DIRECTION_UNIT, 0.0)
-        shares: NDArray[np.float64] = np.stack([within, opposed], axis=1) / levels.shape[1]
-        return shares.astype(np.float32)
+    def thresholds(self, weights: Floats) -> Floats:
+        """The least score (n,) of a pose that genomes, by weights (n, w), want simulated; -inf: any."""
 
 
-class SweptVolumes:
-    """The volumes of a scene's hand, each measured when it is first asked for."""
+class ScoreRanking:
+    """Weights times features.
 
-    def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
-        self._kinematics = HandKinematics(gripper)
-        self._fingers = gripper.finger_links
-        self._plain = {link: simplified_hulls(self._kinematics.hulls[link]) for link in self._fingers}
-        self._closing = closing
-        self._approach = np.array(gripper.approach_axis)
-        self._opened = [joint.opened for joint in gripper.joints]
-        names = [joint.name for joint in gripper.joints]
-        self._free = [names.index(joint.name) for joint in gripper.free_joints]
-        self._low = np.array([joint.low for joint in gripper.free_joints])
-        self._high = np.array([joint.high for joint in gripper.free_joints])
-        self._found: dict[tuple[int, ...], SweptVolume] = {}
-
-    def shares(self, points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Shares of an object's points (p, 3), CoM frame, that are swept, and from opposite sides.
-
-        (places, 2), between 0 and 1; the second is the first, less the length of the mean of the directions
-        in which the fingers come to the points.
-        """
-        shares = np.zeros((len(places), 2), dtype=np.float32)
-        keys, which = np.unique(self._keys(grasps, places), axis=0, return_inverse=True)
-        for i, key in enumerate(keys.tolist()):
-            swept_volume = self._volume(tuple(key))
-            (mine,) = np.nonzero(which.reshape(-1) == i)
-            for start in range(0, len(mine), POSES_AT_ONCE):
-                some = mine[start : start + POSES_AT_ONCE]
-                shares[some] = swept_volume.shares(*points_in_hand_frames(points, grasps, places[some]))
-        return shares
-
-    def _keys(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.int64]:
-        """A number for the swept volume of each grasp, by its synergy and places of its free joints."""
-        free = grasps.joints[places][:, self._free].astype(np.float64)
-        portions = (free - self._low) / np.where(self._high == self._low, 1.0, self._high - self._low)
-        stops = np.rint(np.clip(portions, 0.0, 1.0) * (FREE_JOINT_PLACES - 1)).astype(np.int64)
-        return np.column_stack([grasps.synergies[places], stops])
-
-    def _volume(self, key: tuple[int, ...]) -> SweptVolume:
-        if key not in self._found:
-            self._found[key] = self._measure(key[0], np.array(key[1:]))
-        return self._found[key]
-
-    def _measure(self, synergy: int, stops: NDArray[np.int64]) -> SweptVolume:
-        """Close the hand on nothing and mark the way of its fingers."""
-        posture = np.array(self._opened)
-        posture[self._free] = self._low + stops / (FREE_JOINT_PLACES - 1) * (self._high - self._low)
-        frames = self._kinematics.frames(
-            np.array(self._closing(posture.tolist(), synergy))[::STEPS_BETWEEN_LOOKS]
-        )
-        voxels = VoxelGrid(*self._kinematics.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
-        parts = [(frames[link], hull) for link in self._fingers for hull in self._plain[link]]
-        looks = len(next(iter(frames.values())))
-        ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
-        for i, (course, hull) in enumerate(parts):
-            # Of several fingers the first counts: an earlier look has a greater level, and `mark` keeps that.
-            levels = 1 + i + len(parts) * np.arange(looks)[::-1]
-            ways[levels] = motion_directions(course, hull, self._approach)
-            for frame, level in zip(course, levels.tolist(), strict=True):
-                voxels.mark(hull.moved(frame), level)
-        return SweptVolume(voxels, ways)
-
-
-def motion_directions(course: Floats, hull: Hull, axis: Floats) -> NDArray[np.int32]:
-    """In which directions across `axis` (3,) a hull is carried through frames (n, 4, 4): (n, 3).
-
-    Their length is `DIRECTION_UNIT`, or less where it goes along the axis: what is drawn that way, the palm
-    stops.
+    A weight of the constant, which changes no order, sets a threshold at 0.
     """
-    centre = hull.triangles.reshape(-1, 3).mean(axis=0)
-    moves = np.gradient(course[:, :3, :3] @ centre + course[:, :3, 3], axis=0)
-    lengths = np.sqrt(dot(moves, moves))[:, None]
-    ways = np.where(lengths > MIN_MOTION, moves / np.maximum(lengths, MIN_MOTION), 0.0)
-    return np.rint(DIRECTION_UNIT * (ways - dot(ways, axis)[:, None] * axis)).astype(np.int32)
+
+    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
+        """See `Ranking.scores`."""
+        total = weighted_sums(features, weights)
+        return np.where(weights.any(axis=1), total, default_scores(features))
+
+    def thresholds(self, weights: Floats) -> Floats:
+        """See `Ranking.thresholds`."""
+        return np.where(weights[:, -1] != 0.0, 0.0, -np.inf)
 
 
-def simplified_hulls(parts: Sequence[Hull]) -> list[Hull]:
-    """Hulls of the points that `parts` reach farthest with in 92 directions."""
-    directions = geodesic(1.0, 3).vertices
-    corners = [hull.triangles.reshape(-1, 3) for hull in parts]
-    return convex_hulls(points[np.unique((points @ directions.T).argmax(axis=0))] for points in corners)
+class ValueRanking:
+    """The value P(touch) (c + (1 - c) q).
+
+    P(touch) and the quality q of a grasp that touches are logistic functions of features. Weights are those
+    of P(touch), those of q, and the least value to simulate.
+    """
+
+    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
+        """See `Ranking.scores`."""
+        touch, hold = weights[:, : features.shape[1]], weights[:, features.shape[1] : -1]
+        value = logistic(weighted_sums(features, touch)) * (
+            TOUCH_VALUE + (1.0 - TOUCH_VALUE) * logistic(weighted_sums(features, hold))
+        )
+        return np.where(touch.any(axis=1), value.round(VALUE_DECIMALS), default_scores(features))
+
+    def thresholds(self, weights: Floats) -> Floats:
+        """See `Ranking.thresholds`."""
+        return np.where(weights[:, -1] > 0.0, weights[:, -1], -np.inf)
 
 
-def points_in_hand_frames(
-    points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]
-) -> tuple[Singles, Singles, Singles]:
-    """x, y, z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
-    rotations = np.moveaxis(rotation_matrices(grasps.quaternions[places]), 1, 2)
-    return transform_points(points[None], rotations, -rotate_vectors(rotations, grasps.positions[places]))
+RANKINGS: dict[str, Ranking] = {AIMED: ScoreRanking(), VALUED: ValueRanking()}
+"""Of priors whose genomes have several candidates."""
 
 
-def rotate_vectors(rotations: Singles, vectors: Singles) -> Singles:
-    """The vectors (n, 3) turned by rotations (n, 3, 3), bits independent of n."""
-    x, y, z = (rotations[:, :, axis] * vectors[:, axis, None] for axis in range(3))
-    total: Singles = x + y + z
+def weighted_sums(features: NDArray[np.float32], weights: Floats) -> Floats:
+    """The sums (p,) of features (p, f) times weights (p, f), bits independent of p."""
+    total = np.zeros(len(features))
+    for i in range(features.shape[1]):
+        total += weights[:, i] * features[:, i]
     return total
 
 
-DEFAULT_WEIGHTS = np.array([0.25, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""Weights of a genome whose own are zero: the swept share, above all from opposite sides."""
+def default_scores(features: NDArray[np.float32]) -> Floats:
+    """Scores (p,) of poses as long as nothing is learned."""
+    return weighted_sums(features[:, : len(DEFAULT_WEIGHTS)], np.tile(DEFAULT_WEIGHTS, (len(features), 1)))
+
+
+def logistic(values: Floats) -> Floats:
+    """The logistic function of values (n,)."""
+    result: Floats = 1.0 / (1.0 + np.exp(-values))
+    return result
 
 
 class PoseFeatures:
     """The features (docs/methods.md) of a scene's poses."""
 
-    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, volumes: SweptVolumes) -> None:
-        self._gripper = gripper
+    def __init__(self, scene: Scene, solid: ObjectSolid, closing: Closing) -> None:
+        self._gripper = scene.gripper
         self._solid = solid
-        self._volumes = volumes
+        self._volumes = SweptVolumes(scene.gripper, closing)
         self._points = solid.points.astype(np.float32)
 
     def features(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The features (p, 6) of those of a batch of grasps that are at `places` (p,).
+        """The features (p, f) of those of a batch of grasps that are at `places` (p,).
 
-        All but the last are between 0 and 1, or -1 and 1.
+        All but height, lever and depth are between 0 and 1, or -1 and 1.
         """
-        features = np.ones((len(places), len(FEATURES)), dtype=np.float32)
+        features = np.ones((len(places), len(PRIOR_FEATURES[grasps.prior])), dtype=np.float32)
         features[:, :2] = self._volumes.shares(self._points, grasps, places)
         features[:, 2:5] = self._geometry(grasps, places)
+        if grasps.prior == VALUED:
+            contacts = self._volumes.first_contacts(self._solid.sample, grasps, places)
+            features[:, 5:-1] = self._grip(contacts, grasps, places)
         return features
 
     def _geometry(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> Floats:
@@ -185,23 +128,55 @@ class PoseFeatures:
         height = dot(points, offsets) / distances / self._solid.radius
         return np.stack([np.cos(grasps.nu[places].astype(np.float64)), d, height], axis=1)
 
+    def _grip(self, contacts: FirstContacts, grasps: DecodedGrasps, places: NDArray[np.intp]) -> Floats:
+        """(p, 7): the `GRIP_FEATURES` of the contacts that the fingers would make."""
+        hand, count = self._gripper, np.maximum(contacts.meets.sum(axis=1), 1)
+        rotations = rotation_matrices(grasps.quaternions[places]).astype(np.float64)
+        axes = np.stack([dot(rotations[:, i], np.array(hand.approach_axis)) for i in range(3)], axis=1)
+        offsets = contacts.points - grasps.positions[places].astype(np.float64)[:, None]
+        heights = (dot(offsets, axes[:, None]) - hand.palm_offset) / max(hand.reach - hand.palm_offset, 1e-9)
+        line, middle = grip_line(contacts)
+        lever = middle - dot(middle, line)[:, None] * line
+        return np.stack(
+            [
+                contacts.meets.mean(axis=1),
+                least_met(contacts.meets, -dot(contacts.normals, contacts.ways)),
+                contacts.meets.any(axis=1) - lengths(contacts.normals.sum(axis=1)) / count,
+                least_met(contacts.meets, np.abs(dot(contacts.normals, line[:, None]))),
+                lengths(lever) / self._solid.radius,
+                np.where(contacts.meets, 1.0 - heights, 0.0).sum(axis=1) / count,
+                contacts.strokes.sum(axis=1) / count,
+            ],
+            axis=1,
+        )
 
-def have_threshold(weights: Floats) -> NDArray[np.bool_]:
-    """(n,): genomes, by weights (n, f), that want a score of 0 or more of a simulated pose.
 
-    Those with a weight for the constant, which changes no order: it says what is not worth a simulation.
+def grip_line(contacts: FirstContacts) -> tuple[Floats, Floats]:
+    """Return direction (n, 3) and middle (n, 3) [m] of the line on which fingers press.
+
+    It runs from the contact of the finger that presses most against the others to the middle of theirs; its
+    direction is zero where fewer than two fingers meet the object.
     """
-    choosy: NDArray[np.bool_] = (weights[:, -1:] != 0.0).any(axis=1)
-    return choosy
+    meets = contacts.meets[..., None]
+    count = np.maximum(contacts.meets.sum(axis=1), 1)[:, None]
+    middle = contacts.points.sum(axis=1) / count
+    agreement = dot(contacts.normals, contacts.normals.sum(axis=1)[:, None])
+    alone = np.where(contacts.meets, agreement, np.inf).argmin(axis=1)
+    rows = np.arange(len(alone))
+    one = np.where(meets, contacts.points, 0.0)[rows, alone]
+    others = (middle * count - one) / np.maximum(count - 1, 1)
+    way = np.where(count > 1, others - one, 0.0)
+    return way / np.maximum(lengths(way), 1e-9)[:, None], (one + others) / np.where(count > 1, 2.0, 1.0)
 
 
-def candidate_scores(features: NDArray[np.float32], weights: Floats) -> Floats:
-    """Scores (p,) of poses, of their features (p, f) and the weights (p, f) of their genomes."""
-    weights = np.where(weights.any(axis=1, keepdims=True), weights, DEFAULT_WEIGHTS)
-    total = np.zeros(len(features))
-    for i in range(features.shape[1]):
-        total += weights[:, i] * features[:, i]
-    return total
+def least_met(meets: NDArray[np.bool_], values: Floats) -> Floats:
+    """The least (n,) of values (n, f) of the fingers that meet the object; 0 where none does."""
+    return np.where(meets.any(axis=1), np.where(meets, values, np.inf).min(axis=1), 0.0)
+
+
+def lengths(vectors: Floats) -> Floats:
+    """The lengths (...) of vectors (..., 3)."""
+    return np.sqrt(dot(vectors, vectors))
 
 
 @dataclass(frozen=True)
@@ -260,23 +235,23 @@ class CandidateScreen:
         (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.genome_of])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
         features, order = self._rank(grasps, left)
-        choosy = have_threshold(grasps.weights)
-        return make_shortlists(
-            grasps, poses, order, np.where(choosy, Outcome.DEAD_END, Outcome.OVERLAP)
-        ), features
+        fallbacks = np.full(len(trials), int(Outcome.OVERLAP))
+        if grasps.prior in RANKINGS:
+            fallbacks[RANKINGS[grasps.prior].thresholds(grasps.weights) > -np.inf] = Outcome.DEAD_END
+        return make_shortlists(grasps, poses, order, fallbacks), features
 
     def _rank(
         self, grasps: DecodedGrasps, left: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """The features (poses, f), and those of `left` that promise enough, best first per genome."""
-        features = np.zeros((len(grasps), grasps.weights.shape[1]), dtype=np.float32)
-        if not features.shape[1]:
+        features = np.zeros((len(grasps), len(PRIOR_FEATURES.get(grasps.prior, ()))), dtype=np.float32)
+        if grasps.prior not in RANKINGS:
             return features, left
-        features[left] = self._ranking.features(grasps, left)
-        rows = grasps.genome_of[left]
-        promised = candidate_scores(features[left], grasps.weights[rows])
+        ranking, rows = RANKINGS[grasps.prior], grasps.genome_of[left]
+        features[left] = self._features.features(grasps, left)
+        promised = ranking.scores(features[left], grasps.weights[rows])
         best_first = np.lexsort([-promised, rows])
-        is_enough = (promised >= 0.0) | ~have_threshold(grasps.weights)[rows]
+        is_enough = promised >= ranking.thresholds(grasps.weights)[rows]
         return features, left[best_first[is_enough[best_first]]]
 
     @cached_property
@@ -284,9 +259,8 @@ class CandidateScreen:
         return OverlapFilter(self._scene.gripper, self._solid, follows_free_joints=self._follows)
 
     @cached_property
-    def _ranking(self) -> PoseFeatures:
-        gripper = self._scene.gripper
-        return PoseFeatures(gripper, self._solid, SweptVolumes(gripper, self._closing))
+    def _features(self) -> PoseFeatures:
+        return PoseFeatures(self._scene, self._solid, self._closing)
 
 
 def make_shortlists(

@@ -62,7 +62,8 @@ class DecodedGrasps:
     genome_of: NDArray[np.intp]
     """(n,): the genome of the batch that each belongs to, ascending."""
     weights: NDArray[np.float64]
-    """(genomes, f): weights of a genome's candidates by feature; f is 0 without a choice."""
+    """(genomes, f): numbers by which a genome's candidates are ranked; f is 0 without a choice."""
+    prior: str
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -117,6 +118,7 @@ class Decoder:
             dead_ends=poses.dead_ends,
             genome_of=drawn.rows,
             weights=drawn.weights,
+            prior=self._prior.name,
         )
 
     def _synergies(self, values: Floats) -> NDArray[np.int64]:

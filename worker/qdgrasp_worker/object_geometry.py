@@ -115,6 +115,28 @@ class ObjectSurface:
         return OppositePoints(distances, unit(cross(second - first, third - first)))
 
 
+SAMPLE_POINTS = 512  # Surface points of a sample, at most
+SAMPLE_UNIT = 1 << 12
+"""Steps of a sample's coordinates: whole numbers, whose sums in float32 do not depend on their order."""
+
+
+class SurfaceSample:
+    """Some of an object's surface points, for sums over few of them; CoM frame."""
+
+    def __init__(self, scene: Scene) -> None:
+        chosen = np.linspace(0, len(scene.surface_points) - 1, SAMPLE_POINTS).astype(np.intp)
+        self.points: NDArray[np.float32] = scene.surface_points[np.unique(chosen)].astype(np.float32)
+        normals = unit(scene.surface_normals[np.unique(chosen)].astype(np.float64))
+        self._scale = float(np.abs(self.points).max()) or 1.0
+        numbers = np.concatenate([self.points / self._scale, normals], axis=1)
+        self.encoded: NDArray[np.float32] = np.rint(SAMPLE_UNIT * numbers).astype(np.float32)
+        """(p, 6): point and normal of each in whole numbers, at most `SAMPLE_UNIT`."""
+
+    def decoded(self, means: Floats) -> tuple[Floats, Floats]:
+        """Points (..., 3) [m] and normals (..., 3) that means (..., 6) of `encoded` stand for."""
+        return means[..., :3] * (self._scale / SAMPLE_UNIT), means[..., 3:] / SAMPLE_UNIT
+
+
 VOXEL_PITCH = 1e-3  # The side of a voxel [m]; larger for an object of more than `MOST` voxels
 MAX_VOXELS = 1 << 24
 SAFE_DEPTH = 1e-4  # Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm.
@@ -134,6 +156,7 @@ class ObjectSolid:
         self._surface = scene.surface_points.astype(np.float64)
         self.radius = float(np.sqrt((self._surface**2).sum(axis=1).max()))
         """Largest distance of the surface from the centre of mass [m]."""
+        self.sample = SurfaceSample(scene)
 
     @cached_property
     def inside(self) -> VoxelGrid:

@@ -23,7 +23,7 @@ from qdgrasp_assets.object_model import ObjectDraft, read_draft
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import SCANS
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, full_spec
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.errors import (
     AssetError,
     ImpossibleValue,
@@ -33,7 +33,7 @@ from qdgrasp_protocol.errors import (
     UnusableMeshes,
 )
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import DEFAULT_METHOD, STOP_KEYS, RunSpec, read_run_spec
+from qdgrasp_protocol.spec import DEFAULT_METHOD, STOP_KEYS, RunSpec, read_run_spec, run_spec
 from qdgrasp_protocol.text import counted
 
 SHORT_KEYS = {
@@ -43,6 +43,7 @@ SHORT_KEYS = {
     "surface_seed": "surface",
     "protocol": "",
     "overlaps": "",
+    "aim_for": "",
 }
 """Short forms of keys in the names of runs."""
 NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's name begins with
@@ -95,18 +96,24 @@ class Campaign:
 
 
 def read_campaign(
-    path: Path, *, here: bool = True, goals: Mapping[str, int | None] = MappingProxyType({})
+    path: Path,
+    *,
+    here: bool = True,
+    is_begun: bool = False,
+    goals: Mapping[str, int | None] = MappingProxyType({}),
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
-    `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults. Raises InputError if the file is missing, is not TOML, or asks
+    `here` checks that its grippers and objects are on this machine; `is_begun`: it may have been begun by a
+    version without objectives, which a missing `aim_for` then means; `goals` are values of a spec's keys that
+    end runs, in place of the file's defaults.
+    Raises InputError if the file is missing, is not TOML, or asks
     for a run that is not possible; the run is named.
     """
     source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
     if asked and isinstance(source.get("defaults", {}), dict):
         source["defaults"] = source.get("defaults", {}) | asked
-    return make_campaign(source, str(path), here=here)
+    return make_campaign(source, str(path), here=here, is_begun=is_begun)
 
 
 def is_campaign(path: Path) -> bool:
@@ -114,11 +121,16 @@ def is_campaign(path: Path) -> bool:
     return not CAMPAIGN_KEYS.isdisjoint(read_run_spec(path))
 
 
-def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
+def make_campaign(
+    source: dict[str, Any], where: str, *, here: bool = True, is_begun: bool = False
+) -> Campaign:
     """Make the campaign of a file's content; parameters and errors as of `read_campaign`."""
     _check_tables(source, where)
+    objective = {"aim_for": method(DEFAULT_METHOD).aim_for}
+    if not is_begun:  # the folder's file says it; one without was begun when there was no choice
+        source = source | {"defaults": objective | source.get("defaults", {})}
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
+    defaults = assets.resolve(CAMPAIGN_DEFAULTS | {"aim_for": None} | source.get("defaults", {}))
     crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
@@ -139,7 +151,8 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
             )
     if here:
         _check_assets(runs.values())
-    resolved = {"defaults": defaults, "cross": crosses} | ({"objects": objects} if objects else {})
+    said = {key: value for key, value in defaults.items() if value is not None}
+    resolved = {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
@@ -153,7 +166,7 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
         CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
     )
     others = sorted(values.keys() - {*NAME_KEYS, *STOP_KEYS})
-    unusual = [key for key in others if getattr(spec, key) != getattr(usual, key)]
+    unusual = [key for key in others if getattr(spec, key) not in (None, getattr(usual, key))]
     parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in unusual]
     name = "-".join(parts)
     if len(name) <= LONGEST_NAME:
@@ -198,7 +211,7 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
     for name in {spec.object for spec in specs}:
         check_object(name)
     for spec in specs:
-        if method(spec.method).prior == ANTIPODAL and spec.gripper in jawless:
+        if prior_of(spec) == ANTIPODAL and spec.gripper in jawless:
             raise JawNeeded(ANTIPODAL, Path(spec.gripper).stem)
 
 
@@ -237,6 +250,8 @@ def _cross_lists(
             values = dict(zip(order, each, strict=True))
             own = objects.get(values.get("object", ""), {})
             known = {key: value for key, value in own.items() if key not in cross}
+            if "aim_for" not in cross and values["method"] != DEFAULT_METHOD:
+                run_spec({"gripper": "", "object": "", "aim_for": values.pop("aim_for")}, where)
             yield {key: value for key, value in values.items() if key not in known}, known
 
 
@@ -264,16 +279,21 @@ class MassRule:
 
 
 def campaign_of_meshes(
-    folder: Path, mass_rule: MassRule, scale: float | None, values: Mapping[str, Any]
+    folder: Path,
+    mass_rule: MassRule,
+    scale: float | None,
+    values: Mapping[str, Any],
+    *,
+    is_begun: bool = False,
 ) -> Campaign:
     """Make the campaign of all meshes in a folder, at `scale` metres to a unit (None: 1).
 
-    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
-    InputError as `mesh_values`, or for a run that is not possible.
+    `is_begun` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
+    campaign's file; None: not given. Raises InputError as `mesh_values`, or for a run that is not possible.
     """
     known = mesh_values(folder, mass_rule, scale)
     cross = {key: value for key, value in values.items() if value is not None} | {"object": list(known)}
-    return make_campaign({"cross": [cross], "objects": known}, f"campaign of {folder}")
+    return make_campaign({"cross": [cross], "objects": known}, f"campaign of {folder}", is_begun=is_begun)
 
 
 def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[str, dict[str, float]]:

@@ -23,7 +23,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
-from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, run_spec, to_values
+from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 
@@ -208,8 +208,16 @@ def open_campaign(path: Path) -> JobFolder:
     return folder
 
 
+def knows_no_objective(path: Path) -> bool:
+    """Return whether a folder's campaign was begun by a version without objectives."""
+    file = path / CAMPAIGN
+    return file.is_file() and "aim_for" not in read_run_spec(file).get("defaults", {})
+
+
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:
-    lost = [name for name in read_campaign(folder.path / CAMPAIGN).runs if name not in asked.runs]
+    lost = [
+        name for name in read_campaign(folder.path / CAMPAIGN, is_begun=True).runs if name not in asked.runs
+    ]
     if lost:
         lacking = counted(len(lost), "run that is", "runs that are")
         raise FolderError(

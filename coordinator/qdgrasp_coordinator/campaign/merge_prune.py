@@ -26,7 +26,7 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import NicheArchive, synergies
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, diversity
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity, explaining_read_errors
@@ -126,7 +126,7 @@ def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[st
     metrics = SuccessMetrics(trial_count(asked.protocol), asked.disturbances)
     archives = []
     for part in parts:
-        archive = NicheArchive(synergies(scene, method(part.source.asked.method).prior))
+        archive = NicheArchive(synergies(scene, prior_of(part.source.asked)))
         for rows in archive.inserting(source_rows(part.folder, part.number)):
             metrics.count(rows)
             reached.update(cell_keys(cells(successes(rows)["descriptor"][:, :3])).tolist())

@@ -17,7 +17,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_poses,
 )
 from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -58,7 +58,7 @@ def read_run_grasps(folder: RunFolder) -> Rows:
     A grasp survived a nominal disturbance; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        priors = sorted({method(source.asked.method).prior for source in journal.sources})
+        priors = sorted({prior_of(source.asked) for source in journal.sources})
         if len(priors) > 1:
             raise InputError(
                 f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "

@@ -10,7 +10,12 @@ import typer
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.campaign import campaign_file
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, MassRule, read_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue, begin_campaign, open_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import (
+    CampaignRunQueue,
+    begin_campaign,
+    knows_no_objective,
+    open_campaign,
+)
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.run_commands import check_not_stopped, resume_hint, run_job
 from qdgrasp_coordinator.local.progress import progress_display
@@ -89,13 +94,17 @@ def campaign(
         "protocol": protocol,
         "evaluations": evaluations,
     }
-    metres = scale_of(units, scale)
+    metres, path = scale_of(units, scale), _campaign_folder(what, objects, out)
+    begun = knows_no_objective(path)
     if objects is not None:
         if what is not None:
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        asked = campaign_file.campaign_of_meshes(objects, MassRule(mass, density), metres, {**keys, **goals})
+        values = {**keys, **goals}
+        asked = campaign_file.campaign_of_meshes(
+            objects, MassRule(mass, density), metres, values, is_begun=begun
+        )
     elif flags := options.given(**keys, mass=mass, density=density, scale=metres):
         raise InputError(
             f"--{next(iter(flags))} goes with --objects DIR: a campaign's file says its own, "
@@ -106,8 +115,8 @@ def campaign(
             "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
         )
     else:
-        asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what, goals=goals)
-    path = _campaign_folder(what, objects, out)
+        file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
+        asked = read_campaign(file, is_begun=begun, goals=goals)
     if list_runs:
         for name, spec in asked.runs.items():
             typer.echo(f"{name}  {spec.evaluations}")

@@ -29,6 +29,10 @@ BaseOption = Annotated[
     str | None,
     typer.Option("--base", help="What the trials of robust disturb: paper or physical; default paper."),
 ]
+AimFor = Annotated[
+    str | None,
+    typer.Option(help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold."),
+]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 Successes = Annotated[
     int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")

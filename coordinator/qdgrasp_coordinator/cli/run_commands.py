@@ -21,7 +21,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.report.row_report import synergy_reader
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.search.fixed_poses import as_given
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
@@ -66,6 +66,7 @@ def run(
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
+    aim_for: options.AimFor = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
     no_new_cell: options.NoNewCell = None,
@@ -111,6 +112,7 @@ def run(
         method=method,
         protocol=protocol,
         base=base,
+        aim_for=aim_for,
         evaluations=evaluations,
         successes=successes,
         no_new_cell=no_new_cell,
@@ -299,7 +301,7 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
 
         scene = source.scene()
         table = table_under(scene, orientation(object_pose))
-        found = found[table.is_clear_of(scene, method(source.spec.method).prior, found)]
+        found = found[table.is_clear_of(scene, prior_of(source.spec), found)]
     if not len(found):
         raise InputError(
             f"Every grasp in {source.path} would cut the table; turn the object with --object-pose."
@@ -309,7 +311,7 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
 
 def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows) -> RunSpec:
     """The spec of a run that scores grasps of another; its base is that of the run unless given."""
-    genomes = as_given(source.scene(), method(source.spec.method).prior, chosen)
+    genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     values = to_values(source.spec) | {
         "method": GIVEN,
@@ -321,7 +323,7 @@ def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows
         "overlaps": "count",
         "poses": poses,
     }
-    return run_spec(values, "rerank")
+    return run_spec({key: value for key, value in values.items() if key != "aim_for"}, "rerank")
 
 
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")

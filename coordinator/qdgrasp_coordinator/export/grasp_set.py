@@ -23,7 +23,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
 )
 from qdgrasp_coordinator.metrics.scores import TrialSums, best_first, eta, genome_numbers
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_protocol.errors import ImpossibleValue
@@ -199,7 +199,7 @@ class Grasps:
         starts = np.zeros((len(self), columns), np.float32)
         for origin, source in enumerate(self.sources):
             here = self.origins == origin
-            starts[here] = as_given(self.scene, method(source.spec.method).prior, self.rows[here])
+            starts[here] = as_given(self.scene, prior_of(source.spec), self.rows[here])
         return starts
 
     @cached_property

@@ -26,10 +26,13 @@ PRIOR_HUES = {
     "contact": "#0072b2",
     "approach": "#d55e00",
     "antipodal": "#009e73",
-    "aimed": "#cc79a7",
+    "valued": "#cc79a7",
     "spherical": "#4d4d4d",
 }
-PRIOR_WORDS = {"spherical": "no prior"}  # What a prior is called in a figure, where not by its name
+PRIOR_WORDS = {
+    "spherical": "no prior",
+    "valued": "aimed",
+}  # What a prior is called in a figure, where not by its name
 FAMILIES: dict[str, Dashes] = {
     "aimed": "-",
     "me_scs": "-",
@@ -39,7 +42,7 @@ FAMILIES: dict[str, Dashes] = {
 }
 """Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
-PRIOR_ORDER = ("aimed", "contact", "approach", "antipodal", "spherical")
+PRIOR_ORDER = ("valued", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
 
 

@@ -22,7 +22,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_ma
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.scores import eta
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
@@ -58,12 +58,12 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
     sources = journal.sources
     if not sources:
-        prior, known = method(folder.spec.method).prior, folder.has_bundle()
+        prior, known = prior_of(folder.spec), folder.has_bundle()
         reader = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
         return _context(folder.spec, ((0, synergy_reader(folder), reader),))
     scene, asked = folder.scene(), [source.asked for source in sources]
     ends = accumulate(source.kept for source in sources)
-    priors = [method(spec.method).prior for spec in asked]
+    priors = [prior_of(spec) for spec in asked]
     named = (synergies(scene, prior) for prior in priors)
     postures = (PostureReader.of(scene, prior) for prior in priors)
     return _context(asked[0], tuple(zip(ends, named, postures, strict=True)))
@@ -277,7 +277,7 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
             "reason": journal.errors().get(number, ""),
         }
     values |= {name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")}
-    values |= _row_fields(row, folder.scene(), method(spec.method).prior)
+    values |= _row_fields(row, folder.scene(), prior_of(spec))
     is_scored = repeats_known > 0 and len(repeats) == repeats_known
     values |= {
         "scale": spec.scale or 1.0,
@@ -418,7 +418,7 @@ def _numbers(values: tuple[float, ...]) -> str:
 def synergy_reader(folder: RunFolder) -> SynergyReader:
     """Return the reader of synergies in a run's genomes; without its scene all are one."""
     known = folder.has_bundle()
-    return synergies(folder.scene(), method(folder.spec.method).prior) if known else UNKNOWN_SYNERGIES
+    return synergies(folder.scene(), prior_of(folder.spec)) if known else UNKNOWN_SYNERGIES
 
 
 def empty_niche_archive(folder: RunFolder) -> NicheArchive:

@@ -143,7 +143,11 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
 
     def changed_settings(group: RunGroup) -> int:
         own, setting = METHODS[group.method], _settings(group.runs[0].spec)
-        usual = SPEC_DEFAULTS | {"overlaps": own.overlaps, "population": own.population}
+        usual = SPEC_DEFAULTS | {
+            "aim_for": own.aim_for,
+            "overlaps": own.overlaps,
+            "population": own.population,
+        }
         return sum(setting[name] != default for name, default in usual.items())
 
     scenes: dict[SceneName, dict[str, RunGroup]] = {}
@@ -180,7 +184,9 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
 
 
 def _settings(spec: RunSpec) -> dict[str, Any]:
-    return {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+    """Return the settings of a run; without a recorded objective `aimed` aimed for touch."""
+    values = {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+    return values | ({"aim_for": spec.aim_for or "touch"} if METHODS[spec.method].aim_for else {})
 
 
 LEAST_OBJECTS = 2  # Objects, for a mean over objects

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
-from qdgrasp_coordinator.search.registry import check_spec, method
+from qdgrasp_coordinator.search.registry import check_spec, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
@@ -72,7 +72,7 @@ class RunPlan:
 
         The rows are of `prior`; empty: of the method's.
         """
-        prior = prior or method(spec.method).prior
+        prior = prior or prior_of(spec)
         shape = row_shape(prepared.scene, prior)
         return cls(run, spec, prepared.bundle, prior, shape, plan(shape))
 
@@ -161,7 +161,9 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
     """
     chosen = method(run_spec(values, where).method)
-    usual = {name: getattr(chosen, name) for name in ("overlaps", "population", "generations_in_flight")}
+    usual = {
+        name: getattr(chosen, name) for name in ("aim_for", "overlaps", "population", "generations_in_flight")
+    }
     whole = usual | values
     whole |= {name: absolute_asset(values[name]) for name in ("gripper", "object")}
     spec = run_spec(whole, where)
@@ -186,7 +188,7 @@ def prepare_scene(spec: RunSpec) -> PreparedScene:
     Raises InputError if it cannot be built, or the method's prior is not for such a hand.
     """
     scene = build_scene(spec)
-    row_shape(scene, method(spec.method).prior)
+    row_shape(scene, prior_of(spec))
     return PreparedScene(scene, pack_scene(scene))
 
 
@@ -196,7 +198,7 @@ def plan_run(
     """Return a run as its spec asks; a `search` of one's own asks genomes of the method's prior."""
     chosen = method(spec.method)
     if search is None:
-        search = chosen.build(spec, search_space(prepared.scene, chosen.prior))
+        search = chosen.build(spec, search_space(prepared.scene, prior_of(spec)))
     budget = (spec.evaluations, spec.overlaps, spec.generations_in_flight, trial_count(spec.protocol))
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run

@@ -1,4 +1,4 @@
-"""The default search: aims at empty cells beside successes, with a neighbour's grasp.
+"""Searches that aim at cells beside successes, with a neighbour's grasp.
 
 What an archive tells grasps apart by, the position of the hand, is known before anything is simulated. So
 the search chooses the cell first, by its frontier, and then the genes that bring the hand there: the
@@ -10,34 +10,29 @@ Exploration: grasps without a success to learn from aim as the prior `approach` 
 before one of its faces, at most 45 degrees aside, and near it, where hands hold. They know the object's box
 and the hand's distances, and leave the surface to the worker.
 
-Retries: a second try in a cell whose grasp is weak takes the best grasp from around the cell. How often it
-gives a robust one tells, about, the share of the cell's 26 neighbours that hold one; what the tries so far
-gave corrects it. A robust grasp in place of a weak one adds no cell: it counts `RETRY_VALUE` of one, and is
-tried where that is more than what an evaluation at the frontier brought lately. So a search whose frontier
-is rich makes no such try.
+Which cells are worth a try, and which candidates, is another module's: `touch_search` looks for cells in
+which a finger touches, `value_search` for grasps of value.
 
-New in this project, not from the paper. What selects is success alone.
+New in this project, not from the paper.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import FEATURES, MOST_CANDIDATES, NU_A
+from qdgrasp_assets.genes import MOST_CANDIDATES, NU_A, RANKING_GENES
 from qdgrasp_assets.geometry.rotation import Floats, tangents, turned
 from qdgrasp_coordinator.metrics.cells import PER_METRE
 from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
-from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, EliteStore, Frontier, Places, select_top
-from qdgrasp_coordinator.search.success_model import CandidateRanker, SuccessThreshold
-from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
+from qdgrasp_coordinator.search.frontier import ANYWHERE, EliteStore, Frontier, Places
+from qdgrasp_coordinator.search.success_model import ValueThreshold
+from qdgrasp_protocol.rows import Genomes, Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
 """Places of the prior's genes in a genome (assets, `genes`)."""
-WEIGHTS = slice(9, 9 + len(FEATURES))
-PRIOR_GENES = WEIGHTS.stop
-"""Number of the prior's own genes; those of the posture (synergy, free joints) follow."""
+FIRST_WEIGHT = 9  # Place of the first gene that ranks candidates
 SYNERGY = "synergy"
 SCATTER_SHARE = 0.5  # The inner part of a cell that a scattered target may be in, along each axis
 POINT_SIGMA = 0.002  # Standard deviation of a scattered contact point along each axis [m]
@@ -63,12 +58,12 @@ class AimedGrasps:
         return len(self.targets)
 
     def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
-        """Return their genomes (n, d), with so many candidates, ranked by weights (n, features)."""
-        values = np.zeros((len(self), PRIOR_GENES))
+        """Return their genomes (n, d), with so many candidates, ranked by weights (n, w)."""
+        values = np.zeros((len(self), FIRST_WEIGHT + weights.shape[1]))
         values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
         values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
-        values[:, CANDIDATES], values[:, WEIGHTS] = candidates, weights
-        own = Layout(layout.prior, layout.genes[:PRIOR_GENES]).genomes(values)
+        values[:, CANDIDATES], values[:, FIRST_WEIGHT:] = candidates, weights
+        own = Layout(layout.prior, layout.genes[: values.shape[1]]).genomes(values)
         return np.concatenate([own, self.postures.astype(np.float32)], axis=1)
 
 
@@ -127,8 +122,13 @@ def exploration_grasps(
         contacts,
         generator.uniform(0.0, 2 * np.pi, n),
         np.where(is_astray, 1.0, looseness),
-        generator.uniform(-1.0, 1.0, (n, space.genes - PRIOR_GENES)),
+        generator.uniform(-1.0, 1.0, (n, posture_genes(space))),
     )
+
+
+def posture_genes(space: SearchSpace) -> int:
+    """The number of genes of the posture, synergy and free joints, behind the prior's own."""
+    return space.genes - FIRST_WEIGHT - RANKING_GENES[space.layout.prior]
 
 
 def _on_faces(low: Floats, high: Floats, n: int, generator: np.random.Generator) -> tuple[Floats, Floats]:
@@ -153,64 +153,6 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
     return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
 
 
-RETRY_VALUE = 1 / 3  # Worth of a robust grasp in place of a weak one, relative to a success in an empty cell
-RETRY_SHARE = 0.5  # The most such tries in a generation, as a share of those that count at the frontier
-PRIOR_PROMISES = 20.0  # Promised and given robust grasps that are assumed before the first try
-FADING = 0.9  # Weight of an older generation against the next in the frontier's recent success rate
-NO_PROMISES = np.zeros(0)
-
-
-class RetryBudget:
-    """Tries for better grasps in cells whose grasp is not robust."""
-
-    def __init__(self, frontier: Frontier, elites: EliteStore) -> None:
-        self._frontier = frontier
-        self._elites = elites
-        self._robust = np.zeros(frontier.size, np.bool_)
-        self._around = np.zeros(frontier.size, np.uint8)
-        """Number of neighbours of each cell that hold a robust grasp."""
-        self._open: dict[int, Floats] = {}
-        """Shares of robust neighbours for each try of the generations that are not told yet."""
-        self._promised = self._given = PRIOR_PROMISES
-        self._tries, self._successes = 1.0, 1.0
-        """Recent tries and successes at the frontier; they begin with one try that succeeded."""
-
-    def ask(self, generation: int, generator: np.random.Generator) -> Places:
-        """The weak cells to try in a generation."""
-        weak, most = self._elites.weak, int(RETRY_SHARE * (1.0 - FADING) * self._tries)
-        weak = select_top(weak, self.worth(weak), most, generator)
-        tries: Places = weak[RETRY_VALUE * self.worth(weak) > self._successes / self._tries]
-        self._open[generation] = self._shares(tries)
-        return tries
-
-    def tell(self, generation: int, fresh: NDArray[np.bool_], again: NDArray[np.bool_]) -> None:
-        """Learn from the results of a generation.
-
-        `fresh` (n,): which of the tries in empty cells that count succeeded. `again` (m, 2): of rows that
-        begin with the retries, which count, and which are robust grasps.
-        """
-        promised = self._open.pop(generation, NO_PROMISES)
-        counts, is_robust = again[: len(promised)].T
-        self._promised += float(promised[counts].sum())
-        self._given += float(np.count_nonzero(is_robust & counts))
-        self._tries = FADING * self._tries + len(fresh)
-        self._successes = FADING * self._successes + float(np.count_nonzero(fresh))
-
-    def add_robust(self, places: Places) -> None:
-        """Record robust grasps in `places` (n,), in any order and repeated."""
-        new = np.unique(places[~self._robust[places]])
-        self._robust[new] = True
-        np.add.at(self._around, self._frontier.around(new).ravel(), 1)
-
-    def worth(self, places: Places) -> Floats:
-        """Return the probability of a robust grasp in each of `places` (n,), over tries so far."""
-        tries = np.maximum(self._frontier.spent(places), 1.0)
-        return self._shares(places) * (self._given / self._promised) / tries
-
-    def _shares(self, places: Places) -> Floats:
-        return self._around[places] / len(NEIGHBOURS)
-
-
 FIRST_SCOUTS = 100  # Genomes that scout before any is aimed
 SCOUT_SHARE = 0.04  # Approximate share of evaluations that scout later; lower of genomes: no scout is refused
 ASTRAY_GENOMES = 2000
@@ -219,30 +161,42 @@ SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
 POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
 
 
-class AimedSearch:
-    """Aims at empty cells beside successes, with genomes of the prior `aimed`.
+class AimedSearch(ABC):
+    """Aims at cells of a frontier, with genomes of a prior that chooses among candidates.
 
     Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
     """
 
-    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+    def __init__(
+        self, spec: RunSpec, space: SearchSpace, frontier: type[Frontier], threshold: ValueThreshold
+    ) -> None:
         self._spec = spec
         self._space = space
         self._counts_all = spec.overlaps == "count"
         self._within = space.distances if self._counts_all else ANYWHERE
-        self._frontier = Frontier(space.box, space.distances[1], self._within)
-        self._elites = EliteStore(self._frontier.size, space.approach_axis, space.genes - PRIOR_GENES)
-        self._ranker = CandidateRanker()
-        self._threshold = SuccessThreshold()
-        self._retries = RetryBudget(self._frontier, self._elites)
-        self._open: dict[int, Floats] = {}  # Features of the empty cells that generations not told yet aim at
+        self._frontier = frontier(space.box, space.distances[1], self._within)
+        self._elites = EliteStore(self._frontier.size, space.approach_axis, posture_genes(space))
+        self._threshold = threshold
+        self._open: dict[int, Floats] = {}  # Features of the cells that generations not told yet aim at
         self._candidates = 1 if self._counts_all else MOST_CANDIDATES
         self._asked = 0
+
+    @abstractmethod
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Learn from the nominal rows of a generation, those that aimed at cells first."""
+
+    @abstractmethod
+    def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
+        """The cells to aim at, each once, at most `n`."""
+
+    @abstractmethod
+    def _ranking(self, wanted: Floats) -> Floats:
+        """Return the numbers (n, w) that rank candidates, by the value wanted (n,); 0: any."""
 
     def ask(self, generation: int) -> Genomes:
         """Return genomes that aim at the best cells, and scouts: (population, genes)."""
         targets = self._targets(generation)
-        self._open[generation] = self._frontier.features(targets[~self._frontier.successful[targets]])
+        self._open[generation] = self._frontier.features(targets)
         aimed = self._aimed(targets, generation)
         if self._candidates == 1:
             aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
@@ -254,39 +208,14 @@ class AimedSearch:
         self._asked += len(genomes)
         return genomes
 
-    def tell(self, generation: int, rows: Rows) -> None:
-        """Learn from reached cells, dead ends and the features of simulated poses."""
-        is_simulated = rows["outcome"] >= Outcome.MISSED
-        is_success = rows["outcome"] >= Outcome.DROPPED
-        features = self._open.pop(generation)
-        is_told, n = is_simulated | self._counts_all, len(features)
-        fresh, again = is_told[:n], np.stack([is_told, rows["outcome"] >= Outcome.HELD], axis=1)[n:]
-        self._frontier.learn(features[fresh], is_success[:n][fresh])
-        self._retries.tell(generation, is_success[:n][fresh], again)
-        self._frontier.count_dead_ends(self._aimed_at(rows["genome"][~is_simulated]))
-        self._succeed(rows[is_success])
-        self._ranker.learn(rows[is_simulated])
-        self._threshold.update(is_told)
-
-    def _succeed(self, successes: Rows) -> None:
-        """Learn from successes; those outside the box are passed over."""
-        places = self._frontier.places(successes["descriptor"][:, :3])
-        successes, places = successes[places >= 0], places[places >= 0]
-        self._frontier.add_successes(places, successes["surface_point"].astype(np.float64))
-        self._elites.offer(places, successes)
-        self._retries.add_robust(places[successes["outcome"] >= Outcome.HELD])
-
     def _targets(self, generation: int) -> Places:
-        """The cells to aim at, each once, at most as many as the population; none in the beginning."""
+        """The cells that a generation aims at; none in the beginning."""
         if self._asked < FIRST_SCOUTS:
             return np.zeros(0, np.intp)
         generator = keyed_generator(self._spec.seed, "targets", generation)
         scouts = SCOUT_SHARE * self._threshold.share
         n = int(np.count_nonzero(generator.random(self._spec.population) >= scouts))
-        best = self._frontier.best(n, generator)
-        retries = self._retries.ask(generation, generator)
-        left = max(0, min(len(best), n - len(retries)))
-        return np.concatenate([self._frontier.best(left, generator, best), retries])
+        return self._choose_cells(generation, n, generator)
 
     def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
         """Return the grasps of neighbours, for the cells `targets`."""
@@ -310,7 +239,7 @@ class AimedSearch:
 
     def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
         """Postures (n, k) with some synergies drawn anew and free joints moved a little."""
-        names = self._space.layout.names[PRIOR_GENES:]
+        names = self._space.layout.names[len(self._space.layout) - postures.shape[1] :]
         anew = generator.uniform(-1.0, 1.0, postures.shape)
         moved = np.clip(postures + POSTURE_SIGMA * generator.standard_normal(postures.shape), -1.0, 1.0)
         is_anew = generator.random((len(postures), 1)) < SYNERGY_REDRAW
@@ -318,13 +247,13 @@ class AimedSearch:
         return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
 
     def _weights(self, wanted: Floats) -> Floats:
-        """Return the ranking weights of each genome's candidates, threshold included: (n, features).
+        """Return what ranks each genome's candidates: (n, w).
 
         All zero where every pose counts, because one that is refused would count as well.
         """
         if self._counts_all:
-            return np.zeros((len(wanted), len(FEATURES)))
-        return self._ranker.wanting(wanted)
+            return np.zeros((len(wanted), RANKING_GENES[self._space.layout.prior]))
+        return self._ranking(wanted)
 
     def _scouts(self, generation: int, n: int) -> AimedGrasps:
         found = len(self._elites) > 0

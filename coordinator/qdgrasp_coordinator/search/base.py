@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from qdgrasp_assets.genes import archive_box, layout
-from qdgrasp_assets.scene import Scene, Vector
+from qdgrasp_assets.scene import Scene, SceneObject, Vector
 from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
 
@@ -39,6 +39,8 @@ class SearchSpace:
     """Unit vector in the hand's base frame that points from the palm to the object."""
     distances: tuple[float, float] = (0.0, 0.1)
     """The least and the greatest from the hand's base to the surface point that it looks at [m]."""
+    body: SceneObject | None = None
+    """The object, for measures of what a grasp bears."""
 
     @property
     def genes(self) -> int:
@@ -53,7 +55,8 @@ def search_space(scene: Scene, prior: str) -> SearchSpace:
     """
     hand = scene.gripper
     distances = (hand.palm_offset + hand.standoff[0], hand.reach)
-    return SearchSpace(layout(scene, prior), archive_box(scene, prior), hand.approach_axis, distances)
+    box = archive_box(scene, prior)
+    return SearchSpace(layout(scene, prior), box, hand.approach_axis, distances, scene.object)
 
 
 class SearchAlgorithm(Protocol):

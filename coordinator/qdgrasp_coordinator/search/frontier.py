@@ -58,7 +58,7 @@ class Frontier:
         inside[1:-1, 1:-1, 1:-1] = True
         self._inside = inside.reshape(-1)
         self.edge: Places = np.zeros(0, np.intp)
-        """The empty cells beside a success, those that became so first in front."""
+        """The cells that may be aimed at, those that became so first in front; here the empty ones."""
 
     @property
     def size(self) -> int:
@@ -169,7 +169,7 @@ FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
 
 
 class EliteStore:
-    """The best success of each place, by outcome and then fitness; of equals the elder.
+    """The best success of each place; of equals the elder.
 
     `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
     joints.
@@ -187,13 +187,16 @@ class EliteStore:
         """Return the number of places that have an elite."""
         return self._size
 
-    def offer(self, places: Places, rows: Rows) -> None:
-        """Offer the successes `rows` (n,), elder ones first, found in `places` (n,)."""
-        best_first = np.argsort(-_ranks(rows), kind="stable")
+    def offer(self, places: Places, rows: Rows, ranks: Floats) -> None:
+        """Offer the successes `rows` (n,), elder ones first, found in `places` (n,).
+
+        Their `ranks` (n,) are between `Outcome.DROPPED` and a little over `Outcome.HELD`.
+        """
+        best_first = np.argsort(-ranks, kind="stable")
         _, first = np.unique(places[best_first], return_index=True)
         best = best_first[first]  # the best row of each distinct place, of ties the first
-        best = best[_ranks(rows[best]) > self.ranks(places[best])]
-        self._keep(self._slots_for(places[best]), places[best], rows[best])
+        best = best[ranks[best] > self.ranks(places[best])]
+        self._keep(self._slots_for(places[best]), places[best], rows[best], ranks[best])
 
     def points(self, places: Places) -> Floats:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
@@ -244,14 +247,14 @@ class EliteStore:
         self._size += len(new)
         return self._slots[places]
 
-    def _keep(self, slots: NDArray[np.int32], places: Places, rows: Rows) -> None:
+    def _keep(self, slots: NDArray[np.int32], places: Places, rows: Rows, ranks: Floats) -> None:
         behind = self._kept["posture"].shape[1]
         rotations = unit(rows["base_to_object"][:, 3:].astype(np.float64))
         first, _ = tangents(np.broadcast_to(self._axis, (len(rows), 3)))
         columns = {
             "place": places,
             "outcome": rows["outcome"],
-            "rank": _ranks(rows),
+            "rank": ranks,
             "point": rows["surface_point"],
             "aside": rotate(rotations, first),
             "posture": rows["genome"][:, rows["genome"].shape[1] - behind :],
@@ -260,7 +263,7 @@ class EliteStore:
             self._kept[name][slots] = values
 
 
-def _ranks(rows: Rows) -> Floats:
+def outcome_ranks(rows: Rows) -> Floats:
     """A number for each of `rows` that orders them by outcome and then by fitness."""
     fitness = rows["fitness"].astype(np.float64)
     return rows["outcome"] + fitness / (1.0 + fitness)

@@ -11,12 +11,13 @@ from typing import NamedTuple, NoReturn
 
 from qdgrasp_assets import genes
 from qdgrasp_coordinator.search import cma_mae, fixed_poses
-from qdgrasp_coordinator.search.aimed import AimedSearch
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
+from qdgrasp_coordinator.search.touch_search import TouchSearch
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
-from qdgrasp_protocol.rows import GIVEN
-from qdgrasp_protocol.spec import Overlaps, RunSpec
+from qdgrasp_protocol.rows import GIVEN, trial_count
+from qdgrasp_protocol.spec import AimFor, Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
 """Makes a search from a spec and the space of its genomes."""
@@ -39,6 +40,8 @@ class Method:
     summary: str
     generations_in_flight: int = 1
     """Generations asked before the first is told unless the spec says otherwise."""
+    aim_for: AimFor | None = None
+    """Objective unless the spec says otherwise; None: the method has none."""
 
 
 class PriorLabel(NamedTuple):
@@ -54,6 +57,7 @@ PRIORS = {
     "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
     "spherical": PriorLabel("", "without a prior"),
     genes.AIMED: PriorLabel("", "into a cell"),
+    genes.VALUED: PriorLabel("", "into a cell"),
 }
 
 
@@ -71,6 +75,17 @@ def _family(
         Method(full, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
         for prior, full, by in known
     ]
+
+
+def aims_for_touch(spec: RunSpec) -> bool:
+    """Return whether a spec of method `aimed` asks for contact alone, as before 0.2.0."""
+    return spec.aim_for in (None, "touch")
+
+
+def check_objective(spec: RunSpec) -> None:
+    """Check that the spec's protocol tells how good a grasp is in the sense of its objective."""
+    if spec.aim_for == "eta" and not trial_count(spec.protocol):
+        raise ImpossibleValue("protocol", spec.protocol, "'robust' for aim_for = 'eta', which trials measure")
 
 
 PAPER = [
@@ -101,13 +116,14 @@ PAPER = [
 """The methods that Huber et al. 2024, section IV, compare; those without prefix: no prior."""
 AIMED = Method(
     "aimed",
-    genes.AIMED,
-    AimedSearch,
-    lambda _: None,
+    genes.VALUED,
+    lambda spec, space: (TouchSearch if aims_for_touch(spec) else ValueSearch)(spec, space),
+    check_objective,
     "redraw",
     50,
-    "The default, this project's own: empty cells beside successes, with a neighbour's grasp.",
+    "The default, this project's own: cells that may gain most, with a neighbour's grasp.",
     generations_in_flight=2,
+    aim_for="hold",
 )
 METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
 """The first one is the default, as `RunSpec` has it."""
@@ -147,9 +163,17 @@ def method(name: str) -> Method:
     return known[name]
 
 
+def prior_of(spec: RunSpec) -> str:
+    """Return the prior of a spec's genomes."""
+    chosen = method(spec.method)
+    return genes.AIMED if chosen is AIMED and aims_for_touch(spec) else chosen.prior
+
+
 def check_spec(spec: RunSpec) -> None:
     """Check that there is the method that a spec asks for, and that it can do it."""
     chosen = method(spec.method)
+    if spec.aim_for is not None and chosen.aim_for is None:
+        raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
     chosen.check(spec)

@@ -30,7 +30,9 @@ So the last bits of a fit, which differ between processors, do not reach the gen
 
 
 class LogisticRegression:
-    """Probability of success, given features of which the last is constant.
+    """Probability of success, or mean of a quality from 0 to 1, given features.
+
+    The last feature is constant.
 
     `start` (features,) are the weights until the first fit, and the mean of their prior in all fits. With
     `own_units` the unit of each feature is its standard deviation, instead of 1: what is small then counts as
@@ -42,30 +44,30 @@ class LogisticRegression:
         self.weights: Floats = self._start  # One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`
         self._own_units = own_units
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
-        self._successes = np.zeros(EXAMPLES_KEPT, np.bool_)
+        self._successes = np.zeros(EXAMPLES_KEPT)
         self._seen = 0
         self._fitted = 0
 
-    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
-        """Learn from examples: features (n, k) and which of them were successes."""
+    def learn(self, features: Floats, successes: Floats | NDArray[np.bool_]) -> None:
+        """Learn from examples: features (n, k) and which of them were successes, or by how much."""
         features, successes = features[-EXAMPLES_KEPT:], successes[-EXAMPLES_KEPT:]
         places = (self._seen + np.arange(len(features))) % EXAMPLES_KEPT
         self._features[places], self._successes[places] = features, successes
         self._seen += len(features)
         known = min(self._seen, EXAMPLES_KEPT)
-        found = int(np.count_nonzero(self._successes[:known]))
+        found = float(self._successes[:known].sum())
         if self._seen - self._fitted >= FIT_INTERVAL and min(found, known - found) >= LEAST_EXAMPLES:
             self._fitted = self._seen
-            features, successes = self._features[:known], self._successes[:known]
+            features, examples = self._features[:known], self._successes[:known]
             precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
-            self.weights = _quantised(fit(features, successes, self._start, precision))
+            self.weights = _quantised(fit(features, examples, self._start, precision))
 
     def likely(self, features: Floats) -> Floats:
         """The probability (n,) of success for features (n, k)."""
         return _likely(features, self.weights)
 
 
-def fit(features: Floats, successes: NDArray[np.bool_], mean: Floats, precision: Floats) -> Floats:
+def fit(features: Floats, successes: Floats, mean: Floats, precision: Floats) -> Floats:
     """The weights (k,) of features (n, k), by Newton's method from zero.
 
     Mean and precision (k,) are those of their prior. Sums are einsum's own loops: no matrix library with
@@ -132,23 +134,26 @@ def scale_to_gene_range(weights: Floats) -> Floats:
     return scaled
 
 
-WANTED = 0.8  # Probability of success demanded of a cell's first candidates
 DEAD_END_DISCOUNT = 0.5  # Reduction for each dead end: wanted / (dead ends * LESS + 1)
-LEAST_SHARE = 0.1  # Least share of genomes that are to be simulated; below it the threshold is lowered
 WANTED_STEP = 0.9  # Factor by which a generation changes the demand
-LEAST_WANTED = 1e-3  # Least probability of success that is demanded of a candidate
+LEAST_WANTED = 1e-3  # Least value that is demanded of a candidate
 
 
-class SuccessThreshold:
-    """Threshold on the probability of success, adapted to the share of genomes that pass it."""
+class ValueThreshold:
+    """Threshold on the value of candidates, adapted to the share of genomes that pass it.
 
-    def __init__(self) -> None:
-        self._wanted = WANTED
+    `most` is demanded of a cell's first candidates: a probability of success, or what a search takes for it.
+    It is lowered while less than `least_share` of the genomes are simulated.
+    """
+
+    def __init__(self, most: float, least_share: float) -> None:
+        self._most = self._wanted = most
+        self._least_share = least_share
         self.share = 1.0
-        """The share of the last generation's genomes that got through, `LEAST_SHARE` at the least."""
+        """The share of the last generation's genomes that got through, at least the least."""
 
     def wanted(self, dead_ends: NDArray[np.int32]) -> Floats:
-        """Return the probability of success demanded in cells (n,) with so many dead ends."""
+        """Return the value demanded in cells (n,) with so many dead ends."""
         wanted: Floats = np.maximum(
             LEAST_WANTED, self._wanted / (DEAD_END_DISCOUNT * dead_ends.astype(np.float64) + 1.0)
         )
@@ -156,7 +161,7 @@ class SuccessThreshold:
 
     def update(self, through: NDArray[np.bool_]) -> None:
         """Adapt the threshold to which genomes (n,) of a generation became evaluations."""
-        is_narrow = np.count_nonzero(through) < LEAST_SHARE * len(through)
-        self.share = max(LEAST_SHARE, float(through.mean()))
+        is_narrow = np.count_nonzero(through) < self._least_share * len(through)
+        self.share = max(self._least_share, float(through.mean()))
         wanted = self._wanted * WANTED_STEP if is_narrow else self._wanted / WANTED_STEP
-        self._wanted = min(WANTED, max(LEAST_WANTED, wanted))
+        self._wanted = min(self._most, max(LEAST_WANTED, wanted))

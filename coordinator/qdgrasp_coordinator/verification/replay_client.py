@@ -23,7 +23,7 @@ from qdgrasp_coordinator.local.restart_policy import GRACE
 from qdgrasp_coordinator.report.row_report import row_at
 from qdgrasp_coordinator.scheduler.run_plan import row_shape
 from qdgrasp_coordinator.search.fixed_poses import as_given
-from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import FolderError, InputError, QdgraspError
@@ -45,7 +45,7 @@ def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Sce
 
     Raises FolderError if they are of a version with fewer genes, joints or descriptors.
     """
-    prior = method(found_by.spec.method).prior
+    prior = prior_of(found_by.spec)
     shape = row_shape(scene, prior)
     for column, words in (("genome", "genes"), ("joints", "joints"), ("descriptor", "descriptors")):
         has, needed = rows.dtype[column].shape[0], shape.dtype[column].shape[0]
@@ -81,7 +81,7 @@ class ReplayTarget:
     @property
     def genome(self) -> tuple[float, ...]:
         """Genome of the prior `given`, with its very pose."""
-        prior = method(self.found_by.spec.method).prior
+        prior = prior_of(self.found_by.spec)
         return tuple(as_given(self.scene, prior, self.row.reshape(1))[0].tolist())
 
 

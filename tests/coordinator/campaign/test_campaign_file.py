@@ -18,6 +18,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
     run_name,
 )
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
     InputError,
@@ -27,11 +28,15 @@ from qdgrasp_protocol.errors import (
     UnusableMeshes,
 )
 from qdgrasp_protocol.keys import NAME
+from qdgrasp_protocol.spec import differences, run_spec
 
 SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
 CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
 
 SHADOW = {"gripper": "shadow", "method": "antipodal_rand"}
+USUAL = {"method": "aimed", "generations_in_flight": 1}
+BEGUN = {"defaults": USUAL, "cross": [{"gripper": "panda", "object": "mug"}]}
+"""A campaign as version 0.1.0 wrote it into a folder."""
 
 
 def names(source: dict[str, object]) -> list[str]:
@@ -96,6 +101,47 @@ class TestCrossing:
         assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
 
 
+class TestObjectives:
+    """`aim_for` of runs whose method has an objective."""
+
+    @pytest.mark.parametrize(("defaults", "objective"), [({}, "hold"), ({"aim_for": "touch"}, "touch")])
+    def test_the_file_in_a_folder_records_the_objective(self, tmp_path: Path, defaults, objective) -> None:
+        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
+        asked = make_campaign({"defaults": defaults, "cross": [cross]}, "c.toml")
+        assert {spec.method: spec.aim_for for spec in asked.runs.values()} == {
+            "aimed": objective,
+            "me_scs": None,
+        }
+        assert tomllib.loads(asked.toml)["defaults"]["aim_for"] == objective
+        file = tmp_path / "campaign.toml"
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+    def test_objectives_are_crossed_for_methods_that_have_one(self) -> None:
+        aims, pair = {"aim_for": ["hold", "margin"]}, {"gripper": "panda", "object": "mug"}
+        found = names({"defaults": aims, "cross": [pair | {"method": ["aimed", "me_scs"]}]})
+        assert found == ["panda-mug-aimed-s0", "panda-mug-aimed-s0-margin", "panda-mug-me_scs-s0"]
+        with pytest.raises(ImpossibleValue, match="aim_for must be left out for method 'me_scs'"):
+            names({"cross": [pair | aims | {"method": "me_scs"}]})
+
+    def test_a_folder_that_version_0_1_0_began_goes_on_to_aim_at_touch(self, tmp_path: Path) -> None:
+        file = tmp_path / "campaign.toml"
+        file.write_text(tomli_w.dumps(BEGUN))
+        (spec,) = read_campaign(file, is_begun=True).runs.values()
+        assert prior_of(spec) == "aimed"
+
+    def test_such_a_folder_has_the_runs_that_were_begun(self, tmp_path: Path) -> None:
+        file = tmp_path / "campaign.toml"
+        file.write_text(tomli_w.dumps(BEGUN))
+        asked = read_campaign(file, is_begun=True)
+        (spec,) = asked.runs.values()
+        recorded = {"gripper": "panda", "object": "mug", "overlaps": "redraw", "population": 50}
+        assert list(asked.runs) == ["panda-mug-aimed-s0"]
+        assert differences(spec, run_spec(recorded)) == []
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+
 class TestNames:
     @pytest.mark.parametrize(
         ("values", "more"),
@@ -104,6 +150,8 @@ class TestNames:
             ({"evaluations": 7}, ""),
             ({"generations_in_flight": 1}, ""),
             ({"generations_in_flight": 2}, "-flight2"),
+            ({"aim_for": "hold"}, ""),
+            ({"aim_for": "touch"}, "-touch"),
             ({"mutation_sigma": 0.05, "protocol": "released"}, "-sigma0_05-released"),
         ],
     )

@@ -23,7 +23,7 @@ ASKED = {"gripper": "panda", "object": "tennis_ball"}
 def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
     spec = full_spec({**ASKED, "method": entry.name})
     assert (spec.population, spec.overlaps) == (entry.population, entry.overlaps)
-    assert spec.generations_in_flight == entry.generations_in_flight
+    assert (spec.generations_in_flight, spec.aim_for) == (entry.generations_in_flight, entry.aim_for)
 
 
 def test_without_a_method_a_run_has_the_default() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, tangents, turned, unit
 from qdgrasp_coordinator.search.base import keyed_generator
-from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Frontier, Places
+from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Frontier, Places, outcome_ranks
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))
@@ -184,13 +184,17 @@ def elite_store(axis: tuple[float, float, float] = (0, 0, 1)) -> EliteStore:
     return EliteStore(5000, axis, POSTURE)
 
 
+def offer(kept: EliteStore, places: Places, told: Rows) -> None:
+    kept.offer(places, told, outcome_ranks(told))
+
+
 def of(places: list[int]) -> np.ndarray:
     return np.array(places, dtype=np.intp)
 
 
 def test_a_place_passes_on_its_best_success() -> None:
     kept, told = elite_store(), rows([Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED])
-    kept.offer(of([7, 7, 7, 9]), told)
+    offer(kept, of([7, 7, 7, 9]), told)
     assert kept.points(of([9, 7])).tolist() == told["surface_point"][[3, 1]].tolist()
     assert kept.postures(of([7])) == pytest.approx(told["genome"][1:2, -POSTURE:])
     assert len(kept) == 2
@@ -206,28 +210,28 @@ def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
     ]:
         told = rows([outcome] * 4)[3:]
         told["surface_point"] += 0 if len(kept) == 0 else 9
-        kept.offer(of([7]), told)
+        offer(kept, of([7]), told)
         assert kept.points(of([7]))[0, 0] == 9 + expected
     assert len(kept) == 1
 
 
 def test_of_equal_outcomes_the_fitter_is_the_better() -> None:
     kept, told = elite_store(), rows([Outcome.HELD] * 3, [150.0, 180.0, 180.0])
-    kept.offer(of([1, 1, 1]), told)
+    offer(kept, of([1, 1, 1]), told)
     assert kept.points(of([1])).tolist() == told["surface_point"][1:2].tolist()
 
 
 def test_weak_places_are_those_without_a_robust_grasp() -> None:
     kept = elite_store()
-    kept.offer(of([4, 5, 6]), rows([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN]))
+    offer(kept, of([4, 5, 6]), rows([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN]))
     assert sorted(kept.weak.tolist()) == [4, 6]
-    kept.offer(of([4]), rows([Outcome.HELD]))
+    offer(kept, of([4]), rows([Outcome.HELD]))
     assert kept.weak.tolist() == [6]
 
 
 def test_places_without_a_success_rank_below_all_others() -> None:
     kept = elite_store()
-    kept.offer(of([4, 5]), rows([Outcome.DROPPED, Outcome.HELD]))
+    offer(kept, of([4, 5]), rows([Outcome.DROPPED, Outcome.HELD]))
     none, weak, best = kept.ranks(of([3, 4, 5]))
     assert none < 0 < weak < best
 
@@ -237,7 +241,7 @@ def test_there_is_room_for_any_number() -> None:
     for start in range(0, n, 500):
         told = rows([Outcome.DROPPED] * min(500, n - start))
         told["surface_point"] += start
-        kept.offer(np.arange(start, start + len(told)), told)
+        offer(kept, np.arange(start, start + len(told)), told)
     assert len(kept) == n
     points = kept.points(np.arange(n))
     assert points[501].tolist() == [503, 504, 505]
@@ -254,7 +258,7 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
     frames = from_frame(*turned(*tangents(directions), angles), directions)
     told["base_to_object"][:, 3:] = multiply(frames, np.tile(conjugate(at_rest), (200, 1)))
     kept = elite_store(axis)
-    kept.offer(np.arange(200), told)
+    offer(kept, np.arange(200), told)
     assert np.cos(kept.rolls(np.arange(200), directions) - angles) == pytest.approx(np.ones(200), abs=1e-5)
     aside, _ = turned(*tangents(directions), angles)
     near = unit(directions + random.normal(0, 0.05, (200, 3)))
@@ -264,7 +268,7 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
 
 def test_the_better_neighbour_is_preferred_mostly_and_equals_alike() -> None:
     kept, told = elite_store(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
-    kept.offer(of([1, 2, 3]), told)
+    offer(kept, of([1, 2, 3]), told)
     options = np.tile(of([1, 2, 3, 4]), (3000, 1))
     chosen = kept.preference(options, np.random.default_rng(0)).argmax(axis=1)
     dropped, one, other, none = np.bincount(chosen, minlength=4)

@@ -4,6 +4,7 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from tests.coordinator.search.synthetic_scene import plain
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
-from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, method
-from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, check_spec, method, prior_of
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 
@@ -23,23 +24,24 @@ GENES = 7
 SHAPE = RowShape(genes=GENES, joints=2)
 GENERATIONS = 6
 POPULATION = 60
-SEARCHES = list({entry.build: entry for entry in METHODS.values()}.values())
+TOUCH = replace(AIMED, prior="aimed", aim_for="touch")
+SEARCHES = [TOUCH, *{entry.build: entry for entry in METHODS.values()}.values()]
 """One method of each search: the priors, which tell the others apart, mean nothing here."""
-OVER_THE_CUBE = [entry for entry in SEARCHES if entry is not AIMED and not entry.name.endswith("cma_mae")]
+OVER_THE_CUBE = [entry for entry in SEARCHES if not entry.aim_for and not entry.name.endswith("cma_mae")]
 """Those that start with genomes drawn uniformly."""
 
 
-def spec(seed: int = 0) -> RunSpec:
-    return RunSpec(gripper="hand", object="thing", seed=seed, population=POPULATION)
+def spec(seed: int = 0, **values) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", seed=seed, population=POPULATION, **values)
 
 
 def space_of(entry: Method) -> SearchSpace:
-    """A space of its genomes, whose meaning matters to the search that aims alone."""
-    return synthetic_scene.space(entry.prior) if entry is AIMED else plain(GENES)
+    """A space of its genomes, whose meaning matters to searches that aim alone."""
+    return synthetic_scene.space(entry.prior) if entry.aim_for else plain(GENES)
 
 
 def shape_of(entry: Method) -> RowShape:
-    return synthetic_scene.shape(space_of(entry)) if entry is AIMED else SHAPE
+    return synthetic_scene.shape(space_of(entry)) if entry.aim_for else SHAPE
 
 
 def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
@@ -64,11 +66,11 @@ def asked(search: SearchAlgorithm, shape: RowShape) -> list[np.ndarray]:
     return all_asked
 
 
-@pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
+@pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name + (entry.aim_for or ""))
 class TestEverySearch:
     @pytest.fixture
     def build(self, entry: Method) -> Callable[..., SearchAlgorithm]:
-        return lambda seed=0: entry.build(spec(seed), space_of(entry))
+        return lambda seed=0: entry.build(spec(seed, aim_for=entry.aim_for), space_of(entry))
 
     @pytest.fixture
     def shape(self, entry: Method) -> RowShape:
@@ -161,6 +163,48 @@ def test_the_methods_of_the_paper_are_there() -> None:
     assert {entry.name for entry in PAPER} == everywhere | {f"{prior}rand" for prior in priors}
     assert set(METHODS) == {entry.name for entry in PAPER} | {AIMED.name}
     assert all(name == entry.name for name, entry in METHODS.items())
+
+
+@pytest.mark.parametrize(
+    ("values", "prior"),
+    [
+        ({}, "aimed"),  # as every spec of a version that knew no objective
+        ({"aim_for": "touch"}, "aimed"),
+        ({"aim_for": "hold"}, "valued"),
+        ({"aim_for": "margin"}, "valued"),
+        ({"aim_for": "eta", "protocol": "robust"}, "valued"),
+        ({"method": "antipodal_rand"}, "antipodal"),
+        ({"method": "given"}, "given"),
+        ({"method": "custom_aimed"}, "aimed"),
+        ({"method": "custom_valued"}, "valued"),
+    ],
+)
+def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
+    assert prior_of(spec(**values)) == prior
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"aim_for": "eta"},
+            "protocol must be 'robust' for aim_for = 'eta', which trials measure, got 'paper'.",
+        ),
+        (
+            {"aim_for": "hold", "method": "me_scs"},
+            "aim_for must be left out for method 'me_scs', which has none, got",
+        ),
+        (
+            {"aim_for": "touch", "method": "given"},
+            "aim_for must be left out for method 'given', which has none, got",
+        ),
+    ],
+)
+def test_an_objective_that_cannot_be_sought_is_refused_in_one_sentence(values, words) -> None:
+    with pytest.raises(ImpossibleValue) as refused:
+        check_spec(spec(**values))
+    assert str(refused.value).startswith(words)
+    assert str(refused.value).count("\n") == 0
 
 
 def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:

@@ -7,13 +7,11 @@ from qdgrasp_assets.genes import FEATURES
 from qdgrasp_coordinator.search.success_model import (
     FIT_INTERVAL,
     LEAST_EXAMPLES,
-    LEAST_SHARE,
     LEAST_WANTED,
-    WANTED,
     WEIGHT_GRAIN,
     CandidateRanker,
     LogisticRegression,
-    SuccessThreshold,
+    ValueThreshold,
     fit,
     scale_to_gene_range,
 )
@@ -32,6 +30,14 @@ def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
     assert fit(*poses(20_000), UNKNOWN, PLAIN) == pytest.approx(TRUE, abs=0.15)
+
+
+def test_a_fit_of_qualities_finds_their_means() -> None:
+    """Grades of a half: as many examples, half of them successes, tell the same."""
+    features, successes = poses(20_000)
+    halved = fit(features, successes / 2, UNKNOWN, PLAIN)
+    twice = np.concatenate([features, features]), np.concatenate([successes, np.zeros(20_000)])
+    assert halved == pytest.approx(fit(*twice, UNKNOWN, 2 * PLAIN), abs=1e-6)
 
 
 def test_features_that_tell_everything_leave_it_finite() -> None:
@@ -163,20 +169,21 @@ def test_weights_fit_into_their_genes_in_the_same_proportions() -> None:
 
 
 NONE, ALL = np.zeros(50, bool), np.ones(50, bool)
+WANTED, LEAST_SHARE = 0.8, 0.1
 
 
-def wanted(threshold: SuccessThreshold, dead_ends: int = 0) -> float:
+def wanted(threshold: ValueThreshold, dead_ends: int = 0) -> float:
     return float(threshold.wanted(np.array([dead_ends], np.int32))[0])
 
 
 def test_less_is_wanted_of_a_cell_after_each_dead_end() -> None:
-    each = [wanted(SuccessThreshold(), dead_ends) for dead_ends in range(5)]
+    each = [wanted(ValueThreshold(WANTED, LEAST_SHARE), dead_ends) for dead_ends in range(5)]
     assert each[0] == WANTED
     assert (np.diff(each) < 0).all()
 
 
 def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
-    threshold = SuccessThreshold()
+    threshold = ValueThreshold(WANTED, LEAST_SHARE)
     for _ in range(19):  # a run ends after 20 generations without an evaluation
         threshold.update(NONE)
     assert wanted(threshold) < 0.15
@@ -188,13 +195,13 @@ def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
 
 
 def test_enough_simulations_change_nothing() -> None:
-    threshold = SuccessThreshold()
+    threshold = ValueThreshold(WANTED, LEAST_SHARE)
     threshold.update(np.arange(50) < LEAST_SHARE * 50)
     assert wanted(threshold) == WANTED
 
 
 def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
-    threshold = SuccessThreshold()
+    threshold = ValueThreshold(WANTED, LEAST_SHARE)
     for _ in range(10_000):
         threshold.update(NONE)
     assert wanted(threshold, 10**6) == wanted(threshold) == LEAST_WANTED
@@ -204,7 +211,7 @@ def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
 
 
 def test_it_knows_the_share_that_got_through_lately() -> None:
-    threshold = SuccessThreshold()
+    threshold = ValueThreshold(WANTED, LEAST_SHARE)
     shares = [threshold.share]
     for through in (NONE, np.arange(50) < 10, ALL):
         threshold.update(through)

@@ -70,7 +70,9 @@ def test_no_pose_of_thousands_is_rejected_falsely(hand, target, named_scene):
     assert not (rejected & ~overlapping).any()
 
 
-@pytest.mark.parametrize(("prior", "n"), [("contact", 400), ("antipodal", 100), ("aimed", 100)])
+@pytest.mark.parametrize(
+    ("prior", "n"), [("contact", 400), ("antipodal", 100), ("aimed", 100), ("valued", 100)]
+)
 def test_rows_are_the_same_without_the_filter(prior, n, make_scene):
     scene = make_scene("panda", "mug", "robust")
     case = scene, prior, draw(n, len(layout(scene, prior)), seed=3), np.arange(n) % 3

@@ -30,14 +30,16 @@ from qdgrasp_worker.priors.surface_priors import look_along
 PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm
 POINT_SIGMA = 0.007  # How far a tightly drawn contact point is from the hint, along each axis [m]
 ROLL_SIGMA = 0.15  # rad
-TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, WEIGHTS = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 15)
-"""The places of the prior's own genes."""
+TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, FIRST_WEIGHT = slice(0, 3), slice(3, 6), 6, 7, 8, 9
+"""The places of the prior's own genes; what candidates are ranked by follows."""
 
 
 class AimedPrior(Prior):
-    """A prior of which a genome stands for several candidates."""
+    """A prior of which a genome stands for several candidates, ranked by genes of its own."""
 
-    name = known.AIMED
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._weights = slice(FIRST_WEIGHT, FIRST_WEIGHT + known.RANKING_GENES[name])
 
     def candidates(
         self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
@@ -53,10 +55,10 @@ class AimedPrior(Prior):
             scatter_candidates(candidates[start : start + count], genome_generator(genome), surface)
         points = surface.points[surface.nearest(candidates[:, HINT])]
         candidates[:, OMEGA] += rolls(asides[rows], unit_directions(candidates[:, TARGET], points))
-        return PriorCandidates(rows, candidates, genes[:, WEIGHTS])
+        return PriorCandidates(rows, candidates, genes[:, self._weights])
 
     def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
-        """The poses that candidates (m, 15) stand for; dead ends are zeros."""
+        """The poses that candidates (m, k) stand for; dead ends are zeros."""
         positions, nearest = genes[:, TARGET], surface.nearest(genes[:, HINT])
         points, normals = surface.points[nearest], surface.normals[nearest]
         offsets = positions - points
@@ -105,4 +107,5 @@ def genome_generator(genome: NDArray[np.float32]) -> Generator:
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
 
 
-AIMED = AimedPrior()
+AIMED = AimedPrior(known.AIMED)
+VALUED = AimedPrior(known.VALUED)

@@ -30,7 +30,7 @@ class PriorCandidates:
     genes: Floats
     """(m, d): what its genes stand for, in m and rad."""
     weights: Floats
-    """(n, f): weights of a genome's candidates by feature; f is 0 where there is no choice."""
+    """(n, f): numbers by which a genome's candidates are ranked; f is 0 where there is no choice."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,207 @@
+"""The search that aims at value: at cells that may gain most, with the best candidates.
+
+A pose is worth P(touch) (c + (1 - c) q): q is the expected quality of a grasp that touches, between 0 and 1,
+and c (`TOUCH_VALUE`) what touching alone is worth. Both parts are logistic models, learned as the run goes
+on, twice: of the features that a worker gives of a candidate, for ranking and threshold; and of what is
+known of a cell before it is tried, for the choice of cells. A cell is worth what it may still gain: the touch
+if it has none, and quality beyond its best, by the same formula for empty and weak cells. So none is closed
+by its first touch.
+
+Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`), or its Ferrari-Canny margin
+(`margin`).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.genes import RANKING_GENES, STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES, VALUED
+from qdgrasp_assets.geometry.rotation import Floats, dot
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
+from qdgrasp_coordinator.search.aimed import AimedSearch
+from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.base import SearchSpace
+from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, Frontier, Places, outcome_ranks
+from qdgrasp_coordinator.search.success_model import LogisticRegression, ValueThreshold
+from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.spec import RunSpec
+
+FIRST_TOUCH_WEIGHTS = (1.0, -5.0, 3.0, 0.0, 1.0, 2.0)
+"""Weights of a cell's features for P(touch) before the first fit."""
+FIRST_QUALITY_WEIGHTS = (0.0, 0.0, 0.0, 3.0, -0.5, -1.0)
+"""The same for the quality of a grasp that touches."""
+WANTED = 0.5  # Value demanded of a cell's first candidates
+LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
+
+
+GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
+FULL_ETAS = {"paper": 0.3, "physical": 1.0}
+"""Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""
+FULL_MARGIN = 0.1  # Ferrari-Canny margin of quality 1; of the Panda on cube and mug 99 in 100 are below 0.07
+QUALITY_GRAIN = 1024
+"""Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
+
+Qualities = Callable[[Rows], Floats]
+"""The quality (n,) of successes (n,), 0 to 1."""
+
+
+def quality_measure(spec: RunSpec, space: SearchSpace) -> Qualities:
+    """Return the measure of a spec's objective."""
+    if spec.aim_for == "eta":
+        most = FULL_ETAS[spec.nominal_protocol] * spec.disturbances * trial_count(spec.protocol)
+        return lambda rows: np.minimum(rows["fitness"].astype(np.float64) / most, 1.0)
+    if spec.aim_for == "margin" and space.body is not None:
+        body = space.body
+        return lambda rows: _quantised_quality(recorded_margins(rows, body) / FULL_MARGIN)
+    return lambda rows: (rows["outcome"] >= Outcome.HELD).astype(np.float64)
+
+
+def _quantised_quality(values: Floats) -> Floats:
+    quality: Floats = np.rint(QUALITY_GRAIN * np.clip(np.nan_to_num(values), 0.0, 1.0)) / QUALITY_GRAIN
+    return quality
+
+
+class ValueFrontier(Frontier):
+    """Cells beside successes and those of successes, with the best quality of each."""
+
+    def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
+        super().__init__(box, reach, within)
+        self._touch = LogisticRegression(FIRST_TOUCH_WEIGHTS)
+        self._quality = LogisticRegression(FIRST_QUALITY_WEIGHTS)
+        self._best = np.zeros(self.size)
+        self._best_around = np.zeros(self.size)
+        self._is_known = np.zeros(self.size, np.bool_)
+
+    def add_grasps(self, places: Places, contacts: Floats, quality: Floats) -> None:
+        """Record successes in `places` (n,), repeated in any order, at `contacts` (n, 3) [m]."""
+        new, first = np.unique(places, return_index=True)
+        is_new = ~self.successful[new]
+        self._open_cells(new[is_new], contacts[first[is_new]])
+        before = self._best[new]
+        np.maximum.at(self._best, places, quality)
+        gain = self._best[new] - before
+        np.add.at(self._best_around, self.around(new).ravel(), np.repeat(gain, len(NEIGHBOURS)))
+        self.edge = self.edge[self._best[self.edge] < 1.0]
+
+    def _open_cells(self, new: Places, contacts: Floats) -> None:
+        """Add distinct cells with their first success, and those around them, to the edge."""
+        self.successful[new] = True
+        around = self.around(new)
+        reached = np.concatenate([around, new[:, None]], axis=1).ravel()
+        ways = self.centres(reached) - np.repeat(contacts, 1 + len(NEIGHBOURS), axis=0)
+        distances = np.sqrt(dot(ways, ways)).astype(np.float32)
+        np.minimum.at(self._distances, reached, distances)
+        np.maximum.at(self._farthest, reached, distances)
+        np.add.at(self._neighbours, around.ravel(), 1)
+        fresh = np.unique(reached[~self._is_known[reached] & self._inside[reached]])
+        self._is_known[fresh] = True
+        self.edge = np.concatenate([self.edge, fresh])
+
+    def features(self, places: Places) -> Floats:
+        """Return the features (n, 6) of cells (n,), known before they are tried.
+
+        The distance to the nearest contact point in units of the hand's reach, its square, the share of
+        successful neighbours, the mean of the neighbours' best qualities, whether it has a success, and 1.
+        """
+        distances = np.minimum(self._distances[places].astype(np.float64) / self._reach, 2.0)
+        return np.stack(
+            [
+                distances,
+                distances * distances,
+                self._neighbours[places] / len(NEIGHBOURS),
+                self._best_around[places] / len(NEIGHBOURS),
+                self.successful[places],
+                np.ones(len(places)),
+            ],
+            axis=1,
+        )
+
+    def learn_quality(self, features: Floats, is_success: NDArray[np.bool_], quality: Floats) -> None:
+        """Learn from tries in cells with such `features` (n, 6) when they were aimed at."""
+        self._touch.learn(features, is_success)
+        self._quality.learn(features[is_success], quality[is_success])
+
+    def worth(self, places: Places) -> Floats:
+        """Return the expected gain of a try in each of `places` (n,), over what was spent there.
+
+        A success of expected quality q raises a best of b by at most q (1 - b): just that, where a quality is
+        0 or 1.
+        """
+        features = self.features(places)
+        touch = TOUCH_VALUE * (1.0 - features[:, 4])
+        gain = self._quality.likely(features) * (1.0 - self._best[places])
+        value = self._touch.likely(features) * (touch + (1.0 - TOUCH_VALUE) * gain)
+        worth: Floats = value / (self.spent(places) + 1.0)
+        return worth
+
+
+class ValueModel:
+    """The models that rank candidates, by the features that the prior `valued` gives of a pose."""
+
+    def __init__(self) -> None:
+        start = np.zeros(len(VALUE_FEATURES))
+        self._touch = LogisticRegression(start, own_units=True)
+        self._quality = LogisticRegression(start, own_units=True)
+
+    def ranking(self, wanted: Floats) -> Floats:
+        """Return weights of both models, and the value wanted of candidates: (n, w).
+
+        All zero before the first fit.
+        """
+        weights = np.zeros((len(wanted), RANKING_GENES[VALUED]))
+        if self._touch.weights.any():
+            both = np.concatenate([self._touch.weights, self._quality.weights])
+            weights[:, :-1] = np.clip(both, -STEEPEST_VALUE, STEEPEST_VALUE)
+            weights[:, -1] = wanted
+        return weights
+
+    def learn(self, simulated: Rows, quality: Floats) -> None:
+        """Learn from rows that were simulated, and the quality (n,) of those that are successes."""
+        features = simulated["descriptor"][:, 3:].astype(np.float64)
+        is_success = simulated["outcome"] >= Outcome.DROPPED
+        self._touch.learn(features, is_success)
+        self._quality.learn(features[is_success], quality[is_success])
+
+
+class ValueSearch(AimedSearch):
+    """Aims at cells whose best grasp may be beaten, empty ones included."""
+
+    _frontier: ValueFrontier
+
+    def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
+        super().__init__(spec, space, ValueFrontier, ValueThreshold(WANTED, LEAST_SHARE))
+        self._qualities = quality_measure(spec, space)
+        self._model = ValueModel()
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Learn from reached cells, dead ends and the features of simulated poses."""
+        is_simulated = rows["outcome"] >= Outcome.MISSED
+        is_success = rows["outcome"] >= Outcome.DROPPED
+        is_told, quality = is_simulated | self._counts_all, np.zeros(len(rows))
+        quality[is_success] = self._qualities(rows[is_success])
+        features = self._open.pop(generation)
+        told = is_told[: len(features)].nonzero()[0]
+        self._frontier.learn_quality(features[told], is_success[told], quality[told])
+        self._frontier.count_dead_ends(self._aimed_at(rows["genome"][~is_simulated]))
+        self._succeed(rows[is_success], quality[is_success])
+        self._model.learn(rows[is_simulated], quality[is_simulated])
+        self._threshold.update(is_told)
+
+    def _succeed(self, successes: Rows, quality: Floats) -> None:
+        """Learn from successes of such quality (n,); those outside the box are passed over."""
+        places = self._frontier.places(successes["descriptor"][:, :3])
+        (inside,) = np.nonzero(places >= 0)
+        successes, places, quality = successes[inside], places[inside], quality[inside]
+        self._frontier.add_grasps(places, successes["surface_point"].astype(np.float64), quality)
+        is_graded = self._spec.aim_for == "hold"
+        ranks = outcome_ranks(successes) if is_graded else Outcome.DROPPED + GRADES * quality
+        self._elites.offer(places, successes, ranks)
+
+    def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
+        """The open cells that are worth most."""
+        return self._frontier.best(n, generator)
+
+    def _ranking(self, wanted: Floats) -> Floats:
+        """Weights of the models of value."""
+        return self._model.ranking(wanted)
