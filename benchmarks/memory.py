@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tests.worker.genomes import encoded, facing
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import MOST_CANDIDATES, layout
+from qdgrasp_assets.genes import MOST_CANDIDATES, VALUED, layout
 from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, ROWS_AT_ONCE, Evaluator, EvaluatorCache
@@ -52,7 +52,7 @@ class Course:
 
 COURSES = (
     Course("panda", "rubiks_cube", "contact", 100_000),
-    Course("panda", "mug", "aimed", 3_000),
+    Course("panda", "mug", VALUED, 3_000),
 )
 
 
@@ -101,12 +101,13 @@ def anywhere(scene: Scene, n: int, random: np.random.Generator) -> Genomes:
 
 
 def above(scene: Scene, n: int, random: np.random.Generator) -> Genomes:
-    """Genomes (n, d) of the prior aimed, that look at the surface, of as many candidates as there may be."""
+    """Genomes (n, d) of the prior valued, that look at the surface, of as many candidates as there may be."""
     seed = int(random.integers(1 << 32))
-    return encoded(scene, facing(scene, n, candidates=MOST_CANDIDATES, looseness=1.0, seed=seed))
+    values = facing(scene, n, candidates=MOST_CANDIDATES, looseness=1.0, seed=seed, prior=VALUED)
+    return encoded(scene, values, VALUED)
 
 
-DRAWN = {"contact": anywhere, "aimed": above}
+DRAWN = {"contact": anywhere, VALUED: above}
 """How genomes of a prior are drawn."""
 
 
@@ -120,7 +121,7 @@ def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
             evaluator = worlds.get(
                 f"{gripper} {thing}", lambda payload=payload: Evaluator(unpack_scene(payload))
             )
-            for prior in ("contact", "aimed"):
+            for prior in ("contact", VALUED):
                 evaluate(evaluator, prior, 2 * ROWS_AT_ONCE, random)
             sizes.append(status("VmRSS"))
     return Found(tuple(sizes), status("VmHWM"))

@@ -38,7 +38,7 @@ from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS
 
 STAGES = ("joins", "asks for the scene", "answers")
 """What the worker does first, in this order."""
-SCENES = (("panda", "rubiks_cube", "contact"), ("panda", "mug", "aimed"), ("shadow", "mug", "aimed"))
+SCENES = (("panda", "rubiks_cube", "contact"), ("panda", "mug", "valued"), ("shadow", "mug", "valued"))
 ROWS = 4
 """In a first batch, whose cost nobody knows yet."""
 JOB, EPOCH = "startup", 1

@@ -17,7 +17,7 @@ from qdgrasp_protocol.rows import trial_count
 from qdgrasp_protocol.text import counted
 
 FIRST_FIELDS = (
-    *("gripper", "object", "scale", "method", "protocol", "seed", "overlaps_mode"),
+    *("gripper", "object", "scale", "method", "aim_for", "protocol", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """Figures that a table begins with."""
@@ -31,6 +31,8 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     scale: float = 1.0
     """Metres to a unit of the object's mesh file."""
     method: str
+    aim_for: str = ""
+    """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
     protocol: str
     seed: int
     overlaps_mode: str
@@ -102,6 +104,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
             **structs.asdict(found.totals),
             **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
             scale=spec.scale or 1.0,
+            aim_for=spec.aim_for or "",
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,
