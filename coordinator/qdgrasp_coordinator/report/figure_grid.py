@@ -56,14 +56,14 @@ class LineStyle(NamedTuple):
     dashes: Dashes
 
 
-def prior_of(method: str) -> str:
-    """Return the prior of a method."""
+def default_prior(method: str) -> str:
+    """Return the prior of a method, as runs have it unless their spec says otherwise."""
     return METHODS[method].prior
 
 
 def family_of(method: str) -> str:
     """Return the family of a method: its name without the prior's prefix."""
-    return method.removeprefix(PRIORS[prior_of(method)].prefix)
+    return method.removeprefix(PRIORS[default_prior(method)].prefix)
 
 
 def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]:
@@ -81,7 +81,7 @@ def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]
 def hue_of(method: str, pale: float = 0.0) -> str:
     """Return the colour of a method, from its full hue at 0 to its palest variant at 1."""
     red, green, blue = (
-        part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[prior_of(method)])
+        part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[default_prior(method)])
     )
     return to_hex((red, green, blue))
 

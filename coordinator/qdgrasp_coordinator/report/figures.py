@@ -31,13 +31,13 @@ from qdgrasp_coordinator.report.figure_grid import (
     FigureGrid,
     LineStyle,
     MethodVariant,
+    default_prior,
     evaluation_axis,
     family_of,
     hue_of,
     line_styles,
     panel_heading,
     plain_axes,
-    prior_of,
     value_axis,
     words_above,
 )
@@ -92,7 +92,7 @@ def draw_curves(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid
 def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
     """Draw a row for each scene, a column for each prior; in it the searches with that prior."""
     drawn = _panel_styles(shown)
-    present = {prior_of(one.group.method) for panel in shown for one in panel.curves}
+    present = {default_prior(one.group.method) for panel in shown for one in panel.curves}
     priors = [prior for prior in PRIOR_ORDER if prior in present]
     families = {family_of(one.group.method) for panel in shown for one in panel.curves}
     grid = FigureGrid(len(shown), len(priors), (2.5, 1.9), legend_rows=1, space_above=0.84, least_width=8.8)
@@ -101,11 +101,11 @@ def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> Figu
             axes = grid.axes(row, column)
             _set_axes(axes, panel, log)
             for one in panel.curves:
-                if prior_of(one.group.method) == prior:
+                if default_prior(one.group.method) == prior:
                     draw_curve(axes, one, drawn[one.group.variant_key])
                 else:
                     axes.plot(one.evaluations, one.median, color=CONTEXT, linewidth=0.8, zorder=1)
-            mine = [one.group for one in panel.curves if prior_of(one.group.method) == prior]
+            mine = [one.group for one in panel.curves if default_prior(one.group.method) == prior]
             words = (panel.scene.words, measure_words(panel)) if column == 0 else ("", "")
             panel_heading(axes, words[0], words[1], run_words(mine, 2.5) if mine else "not in this campaign")
             if row == 0:
@@ -160,7 +160,7 @@ def _panel_styles(shown: Sequence[CurvePanel]) -> dict[MethodVariant, LineStyle]
 def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2D], int]:
     """Arrange methods as a matrix: a column for each prior, in it the families in their order."""
     columns = [
-        [arm for f in FAMILIES for arm in drawn if (prior_of(arm[0]), family_of(arm[0])) == (prior, f)]
+        [arm for f in FAMILIES for arm in drawn if (default_prior(arm[0]), family_of(arm[0])) == (prior, f)]
         for prior in PRIOR_ORDER
     ]
     filled = [column for column in columns if column]
@@ -206,7 +206,7 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
     """Distributions of all methods whose palm looks at the surface, over scenes with a success."""
     methods: dict[str, list[RunGroup]] = {}
     for group in groups:
-        if prior_of(group.method) in NU_PRIORS and any(run.nu.any() for run in group.finished_runs):
+        if default_prior(group.method) in NU_PRIORS and any(run.nu.any() for run in group.finished_runs):
             methods.setdefault(group.name, []).append(group)
     return [_nu_distribution(same) for same in methods.values()]
 
@@ -221,13 +221,13 @@ def _nu_distribution(groups: Sequence[RunGroup]) -> NuDistribution:
 
 def draw_nu(found: Sequence[NuDistribution]) -> FigureGrid:
     """Draw a column for each prior, a row for each family of searches and each variant."""
-    priors = [prior for prior in NU_PRIORS if any(prior_of(lean.method) == prior for lean in found)]
+    priors = [prior for prior in NU_PRIORS if any(default_prior(lean.method) == prior for lean in found)]
     rows = sorted({_matrix_row(one) for one in found}, key=lambda row: (list(FAMILIES).index(row[0]), row[1]))
     grid = FigureGrid(len(rows), len(priors), NU_PANEL_SIZE, space_above=0.7)
     for lean in found:
         row = _matrix_row(lean)
         top = max(float(one.share.max()) for one in found if _matrix_row(one) == row)
-        _draw_distribution(grid.axes(rows.index(row), priors.index(prior_of(lean.method))), lean, top)
+        _draw_distribution(grid.axes(rows.index(row), priors.index(default_prior(lean.method))), lean, top)
     words = "Share of successes in bins of 7.5\u00b0; each scene and each run counts alike."
     grid.title("Lean \u03bd of successes from the surface normal", words)
     return grid
@@ -243,7 +243,7 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
     for low, high, opacity in ((0, NU_BINS // 4, 0.9), (NU_BINS // 4, NU_BINS, 0.4)):
         axes.stairs(lean.share[low:high], edges[low : high + 1], fill=True, color=hue, alpha=opacity)
     axes.axvline(0.25, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-    if prior_of(lean.method) not in NU_BOUNDS:
+    if default_prior(lean.method) not in NU_BOUNDS:
         axes.axhline(1 / NU_BINS, color=FAINT, linewidth=0.8, linestyle=(0, (1.5, 1.5)))
         axes.annotate(
             "uniform", (1, 1 / NU_BINS), (0, 3), textcoords="offset points", size=7, color=FAINT, ha="right"
@@ -257,7 +257,7 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
 
 def near_words(lean: NuDistribution) -> str:
     """Describe the share below pi / 4 with its interval."""
-    if bound := NU_BOUNDS.get(prior_of(lean.method)):
+    if bound := NU_BOUNDS.get(default_prior(lean.method)):
         return bound
     found = lean.near
     span = f" ({found.low:.0%} to {found.high:.0%})" if found.is_known else " (no interval from one run)"

@@ -1,9 +1,9 @@
-"""The frontier of empty cells beside successes, and the best grasp of each successful cell.
+"""The frontier of cells that a search may aim at, and the best grasp of each success cell.
 
-A cell is worth a try when it is likely to hold a success and little was spent on it: likelihood / (tries +
-dead ends / 2 + 1), where a try is a simulated pose and a dead end a genome of which nothing could be
-simulated. How likely it is, the search learns, from the distance between the cell and the contact point of
-the nearest success beside it, and from how many of its 26 neighbours hold a success. It does not begin from
+A cell is worth a try when it promises something and little was spent on it: promise / (tries + dead ends / 2
++ 1), where a try is a simulated pose and a dead end a genome of which nothing could be simulated. Each
+search learns what a cell promises (`touch_search`, `value_search`), from the distance between the cell and
+the contact point of the nearest success beside it, and from its 26 neighbours. It does not begin from
 nothing: in units of a hand's reach, all hands and objects teach nearly the same.
 
 What a successful cell passes on to its neighbours is the contact point, the roll and the posture of its
@@ -12,6 +12,8 @@ a neighbour will look: as a number it belongs to a frame that jumps between dire
 (`rotation.tangents`).
 """
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,19 +21,16 @@ from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, rotate, tangent
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.search.archive import PositionBox
-from qdgrasp_coordinator.search.success_model import LogisticRegression
 from qdgrasp_protocol.rows import Outcome, Rows
 
 Places = NDArray[np.intp]  # (n,): cells of a frontier, as places in its grid
 DEAD_END = 0.5  # Weight of a dead end against a try: it costs no simulation, and the next may do better
-FIRST_WEIGHTS = (1.0, -5.0, 3.0, 2.0)
-"""Weights of `features` before the first fit, about those of finished runs of all hands."""
 ANYWHERE = (0.0, np.inf)
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 
 
-class Frontier:
+class Frontier(ABC):
     """All cells of a box, enlarged to whole cells, with what was tried in them.
 
     `reach` is the greatest distance from the hand to the surface point that it looks at [m], `within` the
@@ -53,12 +52,11 @@ class Frontier:
         self._farthest = np.zeros(size, np.float32)
         self._reach = reach
         self._within = within
-        self._model = LogisticRegression(FIRST_WEIGHTS)
         inside = np.zeros(self._shape, np.bool_)
         inside[1:-1, 1:-1, 1:-1] = True
         self._inside = inside.reshape(-1)
         self.edge: Places = np.zeros(0, np.intp)
-        """The cells that may be aimed at, those that became so first in front; here the empty ones."""
+        """The cells that may be aimed at, those that became so first in front."""
 
     @property
     def size(self) -> int:
@@ -92,40 +90,20 @@ class Frontier:
         np.add.at(self._tries, places, -1)
         np.add.at(self._dead_ends, places, 1)
 
-    def add_successes(self, places: Places, contacts: Floats) -> None:
-        """Record successes in `places` (n,), in any order and repeated, at `contacts` (n, 3) [m]."""
-        new, first = np.unique(places, return_index=True)
-        is_new = ~self.successful[new]
-        new, contacts = new[is_new], contacts[first[is_new]]
-        if not len(new):
-            return
-        self.successful[new] = True
-        around = self.around(new).ravel()
-        ways = self.centres(around) - np.repeat(contacts, len(NEIGHBOURS), axis=0)
+    def _keep_distances(self, places: NDArray[np.intp], contacts: Floats) -> None:
+        """Keep the nearest and farthest of contact points (n, 3) [m] from cells (n, k) beside each."""
+        ways = self.centres(places.ravel()) - np.repeat(contacts, places.shape[1], axis=0)
         distances = np.sqrt(dot(ways, ways)).astype(np.float32)
-        np.minimum.at(self._distances, around, distances)
-        np.maximum.at(self._farthest, around, distances)
-        touched = np.unique(around[(self._neighbours[around] == 0) & self._inside[around]])
-        np.add.at(self._neighbours, around, 1)
-        edge = np.concatenate([self.edge, touched])
-        self.edge = edge[~self.successful[edge]]
+        np.minimum.at(self._distances, places.ravel(), distances)
+        np.maximum.at(self._farthest, places.ravel(), distances)
 
+    @abstractmethod
     def features(self, places: Places) -> Floats:
-        """Return the features (n, 4) of cells (n,) beside successes, known before they are tried.
+        """Return the features (n, k) of cells (n,), known before they are tried."""
 
-        The distance in units of the hand's reach, its square, the share of successful neighbours, and 1.
-        """
-        distances = self._distances[places].astype(np.float64) / self._reach
-        shares = self._neighbours[places] / len(NEIGHBOURS)
-        return np.stack([distances, distances * distances, shares, np.ones(len(places))], axis=1)
-
-    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
-        """Learn from tries in cells with such `features` (n, 4) when they were aimed at."""
-        self._model.learn(features, successes)
-
+    @abstractmethod
     def worth(self, places: Places) -> Floats:
         """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
-        return self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
 
     def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
         """Return the `n` of the edge, or of `among`, that are worth most; fewer if there are fewer.

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.search.aimed import AimedSearch
+from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.frontier import (
+    ANYWHERE,
     NEIGHBOURS,
     EliteStore,
     Frontier,
@@ -21,9 +23,53 @@ from qdgrasp_coordinator.search.frontier import (
     outcome_ranks,
     select_top,
 )
-from qdgrasp_coordinator.search.success_model import CandidateRanker, ValueThreshold
+from qdgrasp_coordinator.search.success_model import CandidateRanker, LogisticRegression, ValueThreshold
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
+
+FIRST_WEIGHTS = (1.0, -5.0, 3.0, 2.0)
+"""Weights of `features` before the first fit, about those of finished runs of all hands."""
+
+
+class TouchFrontier(Frontier):
+    """The empty cells beside successes."""
+
+    def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
+        super().__init__(box, reach, within)
+        self._model = LogisticRegression(FIRST_WEIGHTS)
+
+    def add_successes(self, places: Places, contacts: Floats) -> None:
+        """Record successes in `places` (n,), in any order and repeated, at `contacts` (n, 3) [m]."""
+        new, first = np.unique(places, return_index=True)
+        is_new = ~self.successful[new]
+        new, contacts = new[is_new], contacts[first[is_new]]
+        if not len(new):
+            return
+        self.successful[new] = True
+        self._keep_distances(self.around(new), contacts)
+        around = self.around(new).ravel()
+        touched = np.unique(around[(self._neighbours[around] == 0) & self._inside[around]])
+        np.add.at(self._neighbours, around, 1)
+        edge = np.concatenate([self.edge, touched])
+        self.edge = edge[~self.successful[edge]]
+
+    def features(self, places: Places) -> Floats:
+        """Return the features (n, 4) of cells (n,) beside successes, known before they are tried.
+
+        The distance in units of the hand's reach, its square, the share of successful neighbours, and 1.
+        """
+        distances = self._distances[places].astype(np.float64) / self._reach
+        shares = self._neighbours[places] / len(NEIGHBOURS)
+        return np.stack([distances, distances * distances, shares, np.ones(len(places))], axis=1)
+
+    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
+        """Learn from tries in cells with such `features` (n, 4) when they were aimed at."""
+        self._model.learn(features, successes)
+
+    def worth(self, places: Places) -> Floats:
+        """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
+        return self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
+
 
 RETRY_VALUE = 1 / 3  # Worth of a robust grasp in place of a weak one, relative to a success in an empty cell
 RETRY_SHARE = 0.5  # The most such tries in a generation, as a share of those that count at the frontier
@@ -94,8 +140,10 @@ LEAST_SHARE = 0.1  # Share of genomes below which less is demanded
 class TouchSearch(AimedSearch):
     """Aims at cells that hold no success; a cell's first touch closes it."""
 
+    _frontier: TouchFrontier
+
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
-        super().__init__(spec, space, Frontier, ValueThreshold(WANTED, LEAST_SHARE))
+        super().__init__(spec, space, TouchFrontier, ValueThreshold(WANTED, LEAST_SHARE))
         self._ranker = CandidateRanker()
         self._retries = RetryBudget(self._frontier, self._elites)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import RANKING_GENES, STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES, VALUED
-from qdgrasp_assets.geometry.rotation import Floats, dot
+from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.aimed import AimedSearch
 from qdgrasp_coordinator.search.archive import PositionBox
@@ -88,12 +88,10 @@ class ValueFrontier(Frontier):
         """Add distinct cells with their first success, and those around them, to the edge."""
         self.successful[new] = True
         around = self.around(new)
-        reached = np.concatenate([around, new[:, None]], axis=1).ravel()
-        ways = self.centres(reached) - np.repeat(contacts, 1 + len(NEIGHBOURS), axis=0)
-        distances = np.sqrt(dot(ways, ways)).astype(np.float32)
-        np.minimum.at(self._distances, reached, distances)
-        np.maximum.at(self._farthest, reached, distances)
         np.add.at(self._neighbours, around.ravel(), 1)
+        block = np.concatenate([around, new[:, None]], axis=1)
+        self._keep_distances(block, contacts)
+        reached = block.ravel()
         fresh = np.unique(reached[~self._is_known[reached] & self._inside[reached]])
         self._is_known[fresh] = True
         self.edge = np.concatenate([self.edge, fresh])

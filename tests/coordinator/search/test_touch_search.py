@@ -9,9 +9,15 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.search import touch_search
 from qdgrasp_coordinator.search.aimed import LOOSENESS
 from qdgrasp_coordinator.search.base import keyed_generator
-from qdgrasp_coordinator.search.frontier import EliteStore, Frontier, Places, outcome_ranks
+from qdgrasp_coordinator.search.frontier import EliteStore, Places, outcome_ranks
 from qdgrasp_coordinator.search.registry import method
-from qdgrasp_coordinator.search.touch_search import PRIOR_PROMISES, RETRY_SHARE, RetryBudget, TouchSearch
+from qdgrasp_coordinator.search.touch_search import (
+    PRIOR_PROMISES,
+    RETRY_SHARE,
+    RetryBudget,
+    TouchFrontier,
+    TouchSearch,
+)
 from qdgrasp_protocol.rows import Outcome, RowShape
 
 SPACE = space("aimed")
@@ -70,7 +76,7 @@ class Found:
     """A search's cells, as far as successes are heard of."""
 
     def __init__(self) -> None:
-        self.frontier = Frontier(BOX, 0.1)
+        self.frontier = TouchFrontier(BOX, 0.1)
         self.elites = EliteStore(self.frontier.size, (0.0, 0.0, 1.0), 0)
         self.retries = RetryBudget(self.frontier, self.elites)
 
