@@ -82,9 +82,9 @@ def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subproce
 def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands) -> None:
     with ExitStack() as stack:
         endpoint, process = stack.enter_context(running(qdgrasp, 300))
+        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
+        wait_for(lambda: [len(view.workers) for view in feed.views()] == [2], "both workers")
         with held(*pids(process, "worker")):  # so that it goes on for as long as it is looked at
-            feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
-            wait_for(lambda: [len(view.workers) for view in feed.views()] == [2], "both workers")
             code, out, err = watch(qdgrasp, "--once", "--json", "--connect", endpoint)
             assert (code, err) == (0, "")
             (job,) = parsed(out)["jobs"]
