@@ -33,8 +33,6 @@ FIRST_QUALITY_WEIGHTS = (0.0, 0.0, 0.0, 3.0, -0.5, -1.0)
 """The same for the quality of a grasp that touches."""
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
-
-
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
 FULL_ETAS = {"paper": 0.3, "physical": 1.0}
 """Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""

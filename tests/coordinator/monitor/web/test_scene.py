@@ -655,23 +655,19 @@ def test_margins_are_counted_as_they_come_and_then_filtered_by(
         expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
 
 
-def test_there_is_no_filter_of_margins_or_motions_where_no_grasp_settled(chromium: Any) -> None:
+@pytest.mark.parametrize(
+    ("there", "missing"),
+    [
+        pytest.param("Most penetration", ("Most motion", "Least margin"), id="no grasp settled"),
+        pytest.param("x lowest", ("Synergy", "eta at least"), id="neither synergies nor eta"),
+    ],
+)
+def test_there_is_no_filter_of_what_no_grasp_has(there: str, missing: tuple[str, ...], chromium: Any) -> None:
     records = HandMadeRecords(made_scene(), run="mug")
     records.record(SCORED)
     with serving_records(records) as found:
         for page in visited(chromium, found):
             page.locator("#scene-filters summary").click()
-            expect(page.get_by_label("Most penetration")).to_be_visible()
-            expect(page.get_by_label("Most motion")).to_be_hidden()
-            expect(page.get_by_label("Least margin")).to_be_hidden()
-
-
-def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> None:
-    records = HandMadeRecords(made_scene(), run="mug")
-    records.record(SCORED)
-    with serving_records(records) as found:
-        for page in visited(chromium, found):
-            page.locator("#scene-filters summary").click()
-            expect(page.get_by_label("x lowest")).to_be_visible()
-            expect(page.get_by_label("Synergy")).to_be_hidden()
-            expect(page.get_by_label("eta at least")).to_be_hidden()
+            expect(page.get_by_label(there)).to_be_visible()
+            for label in missing:
+                expect(page.get_by_label(label)).to_be_hidden()
