@@ -205,8 +205,8 @@ def met_trials(scene: Scene, genomes: NDArray[np.float32]) -> Arrays:
                 found[f"{arm} fitness"][i, number] = result.fitness
                 back[f"{arm} back"][i, number] = last - stop
                 simulating[arm] += seconds
-    seconds = np.array([walking, *simulating.values()]) / max(1, len(genomes) * TRIALS)
-    return {**found, **back, "seconds": seconds}
+    costs = np.array([walking, *simulating.values()]) / max(1, len(genomes) * TRIALS)
+    return {**found, **back, "seconds": costs}
 
 
 def moved(genome: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.float32]:
@@ -226,7 +226,8 @@ def refine(study: Study) -> Arrays:
     with Evaluator(study.scene("physical")) as evaluator:
 
         def etas(genomes: NDArray[np.float32], numbers: Sequence[int]) -> NDArray[np.float64]:
-            return evaluated(evaluator, genomes, numbers)["fitness"].mean(axis=1) / PUSHES
+            means: NDArray[np.float64] = evaluated(evaluator, genomes, numbers)["fitness"].mean(axis=1)
+            return means / PUSHES
 
         for group in sorted({*grasps["group"].tolist()} - {-1}):
             members = np.flatnonzero(grasps["group"] == group)
@@ -274,7 +275,7 @@ def disturbances(arm: str) -> int:
 
 
 def outcome_rows(study: Study) -> Iterable[list[object]]:
-    """Points 1 and 2: shares of outcomes in trials, etas by nominal outcome, agreement of halves."""
+    """Shares of outcomes in trials of grasps that hold, etas by nominal outcome, agreement of halves."""
     nominal = study.grasps["outcome"]
     for arm in ARMS:
         found = study.results(arm)
@@ -296,8 +297,9 @@ def outcome_rows(study: Study) -> Iterable[list[object]]:
 
 
 def choice_rows(study: Study) -> Iterable[list[object]]:
-    """Point 3: the best of a group by trials 1 to 25, judged by trials 26 to 50."""
+    """Choices in groups by eta of trials 1 to 25, judged by trials 26 to 50 of the arm, and of "path"."""
     groups, depth = study.grasps["group"], study.grasps["penetration"]
+    judge = study.results("path").eta(PUSHES, TRIALS // 2)
     for arm in ARMS:
         found, each = study.results(arm), disturbances(arm)
         early, late = found.eta(each, 0, TRIALS // 2), found.eta(each, TRIALS // 2)
@@ -306,20 +308,20 @@ def choice_rows(study: Study) -> Iterable[list[object]]:
             members = np.flatnonzero(groups == group)
             by_eta = members[np.lexsort([depth[members], -early[members]])[0]]
             by_depth = members[depth[members].argmin()]
-            rows.append([late[by_eta], late[members].mean(), late[by_depth]])
+            rows.append([late[by_eta], late[members].mean(), late[by_depth], judge[by_eta]])
         table = np.array(rows)
         yield [
             study.target,
             arm,
             len(table),
-            *(mean_error(table[:, column]) for column in range(3)),
+            *(mean_error(table[:, column]) for column in range(4)),
             mean_error(table[:, 0] - table[:, 1]),
             mean_error(table[:, 0] - table[:, 2]),
         ]
 
 
 def smoothing_rows(study: Study) -> Iterable[list[object]]:
-    """Point 4: mean squared errors [1e-3] of shrunk etas of ten trials against trials 26 to 50."""
+    """Mean squared errors [1e-3] of shrunk etas of ten trials against trials 26 to 50."""
     is_held = study.grasps["outcome"] == Outcome.HELD
     cells = np.floor(study.grasps["position"][is_held] * 100)
     apart = np.abs(cells[:, None] - cells[None]).max(axis=2)
@@ -334,7 +336,7 @@ def smoothing_rows(study: Study) -> Iterable[list[object]]:
 
 
 def refinement_rows(study: Study) -> Iterable[list[object]]:
-    """Point 5: fresh etas of grasps, of refined ones and of the best of as many trials of others."""
+    """Fresh etas of grasps, of refined ones and of the best of as many trials of others."""
     found, cost = study.refined, study.seconds
     own, refined, neighbour = found["eta"].T
     trials, others = found["simulated"].mean(axis=0)
@@ -359,7 +361,7 @@ TABLES = {
     "outcomes": (outcome_rows, ["object", "trials", *(outcome.name.lower() for outcome in [*Outcome][2:]),
                                 "eta dropped", "eta shaken", "eta held", "real sd", "halves", "ranks"]),
     "choice": (choice_rows, ["object", "trials", "groups", "by eta", "mean", "by penetration",
-                             "eta - mean", "eta - penetration"]),
+                             "by eta, judged on path", "eta - mean", "eta - penetration"]),
     "smoothing": (smoothing_rows, ["object", "towards", *(f"K {k}" for k in STRENGTHS)]),
     "refinement": (refinement_rows, ["object", "n", "own", "refined", "neighbour", "refined - own",
                                      "neighbour - own", "trials", "CPU s", "a CPU s, refined",
