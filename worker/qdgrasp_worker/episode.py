@@ -62,7 +62,10 @@ def settled_pose(world: World, commanded: HandPose) -> list[float]:
 
 
 def approach_path(pose: HandPose, axis: Vector, way: float) -> list[HandPose]:
-    """Poses of a hand that comes `way` [m] along its approach axis, `APPROACH_STEP` apart; `pose` is last."""
+    """Poses of a hand that comes `way` [m] along its approach axis (3,), base frame.
+
+    They are `APPROACH_STEP` apart, the farthest first; the last is `pose` itself.
+    """
     steps = ceil(way / APPROACH_STEP)
     position, along = np.array(pose.position), rotate(np.array(pose.quaternion), np.array(axis))
     places = position - APPROACH_STEP * np.arange(steps, 0, -1)[:, None] * along
