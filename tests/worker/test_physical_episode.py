@@ -1,6 +1,7 @@
 """Episodes of `physical` in Bullet: what is held, what the joints do, and that it forgets."""
 
 from contextlib import closing
+from dataclasses import replace
 from math import cos, radians, sin
 
 import msgspec
@@ -11,12 +12,19 @@ from tests.worker.genomes import draw, elsewhere, evaluated, outcomes, results
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError, UnknownName
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.bullet import Bullet
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.episode import EpisodeResult
-from qdgrasp_worker.evaluation_protocols import PAPER, PHYSICAL, SMALL_MIXTURE, TrialSetup
+from qdgrasp_worker.episode import APPROACH_STEP, EpisodeResult, approach_path
+from qdgrasp_worker.evaluation_protocols import (
+    PAPER,
+    PHYSICAL,
+    PROTOCOLS,
+    ROBUST_BY_BASE,
+    SMALL_MIXTURE,
+    TrialSetup,
+)
 from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
 from qdgrasp_worker.physical_episode import PhysicalWorld
 
@@ -150,6 +158,30 @@ class TestRobustOnPhysical:
         held = disturbed[disturbed["outcome"] == Outcome.HELD]
         assert len(np.unique(held["joints"], axis=0)) > 1
 
+    def test_the_order_of_trials_changes_none_and_a_hand_that_was_stopped_settles_farther_out(self):
+        robust = build_scene(
+            RunSpec(gripper="panda", object="rubiks_cube", protocol="robust", base="physical")
+        )
+        near = np.array([[*ABOVE.position[:2], 0.098, *ABOVE.quaternion]], np.float32)
+        trials = np.arange(13)
+        genomes = np.repeat(near, len(trials), axis=0)
+        rows = evaluated(robust, GIVEN, genomes, trials)
+        assert results(evaluated(robust, GIVEN, genomes, trials[::-1], batch=4)[::-1]) == results(rows)
+        assert rows["outcome"][0] == Outcome.HELD
+        protocol = ROBUST_BY_BASE["physical"]
+        trials_as_set = [protocol.trial(replace(ABOVE, position=near[0, :3].tolist()), i) for i in trials]
+        with closing(make_world(robust, protocol)) as world:
+            episode = make_episode(world, protocol)
+            blocked = np.array([episode.overlaps(trial) for trial in trials_as_set])
+        assert blocked.any()
+        assert not blocked.all()
+        assert (rows["outcome"] != Outcome.OVERLAP).all()
+        np.testing.assert_array_equal(rows["base_to_object"], np.tile(near, (len(trials), 1)))
+        goals = np.array([trial.pose.position[2] for trial in trials_as_set])
+        back = rows["settled"][:, 2] - goals
+        assert (back[blocked] > 1e-3).all()
+        assert np.abs(back[~blocked]).max() < 1e-3
+
     def test_small_disturbances_differ_and_keep_their_scale(self):
         mixture = SMALL_MIXTURE
         setups = [mixture.trial(ABOVE, number) for number in range(1, 101)]
@@ -159,6 +191,55 @@ class TestRobustOnPhysical:
         away = [np.linalg.norm(np.array(setup.pose.position) - ABOVE.position) for setup in setups]
         assert 0.002 < np.median(away) < 0.015
         assert all(setup.frictions is None for setup in setups)
+
+
+class TestApproach:
+    """The Panda comes down on the cube, whose sides are 57 mm and whose top is 28.5 mm high."""
+
+    def run(self, scene: Scene, pose: HandPose, *, approaches: bool = True) -> EpisodeResult:
+        with closing(make_world(scene, PHYSICAL)) as world:
+            return make_episode(world, PHYSICAL).run(TrialSetup(pose, approaches=approaches))
+
+    def test_the_path_ends_at_the_pose_and_is_as_long_as_the_hands_reach(self, scene):
+        path = approach_path(ABOVE, scene.gripper.approach_axis, scene.gripper.reach)
+        assert path[-1] is ABOVE
+        places = np.array([pose.position for pose in path])
+        np.testing.assert_array_equal(places[:-1], places[:-1].astype(np.float32))
+        np.testing.assert_allclose(places[:, :2], 0.0, atol=1e-8)
+        np.testing.assert_allclose(np.diff(places[:, 2]), -APPROACH_STEP, atol=1e-7)
+        assert places[0, 2] - places[-1, 2] == pytest.approx(scene.gripper.reach, abs=APPROACH_STEP)
+
+    def test_a_hand_that_is_clear_all_along_closes_where_it_would_without_a_path(self, scene):
+        assert self.run(scene, ABOVE) == self.run(scene, ABOVE, approaches=False)
+
+    @pytest.mark.parametrize("depth", [0.0905, 0.085, 0.07])
+    def test_a_hand_whose_goal_is_inside_stops_before_that_and_not_earlier(self, scene, depth):
+        low = replace(ABOVE, position=[0.0, 0.0, depth])
+        assert self.run(scene, low, approaches=False).outcome == Outcome.OVERLAP
+        found = self.run(scene, low)
+        assert found.outcome == Outcome.HELD
+        path = approach_path(low, scene.gripper.approach_axis, scene.gripper.reach)
+        (stop,) = [i for i, pose in enumerate(path) if abs(pose.position[2] - found.settled[2]) < 1e-4]
+        with closing(make_world(scene, PHYSICAL)) as world:
+            episode = make_episode(world, PHYSICAL)
+            assert not any(episode.overlaps(TrialSetup(pose)) for pose in path[: stop + 1])
+            assert episode.overlaps(TrialSetup(path[stop + 1]))
+
+    def test_fingers_that_meet_the_object_from_above_do_not_pass_through_it(self, scene):
+        aside = replace(ABOVE, position=[0.03 * cos(SIDE), 0.03 * sin(SIDE), 0.1])
+        assert self.run(scene, aside, approaches=False).outcome == Outcome.OVERLAP
+        assert self.run(scene, aside).outcome == Outcome.MISSED
+
+    @pytest.mark.parametrize("depth", [-0.05, -0.11])
+    def test_a_hand_that_would_come_through_the_object_overlaps(self, scene, depth):
+        beyond = replace(ABOVE, position=[0.0, 0.0, depth])
+        assert self.run(scene, beyond).outcome == Outcome.OVERLAP
+
+    def test_only_disturbed_trials_of_physical_approach(self):
+        robust = ROBUST_BY_BASE["physical"]
+        assert robust.trial(ABOVE, 0) == TrialSetup(ABOVE)
+        assert robust.trial(ABOVE, 1).approaches
+        assert not PROTOCOLS["robust"].trial(ABOVE, 1).approaches
 
 
 @pytest.mark.parametrize("protocol", ["paper", "physical", "released"])

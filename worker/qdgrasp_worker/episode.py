@@ -1,12 +1,15 @@
 """Episodes: place one pose, look for overlap, close the hand, look for touch, shake."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 
+from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.bullet import Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
@@ -18,6 +21,7 @@ from qdgrasp_worker.evaluation_protocols import (
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.world import GraspContact, World
 
+APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
 
 
@@ -57,6 +61,17 @@ def settled_pose(world: World, commanded: HandPose) -> list[float]:
     return values
 
 
+def approach_path(pose: HandPose, axis: Vector, way: float) -> list[HandPose]:
+    """Poses of a hand that comes `way` [m] along its approach axis (3,), base frame.
+
+    They are `APPROACH_STEP` apart, the farthest first; the last is `pose` itself.
+    """
+    steps = ceil(way / APPROACH_STEP)
+    position, along = np.array(pose.position), rotate(np.array(pose.quaternion), np.array(axis))
+    places = position - APPROACH_STEP * np.arange(steps, 0, -1)[:, None] * along
+    return [*(replace(pose, position=place) for place in places.astype(np.float32).tolist()), pose]
+
+
 @dataclass(frozen=True)
 class Episode:
     """Simulates poses in a world under a protocol."""
@@ -70,8 +85,10 @@ class Episode:
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""
+        self.contact_filter.prepare(trial.pose.synergy)
+        if trial.approaches:
+            trial = self._approached(trial)
         pose = trial.pose
-        self.contact_filter.prepare(pose.synergy)
         if self.overlaps(trial):
             return EpisodeResult(Outcome.OVERLAP, pose.joints)
         if self.contact_filter.misses(pose):
@@ -94,10 +111,29 @@ class Episode:
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
         self.world.reset(trial, first)
-        overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
+        overlaps = self._is_inside()
         if not self.protocol.free_joints_first:
             self.world.set_fingers(pose.joints)
         return overlaps
+
+    def _approached(self, trial: TrialSetup) -> TrialSetup:
+        """A trial with the open hand where it stops on its way from outside to its pose.
+
+        Where it is inside the object from the first it stays outside.
+        """
+        world, path = self.world, approach_path(trial.pose, self.world.approach_axis, self.world.reach)
+        stop = path[0]
+        world.reset(replace(trial, pose=stop), stop.joints)
+        for pose in path:
+            world.place_hand(pose)
+            if self._is_inside():
+                break
+            stop = pose
+        return replace(trial, pose=stop)
+
+    def _is_inside(self) -> bool:
+        """Return whether any link of the hand is inside the object."""
+        return any(contact.distance < 0.0 for contact in self.world.contacts())
 
     def _close(self, pose: HandPose) -> bool:
         """Close the hand; whether a finger touched the object before the last step."""

@@ -37,6 +37,8 @@ class TrialSetup:
     """The object's coefficients of rolling and spinning friction; None: its own."""
     grip: float = 1.0
     """Factor of the object's lateral friction."""
+    approaches: bool = False
+    """The hand comes along its approach axis, and stops before a link would be inside the object."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ class Mixture:
     """The interval of its coefficient of spinning friction."""
     grip: tuple[float, float] | None = None
     """The interval of the factor of its lateral friction; None: that stays."""
+    approaches: bool = False
+    """The hand comes to its pose along its approach axis; False: it is set there."""
     seed: int = 0
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
@@ -64,7 +68,7 @@ class Mixture:
         if self.rolling and self.spinning:
             frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
         grip = draw_friction(random, self.grip) if self.grip else 1.0
-        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions, grip)
+        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions, grip, self.approaches)
 
 
 def pose_seed(pose: HandPose) -> list[int]:
@@ -232,7 +236,7 @@ ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
 PHYSICAL = EvaluationProtocol(
     "physical", (), contact_check_steps=1, ends_when_lost=True, free_joints_first=True, physics=Physics()
 )
-SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4))
+SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4), approaches=True)
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL)}
 ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_MIXTURE)}
 

@@ -164,9 +164,13 @@ class World:
         bullet.halt(target.body)
         bullet.set_friction(target.body, trial.grip * target.lateral_friction, *frictions)
         bullet.detect()
-        bullet.place(hand.body, pose.position, pose.quaternion)
-        bullet.detect()
+        self.place_hand(pose)
         self._detected_at = bullet.pose(target.body)
+
+    def place_hand(self, pose: HandPose) -> None:
+        """Put the hand's base link at a pose, its joints as they are."""
+        self._bullet.place(self._hand.body, pose.position, pose.quaternion)
+        self._bullet.detect()
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
@@ -239,6 +243,7 @@ class World:
     def _prepare(self, gripper: SceneGripper) -> None:
         self.finger_links = self._hand.finger_links
         self.opened = [joint.opened for joint in gripper.joints]
+        self.approach_axis, self.reach = gripper.approach_axis, gripper.reach
         self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
         self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
         self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))

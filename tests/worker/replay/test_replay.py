@@ -24,7 +24,7 @@ from qdgrasp_worker.replay.renderer import (
     corners_around,
     fit_camera,
 )
-from qdgrasp_worker.replay.replay import EpisodeReplay
+from qdgrasp_worker.replay.replay import EpisodeReplay, requested_trial
 
 WIDTH, HEIGHT = 640, 480
 SLACK = 2.0
@@ -86,6 +86,23 @@ def test_so_it_does_with_other_hands_and_protocols(make_scene, gripper, protocol
     found = record_evaluation(make_scene(gripper, "rubiks_cube", protocol), 12, trial)
     for row in found.rows[np.argsort(-found.rows["outcome"], kind="stable")[:2]]:
         assert_same(row, EpisodeReplay(found.scene, request(row)))
+
+
+def test_a_hand_that_was_stopped_on_its_way_is_drawn_where_it_stopped(make_scene):
+    scene = msgspec.structs.replace(make_scene("panda", "rubiks_cube", "robust"), base="physical")
+    found = record_evaluation(scene, 12, trial=3)
+    stopped = 0
+    for row in found.rows[found.rows["outcome"] >= Outcome.DROPPED]:
+        replay = EpisodeReplay(scene, request(row))
+        assert_same(row, replay)
+        placed = msgspec.structs.replace(request(row), pregrasp=True)
+        (shot,) = drawn(EpisodeReplay(scene, placed))[0].shots
+        goal = requested_trial(scene, request(row)).pose
+        back = np.linalg.inv(frame((*goal.position, *goal.quaternion))) @ frame(shot.hand)
+        assert np.allclose(back[:3, :3], np.eye(3), atol=1e-6)
+        assert np.allclose(back[:2, 3], 0.0, atol=1e-6)
+        stopped += back[2, 3] < -1e-3
+    assert stopped
 
 
 def test_the_open_hand_is_drawn_where_it_was_commanded_and_the_closed_one_where_it_settled(on_the_cube):

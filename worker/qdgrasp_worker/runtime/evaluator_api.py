@@ -19,7 +19,7 @@ class Hands:
     base_to_object: NDArray[np.float32]
     """(n, 7): hand's root link, object's centre-of-mass frame: x y z [m], qx qy qz qw.
 
-    In a trial above 0 it is that of the disturbed object.
+    In a trial above 0 it is that of the disturbed object, without the way to it.
     """
     joints: NDArray[np.float32]
     """(n, j): finger joints that the hand starts from [rad or m], in the gripper's order."""
