@@ -69,10 +69,11 @@ def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> N
 def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
     with source.journal() as journal:
         chosen: Rows = journal.rows(0, 3)
-    spec = rerank_spec(source, "robust", None, chosen)
+    spec = rerank_spec(source, chosen, None, protocol="robust", trials="sequential", finalists=2)
     check_spec(spec)
     assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
+    assert (spec.stages, spec.finalists) == ((10, 30, 100), 2)
     assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
 
 
