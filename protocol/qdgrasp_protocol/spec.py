@@ -135,7 +135,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     @property
     def stages(self) -> tuple[int, ...]:
-        """Numbers of trials that a success may have, ascending; none where the protocol has no trials."""
+        """Numbers of trials that a success may have, ascending; none without trials."""
         most = trial_count(self.protocol)
         few = SEQUENTIAL_STAGES if self.trials == "sequential" else ()
         return (*few, most) if most else ()

@@ -118,7 +118,7 @@ def test_trials_are_one_stage_or_several_where_the_protocol_has_some() -> None:
     assert run_spec(robust | {"trials": "sequential", "finalists": 3}).stages == (10, 30, 100)
     with pytest.raises(InputError, match="trials = 'all' is for the protocol 'robust', and 'paper' has no"):
         run_spec(spec | {"trials": "all"})
-    with pytest.raises(InputError, match="finalists = 3 .* or take trials = 'sequential'"):
+    with pytest.raises(InputError, match=r"finalists = 3 .* or take trials = 'sequential'"):
         run_spec(robust | {"finalists": 3})
 
 

@@ -327,7 +327,10 @@ def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
 def _source_grasps(
     journal: Journal, source: Provenance, least: Outcome
 ) -> tuple[NDArray[np.int64], Rows, Floats, NDArray[np.int64]]:
-    """Read the rows of one run that got far enough, with numbers, etas (NaN: unknown) and their trials."""
+    """Read the rows of one run that got far enough: numbers, rows, etas, trials.
+
+    Eta is NaN where it is not known.
+    """
     plan = TrialPlan.of(source.spec)
     scores, first = TrialSums(plan), source.rows.start
     numbers, rows, scored = [np.zeros(0, np.int64)], [journal.shape.empty(0)], [journal.shape.empty(0)]

@@ -231,7 +231,7 @@ class RunCounter:
 
     @property
     def promoted(self) -> NDArray[np.int64]:
-        """Indices (n,) of the successes whose trials of a later stage come next; none: they are complete."""
+        """Indices (n,) of the successes with trials in the later stage that is under way."""
         return self._schedule.promoted
 
     @property

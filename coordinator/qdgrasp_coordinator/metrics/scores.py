@@ -33,11 +33,11 @@ class TrialSums:
         self._sums, self._counts = np.zeros(0), np.zeros(0, np.int64)  # Of their trials so far
 
     def take(self, rows: Rows) -> Rows:
-        """The nominal successes whose generation ended before the last of these rows: (n,), in journal order.
+        """The nominal successes whose generation ended before the last of these rows.
 
-        Their `fitness` is the score, their `trial` the number of trials that it is of. Where the protocol has
-        no trials they are those among the rows, with their fitness. A success with fewer trials than every
-        one has is left out.
+        They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials that
+        it is of. Where the protocol has no trials they are those among the rows, with their fitness. A success
+        with fewer trials than every one has is left out.
         """
         if not self._plan.stages or not len(rows):
             return successes(rows)
@@ -62,10 +62,10 @@ class TrialSums:
 
 
 def _trials_of_successes(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return the nominal successes among rows in journal order, as places, with sum and number of trials.
+    """Return places, sums and numbers of trials of the nominal successes among rows.
 
-    The rows may begin anywhere, and be of several journals, one behind the other: a trial is of the last
-    success before it with the same key.
+    Each (n,), in journal order; sums are of fitness. The rows may begin anywhere, and be of several journals,
+    one behind the other: a trial is of the last success before it with the same key.
     """
     found, trials = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] > 0)
     _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
@@ -88,10 +88,11 @@ def scored_successes(blocks: Iterable[Rows], plan: TrialPlan) -> Iterator[Rows]:
 
 
 def known_scores(rows: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return scores and numbers of trials of the nominal successes among consecutive rows of a journal: (n,).
+    """Return scores and numbers of trials of the nominal successes among rows: (n,).
 
-    NaN where fewer trials than every success has are among them. The journal may begin anywhere, or be joined
-    of several. Where the protocol has no trials, scores are fitness, and trials 0.
+    The rows are consecutive ones of a journal, that may begin anywhere, or be joined of several. NaN where
+    fewer trials than every success has are among them. Where the protocol has no trials, scores are fitness,
+    and trials 0.
     """
     found, sums, counts = _trials_of_successes(rows)
     if not plan.stages:
@@ -100,7 +101,10 @@ def known_scores(rows: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDAr
 
 
 def nominal_scores(journal: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return scores and numbers of trials of the nominal rows of a whole journal (n,); 0 for no success."""
+    """Return scores and numbers of trials of the nominal rows of a journal: (n,).
+
+    Both are 0 for what is no success.
+    """
     is_success = success_mask(journal)[journal["trial"] == 0]
     scores, counts = np.zeros(len(is_success)), np.zeros(len(is_success), np.int64)
     found, counts[is_success] = known_scores(journal, plan)

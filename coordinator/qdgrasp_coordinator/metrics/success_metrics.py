@@ -235,14 +235,17 @@ class ScoreCounts:
         return made
 
     def mean(self, values: Iterable[float]) -> float | None:
-        """Return the mean over all successes of a value for each entry of `counts`; None without one."""
+        """Return the mean over all successes of a value for each entry of `counts`.
+
+        None without a success.
+        """
         total = self.counts.total()
         pairs = zip(values, self.counts.values(), strict=True)
         return math.fsum(value * n for value, n in pairs) / total if total else None
 
 
 class SuccessMetrics:
-    """Sums over the successes of a journal, in any order; in its order where the protocol has trials."""
+    """Sums over the successes of a journal, in any order; with trials, in its order."""
 
     successes: int = 0
 

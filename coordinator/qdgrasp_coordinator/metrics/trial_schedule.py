@@ -26,7 +26,7 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """How many trials the successes of a run have."""
+    """Numbers of trials of the successes of a run."""
 
     stages: tuple[int, ...] = ()
     """Trials of a success after each stage, ascending; none: the protocol has no trials."""
@@ -51,7 +51,7 @@ class TrialPlan:
         return self.stages[-1] if self.stages else 0
 
     def scores(self, sums: NDArray[np.number], counts: NDArray[np.integer]) -> Floats:
-        """Return the scores (n,) of fitness in sum (n,) over so many trials (n,): sums over `most`."""
+        """Return the scores (n,) of sums over so many trials, on the scale of `most`."""
         return np.asarray(sums.astype(np.float64) * self.most / np.maximum(counts, 1))
 
     def eta(self, scores: NDArray[np.number]) -> Floats:
@@ -84,7 +84,7 @@ def eta_error(etas: Floats, counts: NDArray[np.integer]) -> Floats:
 
 
 class TrialSchedule:
-    """Decides how many trials each success has, while the rows of one run's journal pass in their order."""
+    """Decides how many trials each success has, while a run's rows pass in journal order."""
 
     def __init__(self, plan: TrialPlan) -> None:
         self._plan = plan
@@ -109,7 +109,7 @@ class TrialSchedule:
 
     @property
     def promoted(self) -> Places:
-        """Indices (n,), ascending, of the successes that have trials in a later stage, which is under way."""
+        """Indices (n,), ascending, of successes with trials in the later stage under way."""
         return self._indices[self._members] if self._stage else np.zeros(0, np.int64)
 
     def count(self, rows: Rows) -> None:
@@ -170,7 +170,10 @@ class TrialSchedule:
         return np.asarray(eta_bounds(etas, self._counts)[1] >= rivals)
 
     def _rivals_in_cells(self, etas: Floats) -> Floats:
-        """Return the best other estimate in the cell of each success (n,); infinite where there is none."""
+        """Return the best other estimate in the cell of each success: (n,).
+
+        It is infinite where there is no other.
+        """
         known: dict[int, list[float]] = {}
         for cell, value in zip(self._cells.tolist(), etas.tolist(), strict=True):
             elder = [self._leaders[cell]] if cell in self._leaders else []

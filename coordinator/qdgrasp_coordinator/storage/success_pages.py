@@ -98,13 +98,16 @@ class RowContext:
             yield (part_of == part, *self.parts[part][1:])
 
     def etas(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return eta (`NO_ETA`: unknown) and trials of each nominal success in consecutive rows: (n,)."""
+        """Return eta and trials of each nominal success in consecutive rows (n,).
+
+        Eta is `NO_ETA` where it is not known.
+        """
         scores, trials = known_scores(rows, self.plan)
         known = self.plan.eta(scores) if self.plan.stages else np.full(len(scores), np.nan)
         return np.nan_to_num(known, nan=NO_ETA), trials
 
     def has_all_trials(self, rows: Rows) -> NDArray[np.bool_]:
-        """Flag the nominal successes (n,) in consecutive rows of which no trial can follow these rows."""
+        """Flag the nominal successes (n,) in consecutive rows that have all of their trials."""
         if not self.plan.stages:
             return np.ones(int(np.count_nonzero(success_mask(rows))), dtype=bool)
         ends = np.flatnonzero(np.diff(rows["generation"].astype(np.int64)))  # of generations
