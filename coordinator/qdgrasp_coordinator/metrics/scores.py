@@ -36,8 +36,8 @@ class TrialSums:
         """The nominal successes whose generation ended before the last of these rows.
 
         They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials that
-        it is of. Where the protocol has no trials they are those among the rows, with their fitness. A success
-        with fewer trials than every one has is left out.
+        it is of. Where the protocol has no trials they are those among the rows, with their fitness. Those
+        with fewer trials than every success has are left out.
         """
         if not self._plan.stages or not len(rows):
             return successes(rows)

@@ -47,7 +47,7 @@ class TrialPlan:
 
     @property
     def most(self) -> int:
-        """Trials of a success that was always promoted; scores are on the scale of a sum over so many."""
+        """Trials of a success that was always promoted; scores are sums over so many."""
         return self.stages[-1] if self.stages else 0
 
     def scores(self, sums: NDArray[np.number], counts: NDArray[np.integer]) -> Floats:
@@ -71,7 +71,8 @@ def eta_bounds(etas: Floats, counts: NDArray[np.integer], z: float = Z) -> tuple
     middle = etas + z * z / (2.0 * n)
     width = z * np.sqrt(etas * (1.0 - etas) / n + z * z / (4.0 * n * n))
     scale = 1.0 + z * z / n
-    return (middle - width) / scale, (middle + width) / scale
+    # Of an eta of 0 or 1 rounding may put a bound on its other side.
+    return np.minimum((middle - width) / scale, etas), np.maximum((middle + width) / scale, etas)
 
 
 def eta_error(etas: Floats, counts: NDArray[np.integer]) -> Floats:
