@@ -17,12 +17,13 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.registry import BuildSearch, method, prior_of
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Genomes, Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
@@ -117,7 +118,7 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
     prior = prior_of(spec)
     scene = build_scene(spec)
     search = Timed((build or method(spec.method).build)(spec, search_space(scene, prior)))
-    in_flight, more = spec.generations_in_flight, trial_count(spec.protocol)
+    in_flight, more = spec.generations_in_flight, TrialPlan.of(spec)
     shape = row_shape(scene, prior)
     pipeline = Pipeline(search, shape, spec.evaluations, spec.overlaps, in_flight, more)
     with Evaluator(scene) as evaluator:

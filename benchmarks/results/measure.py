@@ -13,6 +13,7 @@ from scipy.optimize import nnls
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup, ReferenceSet
 from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory, SuccessMetrics, diversity
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage.journal import Journal
@@ -93,7 +94,7 @@ def _origin(journal: Journal, rows: Rows) -> Figures:
 def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figures:
     """What a run found with these rows of its journal."""
     spec, archive = folder.spec, empty_niche_archive(folder)
-    total, metrics = count_rows(spec, [rows]), SuccessMetrics(trial_count(spec.protocol))
+    total, metrics = count_rows(spec, [rows]), SuccessMetrics(TrialPlan.of(spec))
     metrics.count(rows)
     archive.insert(rows)
     various = diversity(archive)

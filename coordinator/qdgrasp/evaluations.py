@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_coordinator.local.session import LocalSession
-from qdgrasp_coordinator.metrics.scores import trial_sums
+from qdgrasp_coordinator.metrics.scores import nominal_scores
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_genomes, prepare_scene, row_shape
 from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import GIVEN, Rows, trial_count
+from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.text import counted
 
 
@@ -167,7 +168,7 @@ class Evaluations:
         """
         rows = self.journal(genomes, timeout)
         nominal: Rows = rows[rows["trial"] == 0]
-        nominal["fitness"] = trial_sums(rows, trial_count(self.spec.protocol))
+        nominal["fitness"] = nominal_scores(rows, TrialPlan.of(self.spec))[0]
         return nominal
 
     def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
@@ -272,4 +273,4 @@ def evaluate(
     place.check_hands()
     with evaluations:
         rows = evaluations.journal(genomes)
-    return scores(rows, trial_count(evaluations.spec.protocol), evaluations.spec.disturbances)
+    return scores(rows, TrialPlan.of(evaluations.spec))

@@ -42,7 +42,8 @@ class Search(Protocol):
     def tell(self, generation: int, rows: Rows) -> None:
         """Take the rows (n,) of a generation in order; `rows["fitness"]` is the score.
 
-        Where the protocol has trials it is the sum over those of a success. The generation that reaches the
+        Where the protocol has trials it is the sum over those of a success, and `rows["trial"]` their number.
+        The generation that reaches the
         budget is not told.
         """
 

@@ -18,7 +18,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.rows import disturbance_count, nominal_protocol
+from qdgrasp_protocol.rows import disturbance_count, nominal_protocol, trial_count
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -50,6 +50,11 @@ BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
+
+Trials = Literal["all", "sequential"]
+"""Ways to choose how many trials a success has: each as many, or more where it may be the best."""
+SEQUENTIAL_STAGES = (10, 30)
+"""Trials of a success after each stage but the last, in which it has all."""
 
 AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
@@ -85,6 +90,10 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
+    trials: Trials | None = None
+    """How many trials each success has; None: all, or none where the protocol has none."""
+    finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
+    """With sequential trials: how many best poses are wanted; None: the best of each 1 cm cell."""
     aim_for: AimFor | None = None
     """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
@@ -124,6 +133,13 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         """Disturbances in one evaluation: the fitness of a grasp that survives them all."""
         return disturbance_count(self.nominal_protocol)
 
+    @property
+    def stages(self) -> tuple[int, ...]:
+        """Numbers of trials that a success may have, ascending; none without trials."""
+        most = trial_count(self.protocol)
+        few = SEQUENTIAL_STAGES if self.trials == "sequential" else ()
+        return (*few, most) if most else ()
+
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """Make a spec of plain values.
@@ -151,6 +167,16 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: base = '{spec.base}' says what the trials of the protocol 'robust' disturb, and "
             f"'{spec.protocol}' has no trials; leave base out, or take protocol = 'robust'."
+        )
+    if spec.trials is not None and not trial_count(spec.protocol):
+        raise InputError(
+            f"{where}: trials = '{spec.trials}' is for the protocol 'robust', and '{spec.protocol}' has no "
+            "trials; leave trials out, or take protocol = 'robust'."
+        )
+    if spec.finalists is not None and spec.trials != "sequential":
+        raise InputError(
+            f"{where}: finalists = {spec.finalists} says how many successes have all trials where they are "
+            "sequential; leave it out, or take trials = 'sequential'."
         )
     return spec
 

@@ -56,7 +56,7 @@ def digest_text() -> str:
 def digests(home: Path) -> dict[str, dict[str, str]]:
     """Digests of the campaign's runs, the reranking, the recording and its extension, by name."""
     carry_out(home, "campaign", CAMPAIGN, "--out", "campaign")
-    carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--out", "reranked")
+    carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--trials", "all", "--out", "reranked")
     for name in ("finished", "extended"):
         shutil.copytree(RECORDED / "finished", home / name)
     carry_out(home, "resume", "extended", "--evaluations", EXTENDED)

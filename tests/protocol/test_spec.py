@@ -110,6 +110,18 @@ def test_an_impossible_value_is_refused_with_what_is_possible(key: str, value: o
     assert caught.value.exit_code == 2
 
 
+def test_trials_are_one_stage_or_several_where_the_protocol_has_some() -> None:
+    spec = {"gripper": "hand", "object": "thing"}
+    assert run_spec(spec).stages == ()
+    robust = spec | {"protocol": "robust"}
+    assert run_spec(robust).stages == run_spec(robust | {"trials": "all"}).stages == (100,)
+    assert run_spec(robust | {"trials": "sequential", "finalists": 3}).stages == (10, 30, 100)
+    with pytest.raises(InputError, match="trials = 'all' is for the protocol 'robust', and 'paper' has no"):
+        run_spec(spec | {"trials": "all"})
+    with pytest.raises(InputError, match=r"finalists = 3 .* or take trials = 'sequential'"):
+        run_spec(robust | {"finalists": 3})
+
+
 def test_a_whole_number_may_stand_for_a_number() -> None:
     assert run_spec(LEAST | {"mass": 1}).mass == 1.0
 

@@ -94,7 +94,8 @@ def _run(chance: random.Random, seed: int, many: bool) -> Plan:
         evaluations=chance.choice([40, 60] if many else [1, 7, 20, 30]),
         overlaps=chance.choice(["count", "count", "count", "redraw"]),
         in_flight=chance.choice([1, 1, 2, 3]),
-        trials=chance.choice([0, 0, 0, 2, 4]),
+        trials=(trials := chance.choice([0, 0, 0, 2, 4])),
+        few=chance.choice([(), (1,)]) if trials else (),
         successes=chance.choice([None, None, None, 5]),
         no_new_cell=chance.choice([None, None, None, 8]),
     )

@@ -179,7 +179,7 @@ class Simulation:
             self.task.shape,
         )
         goals = StopCriteria(plan.successes, plan.no_new_cell)
-        budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trials)
+        budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trial_plan)
         pipeline = Pipeline(search, shape, *budget, goals)
         return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 

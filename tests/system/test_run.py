@@ -154,7 +154,7 @@ def test_a_robust_run_that_is_killed_in_its_trials_ends_with_the_same_digest(qdg
 
 @pytest.mark.slow
 def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp, robust):
-    done = qdgrasp.succeed("rerank", robust[0], "--top", 3, "--out", "again")
+    done = qdgrasp.succeed("rerank", robust[0], "--top", 3, "--trials", "all", "--out", "again")
     assert "3 grasps ranked" in done.out
     heard = {
         (int(row["generation"]), int(row["index"])): float(row["fitness"]) / 200
@@ -170,6 +170,23 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
 
 
 @pytest.mark.slow
+def test_sequential_trials_are_fewer_and_the_same_whatever_is_killed(qdgrasp):
+    """The best of a cell may have more trials, which its search and its rankings hear of."""
+    asked = ("run", *CUBE[:-1], 48, "--protocol", "robust", "--trials", "sequential")
+    qdgrasp.succeed(*asked, "--workers", 1, "--out", "whole")
+    info, folder = qdgrasp.info("whole"), qdgrasp.home / "run"
+    assert info["eta"]["successes"] == info["successes"]
+    assert 10 * info["successes"] <= info["trials"] < 100 * info["successes"]
+    assert info["eta"]["trials"] == pytest.approx(info["trials"] / info["successes"])
+    process = qdgrasp.start(*asked, "--workers", 2, "--out", "run")
+    wait_for(lambda: rows_recorded(folder) > 60, "trials")
+    process.kill()
+    process.wait()
+    qdgrasp.succeed("resume", "run", "--workers", 1, "--batch-size", 7)
+    assert qdgrasp.digest("run") == qdgrasp.digest("whole")
+
+
+@pytest.mark.slow
 def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdgrasp, reference):
     folder = qdgrasp.home / "again"
     process = qdgrasp.start("rerank", reference[0], "--top", 4, "--workers", 2, "--out", "again")
@@ -179,9 +196,11 @@ def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdg
     assert not (folder / "ranking.csv").exists()
     moved = folder.rename(qdgrasp.home / "moved")
     done = qdgrasp.succeed("resume", moved)
-    assert "4 grasps ranked" in done.out
-    etas = [float(line["eta"]) for line in ranking(moved)]
-    assert etas == sorted(etas, reverse=True)
+    order = [(int(line["trials"]), float(line["eta"])) for line in ranking(moved)]
+    assert 4 < len(order) <= 16
+    assert f"{len(order)} grasps ranked" in done.out
+    assert order == sorted(order, reverse=True)
+    assert sum(trials == 100 for trials, _ in order) >= 4
     qdgrasp.succeed("run", moved / "spec.toml", "--out", "repeated")
     assert qdgrasp.digest("repeated") == qdgrasp.digest(moved)
 
@@ -191,6 +210,9 @@ def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdg
     [
         (("--protocol", "paper"), "Unknown protocol with trials 'paper'. Known: robust."),
         (("--top", "0"), "--top"),
+        (("--trials", "all", "--candidates", "9"), "--candidates is for sequential trials"),
+        (("--top", "5", "--candidates", "3"), "--candidates must be at least 5, as --top says, got 3"),
+        (("--trials", "few"), "trials must be one of 'all', 'sequential'"),
         (("--object-pose", "0,0,0"), "add --discard-table"),
         (("--discard-table", "--object-pose", "north"), "a quaternion x,y,z,w or angles"),
         (("--out", "taken"), "holds other files"),
@@ -212,7 +234,7 @@ def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdg
     approach = Rotation.from_quat(source["base_to_object"][3:]).apply([0, 0, 1])
     from_above, _ = Rotation.align_vectors([[0, 0, -1]], [approach])
     pose = ",".join(f"{number:.6f}" for number in from_above.as_quat())
-    options = ("--top", 1, "--discard-table", "--object-pose", pose, "--out", "again")
+    options = ("--top", 1, "--trials", "all", "--discard-table", "--object-pose", pose, "--out", "again")
     qdgrasp.succeed("rerank", reference[0], *options)
     (line,) = ranking(qdgrasp.home / "again")
     assert (line["source_generation"], line["source_index"]) == (

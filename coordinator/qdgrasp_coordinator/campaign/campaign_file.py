@@ -44,6 +44,7 @@ SHORT_KEYS = {
     "protocol": "",
     "overlaps": "",
     "aim_for": "",
+    "trials": "",
 }
 """Short forms of keys in the names of runs."""
 NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's name begins with

@@ -26,6 +26,7 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import NicheArchive, synergies
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, diversity
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
@@ -98,8 +99,9 @@ def _check_same_scene(one: MergePart, other: MergePart) -> None:
 
 def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
     budget = min(sum(part.source.asked.evaluations for part in parts), MOST_EVALUATIONS)
-    first = parts[0].source.asked
-    return msgspec.structs.replace(first, evaluations=budget, successes=None, no_new_cell=None, poses=None)
+    first = max((part.source.asked for part in parts), key=lambda asked: len(asked.stages))
+    none = dict.fromkeys(("finalists", "successes", "no_new_cell", "poses"))
+    return msgspec.structs.replace(first, evaluations=budget, **none)
 
 
 def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
@@ -122,8 +124,7 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
 def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[str, Any]:
     """Count the figures that depend on the cells and niches that several runs share."""
     scene = parts[0].folder.scene()
-    asked, reached = parts[0].source.asked, set[int]()
-    metrics = SuccessMetrics(trial_count(asked.protocol), asked.disturbances)
+    reached, metrics = set[int](), SuccessMetrics(TrialPlan.of(_merged_spec(parts)))
     archives = []
     for part in parts:
         archive = NicheArchive(synergies(scene, prior_of(part.source.asked)))

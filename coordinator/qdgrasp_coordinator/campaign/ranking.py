@@ -16,18 +16,20 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
+from qdgrasp_coordinator.metrics.scores import best_first, nominal_scores, scored_successes
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.text import counted
 
 RANKS_SHOWN = 10  # Grasps that are shown to a person
 RANKING_COLUMNS = (
-    "rank", "eta", "nominal_fitness", "source_generation", "source_index", "source_fitness",
+    "rank", "eta", "eta_error", "trials", "nominal_fitness",
+    "source_generation", "source_index", "source_fitness",
     "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
     "settled_x", "settled_y", "settled_z", "settled_qx", "settled_qy", "settled_qz", "settled_qw",
     "penetration", "motion_mm", "margin",
@@ -64,8 +66,9 @@ def read_run_grasps(folder: RunFolder) -> Rows:
                 f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "
                 "genomes mean different things; merge runs of one prior for this."
             )
-        found = [journal.shape.empty(0), *scored_successes(journal.kept(), trial_count(folder.spec.protocol))]
+        found = [journal.shape.empty(0), *scored_successes(journal.kept(), TrialPlan.of(folder.spec))]
     rows = np.concatenate(found)
+    rows["trial"] = 0
     return rows[rows["outcome"] >= Outcome.SHAKEN]
 
 
@@ -104,8 +107,8 @@ def write_ranking(folder: RunFolder) -> str:
     writer.writerows([f"{value:.9g}" for value in line] for line in table)
     atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
     shown = [
-        RANKING_COLUMNS[:9],
-        *(tuple(f"{value:g}" for value in line[:9]) for line in table[:RANKS_SHOWN]),
+        RANKING_COLUMNS[:11],
+        *(tuple(f"{value:.4g}" for value in line[:11]) for line in table[:RANKS_SHOWN]),
     ]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
@@ -113,28 +116,33 @@ def write_ranking(folder: RunFolder) -> str:
 
 
 def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
-    """Rank a run's poses by eta, best first, ties in their order; each as in `RANKING_COLUMNS`.
+    """Rank a run's poses, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
-    A pose that is no success any more has eta 0: it has no trials.
+    Those with more trials come first, and of these the greater eta. A pose that is no success any more has
+    eta 0: it has no trials.
     """
     try:
         source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
     except msgspec.MsgspecError as error:
         raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
-    known = trial_count(folder.spec.protocol)
+    plan = TrialPlan.of(folder.spec)
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
-    rows, etas = every[every["trial"] == 0], eta(trial_sums(every, known), known, folder.spec.disturbances)
+    rows, (scores, trials) = every[every["trial"] == 0], nominal_scores(every, plan)
+    etas = plan.eta(scores)
+    errors = eta_error(etas, trials)
     settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
     moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)
     if settled_mask(rows).any():
         margins = recorded_margins(rows, folder.scene().object)
-    order = np.argsort(-etas, kind="stable")
+    order = np.lexsort((-etas, -trials))
     cell = cells(rows["descriptor"][:, :3])
     return [
         (
             rank,
             float(etas[place]),
+            float(errors[place]),
+            int(trials[place]),
             float(rows["fitness"][place]),
             *msgspec.structs.astuple(source.rows[place]),
             *cell[place].tolist(),

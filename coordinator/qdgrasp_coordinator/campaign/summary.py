@@ -11,9 +11,9 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     diversity,
 )
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import trial_count
 from qdgrasp_protocol.text import counted
 
 FIRST_FIELDS = (
@@ -96,7 +96,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
         if journal.sources:
             return msgspec.json.decode(journal.summary, type=RunSummary)
         metrics, archive = (
-            SuccessMetrics(trial_count(spec.protocol), spec.disturbances),
+            SuccessMetrics(TrialPlan.of(spec)),
             empty_niche_archive(folder),
         )
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))

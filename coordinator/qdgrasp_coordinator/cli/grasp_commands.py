@@ -11,13 +11,13 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import progress_display, progress_messages
 from qdgrasp_coordinator.local.session import score_poses
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.rows import trial_count
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 
@@ -204,5 +204,5 @@ def evaluate(
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:
-        write_scores(made, rows, trial_count(spec.protocol), spec.disturbances)
+        write_scores(made, rows, TrialPlan.of(spec))
     typer.echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

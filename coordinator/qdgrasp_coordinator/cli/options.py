@@ -29,6 +29,17 @@ BaseOption = Annotated[
     str | None,
     typer.Option("--base", help="What the trials of robust disturb: paper or physical; default paper."),
 ]
+Trials = Annotated[
+    str | None,
+    typer.Option(
+        help="Trials of a success under robust: all (100), or sequential: 10, and more while it may be the "
+        "best of its cell; default all, with --aim-for eta sequential."
+    ),
+]
+Finalists = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="With sequential trials: the N best of all instead of those of cells."),
+]
 AimFor = Annotated[
     str | None,
     typer.Option(help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold."),

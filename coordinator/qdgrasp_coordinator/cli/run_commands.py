@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import typer
@@ -25,11 +25,13 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
+from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_run_spec, run_spec, to_values
 from qdgrasp_protocol.text import counted
+
+CANDIDATES = 4  # Candidates of a reranking for each of the best that are wanted
 
 
 def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
@@ -66,6 +68,8 @@ def run(
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
+    trials: options.Trials = None,
+    finalists: options.Finalists = None,
     aim_for: options.AimFor = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
@@ -112,6 +116,8 @@ def run(
         method=method,
         protocol=protocol,
         base=base,
+        trials=trials,
+        finalists=finalists,
         aim_for=aim_for,
         evaluations=evaluations,
         successes=successes,
@@ -127,7 +133,8 @@ def run(
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | flags, str(spec) if spec else "run")
+    usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
+    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
     start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)
@@ -226,6 +233,22 @@ def rerank(
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
+    trials: Annotated[
+        str | None,
+        typer.Option(
+            help="sequential: ten trials of each candidate, and more of those that may be among the best; "
+            "all: 100 of the best by fitness; default sequential."
+        ),
+    ] = None,
+    candidates: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MAX_POPULATION,
+            metavar="N",
+            help="With sequential trials: of how many grasps the best are sought; default 4 x top.",
+        ),
+    ] = None,
     by_niche: Annotated[
         bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
     ] = False,
@@ -255,13 +278,15 @@ def rerank(
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
-    Taken is the best grasp of each cell or niche, and of these the best ones. The folder is that of a run:
+    Taken is the best grasp of each cell or niche, and of these the best ones as candidates; those that may be
+    among the --top best have a hundred trials. The folder is that of a run:
     `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
 
     Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
+    most = _candidate_count(top, trials, candidates)
     if object_pose is not None and not discard_table:
         raise InputError("--object-pose says how the object stands on a table: add --discard-table.")
     source = RunFolder.open(directory)
@@ -269,8 +294,9 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
-    chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
-    spec = rerank_spec(source, protocol, base, chosen)
+    chosen = ranking.best_of_kinds(found, most, niches(found, synergy_reader(source)) if by_niche else None)
+    race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
+    spec = rerank_spec(source, chosen, base, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
@@ -282,6 +308,20 @@ def rerank(
             ranking.write_source(begun, source, chosen)
             run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
+
+
+def _candidate_count(top: int, trials: str | None, candidates: int | None) -> int:
+    """Return how many grasps are scored, so that the best `top` are found."""
+    if trials == "all":
+        if candidates is not None:
+            raise InputError(
+                "--candidates is for sequential trials, and with --trials all the best by fitness have all "
+                "trials: leave it out, or say with --top how many."
+            )
+        return top
+    if candidates is not None and candidates < top:
+        raise ImpossibleValue("--candidates", candidates, f"at least {top}, as --top says")
+    return candidates or min(CANDIDATES * top, MAX_POPULATION)
 
 
 def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) -> Rows:
@@ -309,13 +349,12 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
     return found
 
 
-def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows) -> RunSpec:
+def rerank_spec(source: RunFolder, chosen: Rows, base: str | None, **asked: Any) -> RunSpec:
     """The spec of a run that scores grasps of another; its base is that of the run unless given."""
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     values = to_values(source.spec) | {
         "method": GIVEN,
-        "protocol": protocol,
         "base": base or ("physical" if source.spec.nominal_protocol == "physical" else "paper"),
         "evaluations": len(poses),
         "population": len(poses),
@@ -323,9 +362,11 @@ def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows
         "overlaps": "count",
         "poses": poses,
     }
-    return run_spec({key: value for key, value in values.items() if key != "aim_for"}, "rerank")
+    return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
+OF_A_SEARCH = ("aim_for", "trials", "finalists")
+"""Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""
 

@@ -188,6 +188,7 @@ def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         NUMBERS: grasps.numbers,
         "qdgrasp/fitness": grasps.fitness,
         "qdgrasp/eta": grasps.eta,
+        "qdgrasp/trials": grasps.trials,
         "qdgrasp/outcome": grasps.rows["outcome"],
         "qdgrasp/penetration": grasps.rows["penetration"],
         "qdgrasp/margin": grasps.margin,

@@ -21,13 +21,14 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.scores import TrialSums, best_first, eta, genome_numbers
+from qdgrasp_coordinator.metrics.scores import TrialSums, best_first, genome_numbers
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds, eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
@@ -61,6 +62,10 @@ class Grasp(NamedTuple):
     """Disturbances survived in the nominal evaluation."""
     eta: float
     """The estimated probability of transfer; NaN where it is not known."""
+    eta_error: float
+    """Its standard error, for the number of trials alone."""
+    trials: int
+    """Trials that it is of."""
     confidence: float
     """0 to 1."""
 
@@ -104,7 +109,9 @@ class Grasps:
     rows: Rows
     """(n,): all columns of the journal; positions in the object's centre-of-mass frame."""
     eta: Floats
-    """(n,): estimated probability of transfer; NaN unless all trials of a success are there."""
+    """(n,): estimated probability of transfer; NaN where too few trials of a success are there."""
+    trials: NDArray[np.int64]
+    """(n,): trials that it is of."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -127,6 +134,7 @@ class Grasps:
             numbers=self.numbers[places],
             rows=take_rows(self.rows, places),
             eta=self.eta[places],
+            trials=self.trials[places],
         )
 
     def __iter__(self) -> Iterator[Grasp]:
@@ -146,6 +154,8 @@ class Grasps:
             outcome=Outcome(row["outcome"]),
             fitness=float(row["fitness"]),
             eta=float(self.eta[place]),
+            eta_error=float(self.eta_error[place]),
+            trials=int(self.trials[place]),
             confidence=float(self.confidence[place]),
         )
 
@@ -186,6 +196,11 @@ class Grasps:
     def is_grasp(self) -> NDArray[np.bool_]:
         """(n,): True if at least one disturbance was survived."""
         return np.asarray(self.rows["outcome"] >= Outcome.SHAKEN)
+
+    @cached_property
+    def eta_error(self) -> Floats:
+        """(n,): standard error of eta, for the number of trials alone; NaN where eta is not known."""
+        return eta_error(self.eta, self.trials)
 
     @cached_property
     def confidence(self) -> Floats:
@@ -287,6 +302,7 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
         numbers=np.concatenate([part.numbers for part in parts]),
         rows=join_rows([part.rows for part in parts]),
         eta=np.concatenate([part.eta for part in parts]),
+        trials=np.concatenate([part.trials for part in parts]),
     )
 
 
@@ -302,31 +318,35 @@ def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
         sources = tuple(provenances(folder, journal))
         parts = []
         for origin, source in enumerate(sources):
-            numbers, rows, etas = _source_grasps(journal, source, least)
-            parts.append(Grasps(scene, spec, sources, np.full(len(rows), origin), numbers, rows, etas))
+            numbers, rows, etas, trials = _source_grasps(journal, source, least)
+            origins = np.full(len(rows), origin)
+            parts.append(Grasps(scene, spec, sources, origins, numbers, rows, etas, trials))
     return join_grasps(parts)
 
 
 def _source_grasps(
     journal: Journal, source: Provenance, least: Outcome
-) -> tuple[NDArray[np.int64], Rows, Floats]:
-    """Read the rows of one run that got far enough, with numbers and etas (NaN: unknown)."""
-    trials = trial_count(source.spec.protocol)
-    scores, first = TrialSums(trials), source.rows.start
+) -> tuple[NDArray[np.int64], Rows, Floats, NDArray[np.int64]]:
+    """Read the rows of one run that got far enough: numbers, rows, etas, trials.
+
+    Eta is NaN where it is not known.
+    """
+    plan = TrialPlan.of(source.spec)
+    scores, first = TrialSums(plan), source.rows.start
     numbers, rows, scored = [np.zeros(0, np.int64)], [journal.shape.empty(0)], [journal.shape.empty(0)]
     for block in journal.kept(source.rows.start, source.rows.stop) if source.rows else ():
         here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
         numbers.append(first + here)
         rows.append(take_rows(block, here))
-        if trials:
+        if plan.stages:
             scored.append(scores.take(block))
         first += len(block)
-    found, complete = join_rows(rows), join_rows(scored)
-    etas = np.full(len(found), np.nan)
-    if trials:
-        places = np.searchsorted(genome_numbers(found), genome_numbers(complete))
-        etas[places] = eta(complete["fitness"], trials, source.spec.disturbances)
-    return np.concatenate(numbers), found, etas
+    found, known = join_rows(rows), join_rows([*scored, *scores.rest()])
+    etas, trials = np.full(len(found), np.nan), np.zeros(len(found), np.int64)
+    if plan.stages:
+        places = np.searchsorted(genome_numbers(found), genome_numbers(known))
+        etas[places], trials[places] = plan.eta(known["fitness"]), known["trial"]
+    return np.concatenate(numbers), found, etas, trials
 
 
 def select_grasps(
@@ -339,9 +359,10 @@ def select_grasps(
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
-    successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by
-    fitness); `diverse` takes so many at most, each as far as can be from those before it (`spread_places`),
-    the best one first. Without both, grasps are in journal order. Raises ImpossibleValue for other numbers.
+    successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
+    eta is known, then by fitness); `diverse` takes so many at most, each as far as can be from those before
+    it (`spread_places`), the best one first. Without both, grasps are in journal order. Raises
+    ImpossibleValue for other numbers.
     """
     _check_number("min_fitness", min_fitness, whole=False)
     for name, value in (("top", top), ("diverse", diverse)):
@@ -351,7 +372,8 @@ def select_grasps(
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
     if top is None and diverse is None:
         return chosen
-    chosen = chosen[best_first(chosen.rows, chosen.eta)[:top]]
+    bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
+    chosen = chosen[best_first(chosen.rows, bounds)[:top]]
     return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
 
 

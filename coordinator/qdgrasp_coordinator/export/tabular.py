@@ -54,6 +54,9 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
         "fitness", grasps.fitness, "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
     )
     yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
+    error = "standard error of eta, for the number of trials alone; none where eta is not known"
+    yield GraspColumn("eta_error", grasps.eta_error, error)
+    yield GraspColumn("trials", grasps.trials, "disturbed trials that eta is of")
     yield GraspColumn("confidence", grasps.confidence, "0 to 1, higher is better")
     settled = np.where(grasps.is_settled[:, None], grasps.settled_poses(frame), np.nan)
     for begin, kind, of in (("", "commanded", poses), (SETTLED, "settled", settled)):

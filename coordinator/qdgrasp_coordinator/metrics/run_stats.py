@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.metrics.arrays import take_rows
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria, StopTracker, count_to_first
+from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan, TrialSchedule
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_protocol.text import counted
 
@@ -136,7 +137,7 @@ def successes(rows: Rows) -> Rows:
 class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
-    The run is over after `budget` counted evaluations, or when a goal is reached; each success has `trials`
+    The run is over after `budget` counted evaluations, or when a goal is reached, once each success has its
     trials; `overlaps` says whether overlaps count as evaluations.
     """
 
@@ -147,11 +148,15 @@ class RunCounter:
     errors: int = 0
 
     def __init__(
-        self, budget: int, overlaps: Overlaps, trials: int = 0, goals: StopCriteria = BUDGET_ALONE
+        self,
+        budget: int,
+        overlaps: Overlaps,
+        trials: TrialPlan = NO_TRIALS,
+        goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
         self.budget = budget
         self._overlaps = overlaps
-        self._trials = trials
+        self._schedule = TrialSchedule(trials)
         self._barren = 0
         self._before = 0
         self._nominal = 0
@@ -169,7 +174,7 @@ class RunCounter:
     @classmethod
     def of(cls, spec: RunSpec) -> Self:
         """Return the counter of a run that has no rows yet."""
-        return cls(spec.evaluations, spec.overlaps, trial_count(spec.protocol), StopCriteria.of(spec))
+        return cls(spec.evaluations, spec.overlaps, TrialPlan.of(spec), StopCriteria.of(spec))
 
     def count_block(self, block: Rows, population: int) -> None:
         """Count the next rows of a journal, and record where each generation of this size ends."""
@@ -189,6 +194,7 @@ class RunCounter:
         self._trials_follow = not is_nominal[-1]
         self._count_nominal(rows if is_nominal.all() else take_rows(rows, is_nominal))
         self.trials = self.rows - sum(self._outcomes)
+        self._schedule.count(rows)
         self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
@@ -222,6 +228,11 @@ class RunCounter:
     def totals(self) -> RunTotals:
         """The counts that are published."""
         return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
+
+    @property
+    def promoted(self) -> NDArray[np.int64]:
+        """Indices (n,) of the successes with trials in the later stage that is under way."""
+        return self._schedule.promoted
 
     @property
     def left(self) -> int:
@@ -273,10 +284,9 @@ class RunCounter:
             raise ImpossibleValue(where, spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        has_all_trials = self.trials == self._trials * self.successes
-        if self.left <= 0 and has_all_trials:
+        if self.left <= 0 and self._schedule.is_complete:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._goal is not None and has_all_trials:
+        if self._goal is not None and self._schedule.is_complete:
             return self._goal
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:

@@ -1,9 +1,9 @@
 """Scores of successes over their trials, and the order of grasps from the best to the worst.
 
-Where the evaluation protocol has trials, the score of a success is their fitness in sum, known once all of
-them are recorded; elsewhere it is the nominal fitness. Over all disturbances of the trials it is eta, the
-estimated probability that the grasp transfers (Huber et al. 2024, section IV: 100 trials of two shakes, so
-it is the sum over 200; trials of `physical` have six forces each).
+Where the evaluation protocol has trials, the score of a success is their fitness in sum, and where they are
+fewer than the most, as many times as much; elsewhere it is the nominal fitness. Over all disturbances it is
+eta, the estimated probability that the grasp transfers (Huber et al. 2024, section IV: 100 trials of two
+shakes, so it is the sum over 200; trials of `physical` have six forces each).
 """
 
 from collections.abc import Iterable, Iterator
@@ -11,8 +11,10 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.run_stats import success_mask, successes
-from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_protocol.rows import Outcome, Rows
 
 ROBUST = Outcome.HELD - Outcome.DROPPED  # Survival of what is held, and its entry in reference sets
 
@@ -23,78 +25,91 @@ def survival(rows: Rows) -> NDArray[np.uint8]:
 
 
 class TrialSums:
-    """Sums up the trials of each success while the blocks of a journal pass in order.
+    """Sums up the trials of each success while the blocks of a journal pass in order."""
 
-    Each success has `trials` trials; 0: the protocol has no trials.
-    """
-
-    def __init__(self, trials: int) -> None:
-        self._trials = trials
-        # Successes whose trials are not complete, in journal order, with the `fitness` so far in sum
-        self._waiting: Rows | None = None
-        self._seen = np.zeros(0, dtype=np.int64)  # Number of trials of each of them that were added
+    def __init__(self, plan: TrialPlan) -> None:
+        self._plan = plan
+        self._waiting: Rows | None = None  # The successes of the last generation, in journal order
+        self._sums, self._counts = np.zeros(0), np.zeros(0, np.int64)  # Of their trials so far
 
     def take(self, rows: Rows) -> Rows:
-        """The nominal successes whose score is known with these rows, in journal order: (n,).
+        """The nominal successes whose generation ended before the last of these rows.
 
-        Their `fitness` is the score: disturbances survived, in the nominal evaluation or in all trials.
+        They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials that
+        it is of. Where the protocol has no trials they are those among the rows, with their fitness. Those
+        with fewer trials than every success has are left out.
         """
-        found = successes(rows)
-        if not self._trials:
-            return found
-        found["fitness"] = 0
-        waiting = found if self._waiting is None else np.concatenate([self._waiting, found])
-        self._seen = np.concatenate([self._seen, np.zeros(len(found), np.int64)])
-        trials = rows[rows["trial"] > 0]
-        place = np.searchsorted(genome_numbers(waiting), genome_numbers(trials))
-        np.add.at(waiting["fitness"], place, trials["fitness"])
-        np.add.at(self._seen, place, 1)
-        n = int(np.count_nonzero(self._seen == self._trials))
-        self._waiting, self._seen = waiting[n:], self._seen[n:]
-        return waiting[:n]
+        if not self._plan.stages or not len(rows):
+            return successes(rows)
+        every = rows if self._waiting is None else join_rows([self._waiting, rows])
+        found, sums, counts = _trials_of_successes(every)
+        sums[: len(self._sums)] += self._sums
+        counts[: len(self._counts)] += self._counts
+        is_open = every["generation"][found] == rows["generation"][-1]
+        n = int(is_open.argmax()) if is_open.any() else len(found)
+        self._waiting = take_rows(every, found[n:])
+        self._sums, self._counts = sums[n:], counts[n:]
+        return self._scored(take_rows(every, found[:n]), sums[:n], counts[:n])
+
+    def rest(self) -> list[Rows]:
+        """The scored successes that `take` has not returned: those of the last generation so far."""
+        waiting = self._waiting
+        return [] if waiting is None else [self._scored(waiting.copy(), self._sums, self._counts)]
+
+    def _scored(self, found: Rows, sums: NDArray[np.float64], counts: NDArray[np.int64]) -> Rows:
+        found["fitness"], found["trial"] = self._plan.scores(sums, counts), counts
+        return take_rows(found, counts >= self._plan.least)
 
 
-def scored_successes(blocks: Iterable[Rows], trials: int) -> Iterator[Rows]:
-    """The scored successes of a journal, block by block; see `TrialSums.take`."""
-    scores = TrialSums(trials)
+def _trials_of_successes(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return places, sums and numbers of trials of the nominal successes among rows.
+
+    Each (n,), in journal order; sums are of fitness. The rows may begin anywhere, and be of several journals,
+    one behind the other: a trial is of the last success before it with the same key.
+    """
+    found, trials = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] > 0)
+    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
+    keys = genomes * len(rows) + np.arange(len(rows))  # ascending by genome, then by place
+    order = found[np.argsort(keys[found])]
+    behind = np.searchsorted(keys[order], keys[trials], side="right")
+    owner = np.append(-1, order)[behind]
+    is_its = (owner >= 0) & (genomes[owner] == genomes[trials])
+    places = np.searchsorted(found, owner[is_its])
+    sums = np.bincount(places, rows["fitness"][trials[is_its]], len(found)).astype(np.float64)
+    return found, sums, np.bincount(places, minlength=len(found)).astype(np.int64)
+
+
+def scored_successes(blocks: Iterable[Rows], plan: TrialPlan) -> Iterator[Rows]:
+    """The scored successes of a journal, some at a time; see `TrialSums.take`."""
+    scores = TrialSums(plan)
     for block in blocks:
         yield scores.take(block)
+    yield from scores.rest()
 
 
-def trial_sums(journal: Rows, trials: int) -> NDArray[np.float64]:
-    """Return the score of each nominal row of a whole journal (n,); 0 for what is no success."""
-    nominal = journal[journal["trial"] == 0]
-    found = TrialSums(trials).take(journal)
-    totals = np.zeros(len(nominal))
-    totals[np.searchsorted(genome_numbers(nominal), genome_numbers(found))] = found["fitness"]
-    return totals
+def known_scores(rows: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return scores and numbers of trials of the nominal successes among rows: (n,).
 
-
-def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
-    """Return the score of each nominal success among consecutive rows of a journal (n,).
-
-    NaN where not all of its trials are among them. The journal may begin anywhere, or be joined of several.
+    The rows are consecutive ones of a journal, that may begin anywhere, or be joined of several. NaN where
+    fewer trials than every success has are among them. Where the protocol has no trials, scores are fitness,
+    and trials 0.
     """
-    found, first = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] == 1)
-    first = first[first + trials <= len(rows)]
-    # The trials of a success follow it in one piece. One number per row, ascending by genome and then by
-    # place, finds the next first trial behind each success, which may be of another genome.
-    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
-    of_found, of_first = genomes[found] * len(rows) + found, genomes[first] * len(rows) + first
-    order = np.argsort(of_first)
-    place = np.searchsorted(of_first[order], of_found)
-    scores = np.full(len(found), np.nan)
-    here = np.flatnonzero(place < len(first))
-    begins = first[order][place[here]]
-    is_its = genome_numbers(rows)[begins] == genome_numbers(rows)[found[here]]
-    total = np.concatenate([[0.0], np.cumsum(rows["fitness"], dtype=np.float64)])
-    scores[here[is_its]] = (total[begins + trials] - total[begins])[is_its]
-    return scores
+    found, sums, counts = _trials_of_successes(rows)
+    if not plan.stages:
+        return rows["fitness"][found].astype(np.float64), counts
+    return np.where(counts >= plan.least, plan.scores(sums, counts), np.nan), counts
 
 
-def eta(fitness: NDArray[np.number], trials: int, disturbances: int = SHAKES) -> NDArray[np.float64]:
-    """Return eta, 0 to 1, of scores (n,) over trials with so many disturbances each: (n,)."""
-    return fitness.astype(np.float64) / (disturbances * trials)
+def nominal_scores(journal: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return scores and numbers of trials of the nominal rows of a journal: (n,).
+
+    Both are 0 for what is no success.
+    """
+    is_success = success_mask(journal)[journal["trial"] == 0]
+    scores, counts = np.zeros(len(is_success)), np.zeros(len(is_success), np.int64)
+    found, counts[is_success] = known_scores(journal, plan)
+    scores[is_success] = np.nan_to_num(found)
+    return scores, counts
 
 
 def genome_numbers(rows: Rows) -> NDArray[np.uint64]:

@@ -5,6 +5,7 @@ after how many counted evaluations each success was found.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -18,8 +19,9 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import NicheArchive, NicheKeys
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, success_mask, successes
-from qdgrasp_coordinator.metrics.scores import TrialSums, eta
-from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
+from qdgrasp_coordinator.metrics.scores import TrialSums
+from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan, eta_bounds, eta_error
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps
 
 FITNESS_COLOURS = ("#bdb7ad", "#f2a431", "#2a73b9")
@@ -186,31 +188,71 @@ class EtaSummary(Struct, frozen=True, kw_only=True):
     """Estimated probability, 0 to 1, that successes transfer (Huber et al. 2024, section IV)."""
 
     successes: int
-    """Those whose trials are all recorded; the other figures are of these, and None without one."""
+    """Those with as many trials as every one has; the other figures are of these, and None without one."""
     mean: float | None
     best: float | None
+    """Eta of the success whose lower bound is the greatest."""
     at_least_half: float | None
     """The share of them with an eta of at least 0.5, 0 to 1."""
+    error: float | None = None
+    """Standard error of the mean, for the number of trials alone."""
+    trials: float | None = None
+    """Mean number of trials of a success."""
 
     @property
     def words(self) -> str:
         """The figures for a person."""
         if self.mean is None or self.best is None or self.at_least_half is None:
             return "none"
-        return f"mean {self.mean:.3f}, best {self.best:.3f}, {self.at_least_half:.1%} at least 0.5"
+        error = "" if self.error is None else f" +- {self.error:.3f}"
+        trials = "" if self.trials is None else f"; {self.trials:.1f} trials each"
+        half = f"{self.at_least_half:.1%} at least 0.5"
+        return f"mean {self.mean:.3f}{error}, best {self.best:.3f}, {half}{trials}"
+
+
+class ScoreCounts:
+    """Numbers of successes by score and trials, and the best score of each cell."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[tuple[float, int]] = Counter()
+        self.best: dict[int, float] = {}
+
+    def add(self, scored: Rows) -> Self:
+        """Add scored successes; see `TrialSums.take`."""
+        scores = scored["fitness"].tolist()
+        self.counts.update(zip(scores, scored["trial"].tolist(), strict=True))
+        reached = cell_keys(cells(scored["descriptor"][:, :3])).tolist()
+        for cell, score in zip(reached, scores, strict=True):
+            self.best[cell] = max(score, self.best.get(cell, 0.0))
+        return self
+
+    def with_rows(self, parts: Iterable[Rows]) -> "ScoreCounts":
+        """These and more, as new counts."""
+        made = ScoreCounts()
+        made.counts, made.best = self.counts.copy(), self.best.copy()
+        for rows in parts:
+            made.add(rows)
+        return made
+
+    def mean(self, values: Iterable[float]) -> float | None:
+        """Return the mean over all successes of a value for each entry of `counts`.
+
+        None without a success.
+        """
+        total = self.counts.total()
+        pairs = zip(values, self.counts.values(), strict=True)
+        return math.fsum(value * n for value, n in pairs) / total if total else None
 
 
 class SuccessMetrics:
-    """Sums over the successes of a journal, in any order; with `trials` each, in its order."""
+    """Sums over the successes of a journal, in any order; with trials, in its order."""
 
     successes: int = 0
 
-    def __init__(self, trials: int = 0, disturbances: int = SHAKES) -> None:
-        self._trials = trials
-        self._disturbances = disturbances
-        self._scores = TrialSums(trials)
-        self._scored = np.zeros(1 + disturbances * max(1, trials), dtype=np.int64)  # successes by fitness
-        self._best: dict[int, float] = {}  # by cell
+    def __init__(self, plan: TrialPlan = NO_TRIALS) -> None:
+        self._plan = plan
+        self._trials = TrialSums(plan)
+        self._closed = ScoreCounts()  # of successes that have no more trials
         self._bins = np.zeros(NU_SUMMARY_BINS, dtype=np.int64)
         self._near = 0
 
@@ -222,11 +264,7 @@ class SuccessMetrics:
         angles = np.clip(nu, 0.0, math.pi)  # pi in float32 is more than pi
         self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
         self._near += int(np.count_nonzero(angles < NEAR_NU))
-        scored = self._scores.take(rows)
-        self._scored += np.bincount(scored["fitness"].astype(np.int64), minlength=len(self._scored))
-        reached = cell_keys(cells(scored["descriptor"][:, :3]))
-        for cell, fitness in zip(reached.tolist(), scored["fitness"].tolist(), strict=True):
-            self._best[cell] = max(fitness, self._best.get(cell, 0.0))
+        self._closed.add(self._trials.take(rows))
 
     def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
         """The same blocks, each counted as it passes."""
@@ -235,26 +273,38 @@ class SuccessMetrics:
             yield block
 
     @property
+    def _scores(self) -> ScoreCounts:
+        """Those of all scored successes."""
+        return self._closed.with_rows(self._trials.rest())
+
+    @property
     def qd_score(self) -> float:
         """QD score: over all cells with a success, the sum of the best fitness found in each."""
-        return math.fsum(self._best.values())
+        return math.fsum(self._scores.best.values())
 
     @property
     def mean_fitness(self) -> float | None:
         """Mean fitness of all successes that count; None without one."""
-        return self._mean(np.arange(len(self._scored), dtype=np.float64))
+        found = self._scores
+        return found.mean(score for score, _ in found.counts)
 
     @property
     def eta(self) -> EtaSummary | None:
         """Eta of the successes; None for a protocol without trials."""
-        if not self._trials:
+        if not self._plan.stages:
             return None
-        etas = eta(np.arange(len(self._scored)), self._trials, self._disturbances)
+        found = self._scores
+        scores = np.array([score for score, _ in found.counts])
+        trials = np.array([n for _, n in found.counts], np.int64)
+        etas, total = self._plan.eta(scores), found.counts.total()
+        variance = found.mean((eta_error(etas, trials) ** 2).tolist())
         return EtaSummary(
-            successes=int(self._scored.sum()),
-            mean=self._mean(etas),
-            best=float(etas[self._scored > 0].max()) if self._scored.any() else None,
-            at_least_half=self._mean((etas >= 0.5).astype(np.float64)),
+            successes=total,
+            mean=found.mean(etas.tolist()),
+            best=float(etas[np.argmax(eta_bounds(etas, trials)[0])]) if total else None,
+            at_least_half=found.mean((etas >= 0.5).astype(np.float64).tolist()),
+            error=None if variance is None else math.sqrt(variance / total),
+            trials=found.mean(trials.tolist()),
         )
 
     @property
@@ -264,11 +314,6 @@ class SuccessMetrics:
         return NuSummary(
             bins=tuple(self._bins.tolist()), below_quarter_pi=self._near / aimed if aimed else None
         )
-
-    def _mean(self, values: NDArray[np.float64]) -> float | None:
-        """The mean over all scored successes of a value that depends on their fitness."""
-        total = int(self._scored.sum())
-        return float(self._scored @ values) / total if total else None
 
 
 class Diversity(Struct, frozen=True, kw_only=True):

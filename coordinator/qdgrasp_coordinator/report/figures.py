@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.scores import ROBUST, eta, scored_successes, survival
+from qdgrasp_coordinator.metrics.scores import ROBUST, scored_successes, survival
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.rendering.drawings import axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
 from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
@@ -55,7 +56,7 @@ from qdgrasp_coordinator.report.run_groups import (
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Rows, trial_count
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
 
 BAND_OPACITY = 0.13  # Opacity of an interquartile range
@@ -323,11 +324,11 @@ def median_run(group: RunGroup) -> RunHistory:
 
 
 def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
-    folder, trials = RunFolder(run.path), trial_count(run.spec.protocol)
+    folder, plan = RunFolder(run.path), TrialPlan.of(run.spec)
     with folder.journal() as journal:
-        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), trials)])
+        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), plan)])
     best = best_in_cells(found)
-    etas = eta(best["fitness"], trials, run.spec.disturbances) if trials else None
+    etas = plan.eta(best["fitness"]) if plan.stages else None
     return RunVoxels(name, run, folder.scene(), best, etas)
 
 

@@ -21,13 +21,13 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import eta
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome, trial_count
+from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome
 from qdgrasp_protocol.spec import RunSpec
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
@@ -66,11 +66,11 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     priors = [prior_of(spec) for spec in asked]
     named = (synergies(scene, prior) for prior in priors)
     postures = (PostureReader.of(scene, prior) for prior in priors)
-    return _context(asked[0], tuple(zip(ends, named, postures, strict=True)))
+    return _context(folder.spec, tuple(zip(ends, named, postures, strict=True)))
 
 
 def _context(spec: RunSpec, parts: tuple[tuple[int, SynergyReader, PostureReader], ...]) -> RowContext:
-    return RowContext(trial_count(spec.protocol), spec.disturbances, parts)
+    return RowContext(TrialPlan.of(spec), parts)
 
 
 ROWS_READ_AT_ONCE = 1 << 16
@@ -178,7 +178,9 @@ class RowReport(Struct, frozen=True, kw_only=True):
     fitness: float
     """Disturbances survived."""
     eta: float | None
-    """The estimated probability of transfer; None where not all trials of a success are there."""
+    """The estimated probability of transfer; None where too few trials of a success are there."""
+    eta_error: float | None
+    """Its standard error, for the number of trials alone."""
     trials: int
     """Trials of it that are recorded."""
     descriptor: tuple[float, ...]
@@ -240,6 +242,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
         )
         values["number"] = f"{self.number} of {values.pop('rows')} rows, counted from 0"
         values["eta"] = None if self.eta is None else f"{self.eta:.4g}"
+        values["eta_error"] = None if self.eta_error is None else f"{self.eta_error:.2g}"
         values["nu"] = None if self.nu is None else f"{self.nu:.4g} rad"
         values["penetration"] = f"{self.penetration:.6g} m"
         values["surface_point"] = None if self.surface_point is None else f"{_numbers(self.surface_point)} m"
@@ -266,8 +269,8 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal, number)
         spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
-        repeats_known = trial_count(spec.protocol)
-        repeats = _trial_fitness(journal, row, behind, repeats_known)
+        plan = TrialPlan.of(spec)
+        repeats = _trial_fitness(journal, row, behind, plan.most)
         values: dict[str, object] = {
             "folder": str(folder.path),
             "run": found_by.run,
@@ -278,14 +281,11 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
         }
     values |= {name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")}
     values |= _row_fields(row, folder.scene(), prior_of(spec))
-    is_scored = repeats_known > 0 and len(repeats) == repeats_known
-    values |= {
-        "scale": spec.scale or 1.0,
-        "trials": len(repeats),
-        "eta": float(eta(np.array([sum(repeats)]), repeats_known, spec.disturbances)[0])
-        if is_scored
-        else None,
-    }
+    values |= {"scale": spec.scale or 1.0, "trials": len(repeats), "eta": None, "eta_error": None}
+    if 0 < plan.least <= len(repeats):
+        count = np.array([len(repeats)])
+        found = plan.eta(plan.scores(np.array([sum(repeats)]), count))
+        values |= {"eta": float(found[0]), "eta_error": float(eta_error(found, count)[0])}
     return msgspec.convert(values, RowReport)
 
 
@@ -328,7 +328,7 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
     for rows in journal.kept(behind.start, behind.stop) if behind else ():
         is_same = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
         found += rows["fitness"][is_same & (rows["trial"] > 0)].tolist()
-        if len(found) >= most:
+        if len(found) >= most or rows["generation"][-1] != row["generation"]:
             break
     return found
 

@@ -26,10 +26,11 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     diversity,
     join_histories,
 )
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends")
@@ -119,7 +120,7 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         if not _has_curves(journal, spec):
             journal.check_whole()
         metrics, niches = (
-            SuccessMetrics(trial_count(spec.protocol), spec.disturbances),
+            SuccessMetrics(TrialPlan.of(spec)),
             empty_niche_archive(folder),
         )
         found: list[SuccessHistory] = []

@@ -1,9 +1,9 @@
 """The pipeline of one run: orders asks and tells, and ends the run with its budget.
 
 Results arrive in any order; the search is told generation by generation, and the journal is that order:
-by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state:
-whatever came in between, the rows that become final, and what the search is asked, are a function of the
-spec (docs/reproducibility.md).
+by generation, within it nominal rows by index, then, stage by stage, the trials of successes by (index,
+trial). Pure state: whatever came in between, the rows that become final, and what the search is asked, are a
+function of the spec (docs/reproducibility.md).
 """
 
 from collections import deque
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
 from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError
@@ -49,36 +50,57 @@ class Generation:
 class GenerationBuffer:
     """One generation that is asked and not yet told.
 
-    The journal has its nominal rows by index, then the trials of its successes by (index, trial). At most
-    `limit` nominal rows are needed, from index 0 on; a success has `trials` trials.
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial), then those
+    of the successes that are promoted to a later stage. At most `limit` nominal rows are needed, from index 0
+    on.
     """
 
     final: int = 0
     """Number of its final rows, in journal order."""
 
-    def __init__(self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: int = 0) -> None:
+    def __init__(
+        self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: TrialPlan = NO_TRIALS
+    ) -> None:
         self.number = number
-        self._trials = trials
+        self._plan = trials
+        self._stages = (0, *trials.stages)
+        self._stage = 0
+        """Stages that are complete."""
+        self._before = 0
+        """Trials in these stages."""
+        self._promoted: Places | None = None
+        """The successes with trials in this stage, by index; None: all, as in the first."""
+        self._is_due = False
+        """True if the trials of those are to be handed out."""
         self._nominal = min(limit, len(genomes))  # Nominal rows that the journal is to hold
-        self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
+        self._rows = shape.empty(len(genomes) * (1 + trials.most)).reshape(len(genomes), 1 + trials.most)
         """By index and trial; what is never written costs no memory."""
         self._bytes = row_bytes(self._rows)
         self._rows["generation"][:, 0] = number
         self._rows["index"][:, 0] = np.arange(len(genomes))
         self._rows["genome"][:, 0] = genomes
-        self._is_present = np.zeros((self._nominal, 1 + trials), dtype=bool)
+        self._is_present = np.zeros((self._nominal, 1 + trials.most), dtype=bool)
         self._is_success = np.zeros(self._nominal, dtype=bool)
         self._handed_out = False
         self._opened = 0
         """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
+        self._asked = np.zeros(self._nominal, dtype=np.int64)
+        """Number of trials that were handed out of each."""
 
     @property
     def rows_for_tell(self) -> Rows:
-        """Nominal rows as told to the search: fitness is summed over a success's trials."""
+        """Nominal rows as told to the search.
+
+        Of a success `fitness` is the score over its trials, and `trial` their number.
+        """
         rows = take_rows(self._rows, np.s_[:, 0])
-        if self._trials:
+        if self._plan.stages:
             found = self._successes
-            rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
+            sums, counts = (
+                self._rows["fitness"][found, 1:].sum(axis=1),
+                self._is_present[found, 1:].sum(axis=1),
+            )
+            rows["fitness"][found], rows["trial"][found] = self._plan.scores(sums, counts), counts
         return rows
 
     @property
@@ -88,27 +110,43 @@ class GenerationBuffer:
 
     @property
     def is_complete(self) -> bool:
-        """True if every row that the journal is to hold is final."""
-        return not self.missing and self.final == self._nominal + self._trials * len(self._successes)
+        """True if every row up to the end of this stage is final."""
+        return not self.missing and self.final == self._nominal + self._before + self._size * len(
+            self._members
+        )
+
+    def promote(self, promoted: Places) -> None:
+        """Begin the next stage, with trials of these successes (n,), ascending."""
+        self._before += self._size * len(self._members)
+        self._stage, self._promoted, self._is_due = self._stage + 1, promoted, True
 
     def hand_out(self) -> Generation | None:
         """Return missing rows not handed out before; None: nothing to hand out now.
 
-        Nominal rows first; the trials of a success once all nominal rows up to it are here.
+        Nominal rows first; the first trials of a success once all nominal rows up to it are here, and more
+        once it is promoted.
         """
         if not self._handed_out:
             self._handed_out = True
             indices = np.flatnonzero(~self._is_present[: self._nominal, 0])
             if len(indices):
                 return self._to_evaluate(indices, np.zeros_like(indices))
-        return self._hand_out_trials() if self._trials else None
-
-    def _hand_out_trials(self) -> Generation | None:
+        if self._is_due:
+            self._is_due = False
+            return self._hand_out_trials(self._members)
+        if self._stage or not self._plan.stages:
+            return None
         gapless = _count_before_gap(self._is_present[self._opened : self._nominal, 0])
         found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
         self._opened += gapless
-        places, trials = np.nonzero(~self._is_present[found, 1:])
-        return self._to_evaluate(found[places], trials + 1) if len(places) else None
+        return self._hand_out_trials(found)
+
+    def _hand_out_trials(self, found: Places) -> Generation | None:
+        """Return the missing trials of this stage of successes (n,)."""
+        first, last = 1 + self._stages[self._stage], self._stages[self._stage + 1]
+        self._asked[found] = last
+        places, trials = np.nonzero(~self._is_present[found, first : last + 1])
+        return self._to_evaluate(found[places], first + trials) if len(places) else None
 
     def put(self, rows: Rows) -> None:
         """Put rows in their places; those that are here already, or were not asked, are ignored."""
@@ -160,14 +198,20 @@ class GenerationBuffer:
         """The successes among the nominal rows that the journal is to hold, by index."""
         return np.flatnonzero(self._is_success[: self._nominal])
 
+    @property
+    def _members(self) -> Places:
+        """The successes with trials in this stage, by index."""
+        return self._successes if self._promoted is None else self._promoted
+
+    @property
+    def _size(self) -> int:
+        """Trials of a success in this stage; 0 where the protocol has none."""
+        return self._stages[self._stage + 1] - self._stages[self._stage] if self._plan.stages else 0
+
     def _is_asked(self, indices: Places, trials: Places) -> NDArray[np.bool_]:
         """Mask of places of this generation: nominal rows, and trials handed out."""
-        is_known: NDArray[np.bool_] = (indices < len(self._is_present)) & (trials <= self._trials)
-        if not self._trials:
-            return is_known
-        safe = np.where(is_known, indices, 0)
-        asked: NDArray[np.bool_] = (trials == 0) | (safe < self._opened) & self._is_success[safe]
-        return is_known & asked
+        is_known: NDArray[np.bool_] = indices < len(self._is_present)
+        return is_known & (trials <= self._asked[np.where(is_known, indices, 0)])
 
     def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
         genomes = self._rows["genome"][indices, 0]
@@ -184,9 +228,9 @@ class GenerationBuffer:
         if self.missing:
             indices = np.arange(self.final, min(self.final + most, self._nominal))
             return indices, np.zeros_like(indices)
-        found, first = self._successes, self.final - self._nominal
-        places = np.arange(first, min(first + most, self._trials * len(found)))
-        return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
+        members, size, first = self._members, self._size, self.final - self._nominal - self._before
+        places = np.arange(first, min(first + most, size * len(members)))
+        return members[places // max(1, size)], 1 + self._stages[self._stage] + places % max(1, size)
 
     def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
         pairs = zip(asked[column], recorded[column], strict=True)
@@ -211,8 +255,9 @@ class Pipeline:
 
     The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
     of its generation's rows up to that one. Later rows of that generation are not journalled, and that
-    generation is not told. `goals` end the run earlier in the same manner. Each nominal success has `trials`
-    trials; its fitness is then the sum over them.
+    generation is not told. `goals` end the run earlier in the same manner. `trials` says how many trials the
+    nominal successes have. Who is promoted depends on the generations before, and is decided when these are
+    told; the first trials are handed out at once.
     """
 
     def __init__(
@@ -222,7 +267,7 @@ class Pipeline:
         evaluations: int,
         overlaps: Overlaps,
         generations_in_flight: int = 1,
-        trials: int = 0,
+        trials: TrialPlan = NO_TRIALS,
         goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
         self.tally = RunCounter(evaluations, overlaps, trials, goals)
@@ -306,8 +351,11 @@ class Pipeline:
         if self.tally.is_reached:
             buffer.truncate()
         if buffer.is_complete:
-            self.tally.end_generation()
-            self._close(buffer)
+            if len(promoted := self.tally.promoted):
+                buffer.promote(promoted)
+            else:
+                self.tally.end_generation()
+                self._close(buffer)
         return rows
 
     def _close(self, buffer: GenerationBuffer) -> None:

@@ -16,6 +16,7 @@ from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
@@ -24,7 +25,7 @@ from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.messages import Failure, OpenRun
-from qdgrasp_protocol.rows import Genomes, Rows, RowShape, trial_count
+from qdgrasp_protocol.rows import Genomes, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 
 
@@ -199,7 +200,7 @@ def plan_run(
     chosen = method(spec.method)
     if search is None:
         search = chosen.build(spec, search_space(prepared.scene, prior_of(spec)))
-    budget = (spec.evaluations, spec.overlaps, spec.generations_in_flight, trial_count(spec.protocol))
+    budget = (spec.evaluations, spec.overlaps, spec.generations_in_flight, TrialPlan.of(spec))
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run
     )
@@ -213,9 +214,12 @@ def plan_genomes(
 ) -> RunPlan:
     """Return a run that evaluates given genomes (n, d) of a prior, each once, in their order."""
     search, budget = FixedPoseSearch(genomes, GENOMES_AT_ONCE), len(genomes)
-    trials = trial_count(spec.protocol)
     return RunPlan.of(
-        spec, prepared, lambda shape: Pipeline(search, shape, budget, "count", 2, trials), prior, run
+        spec,
+        prepared,
+        lambda shape: Pipeline(search, shape, budget, "count", 2, TrialPlan.of(spec)),
+        prior,
+        run,
     )
 
 

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
-from qdgrasp_coordinator.metrics.scores import eta, trial_sums
+from qdgrasp_coordinator.metrics.scores import nominal_scores
+from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, SHAKES, Genomes, Outcome, Rows
+from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 ROUNDING = 1e-6  # Greatest error of a unit quaternion's length in float32
@@ -152,22 +153,21 @@ def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.fl
     return starts
 
 
-def write_scores(path: Path, rows: Rows, trials: int = 0, disturbances: int = SHAKES) -> None:
+def write_scores(path: Path, rows: Rows, plan: TrialPlan = NO_TRIALS) -> None:
     """Write `scores` of rows to a new file, in the order of the poses."""
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **scores(rows, trials, disturbances))
+        np.savez_compressed(file, allow_pickle=False, **scores(rows, plan))
 
 
-def scores(rows: Rows, trials: int = 0, disturbances: int = SHAKES) -> dict[str, NDArray[np.generic]]:
+def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.generic]]:
     """Return scores of a journal's rows, as arrays by name; nominal rows only, but for eta.
 
     valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
     (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
-    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where each success has
-    `trials` trials of `disturbances` each, eta (n,): the estimated probability that it transfers, 0 for what
-    is no success.
+    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where the plan has trials, eta
+    (n,): the estimated probability that it transfers, 0 for what is no success.
     """
-    etas = {"eta": eta(trial_sums(rows, trials), trials, disturbances)} if trials else {}
+    etas = {"eta": plan.eta(nominal_scores(rows, plan)[0])} if plan.stages else {}
     rows = rows[rows["trial"] == 0]
     outcome = rows["outcome"]
     return etas | {

@@ -11,14 +11,14 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Joint, Scene
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import eta, known_scores
+from qdgrasp_coordinator.metrics.scores import known_scores
+from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage, deflated
 from qdgrasp_protocol.rows import (
     GIVEN,
     NO_SYNERGY,
     RESULT,
-    SHAKES,
     Layout,
     RowColumn,
     Rows,
@@ -66,10 +66,8 @@ UNKNOWN_POSTURES = PostureReader(Layout("", ()), (), ())
 class RowContext:
     """Context for reading a journal's rows: its trials, and how to read its genomes."""
 
-    trials: int = 0
-    """Number of trials of a success."""
-    disturbances: int = SHAKES
-    """Number of disturbances in each."""
+    plan: TrialPlan = NO_TRIALS
+    """How many trials a success has."""
     parts: tuple[tuple[int, SynergyReader, PostureReader], ...] = ((0, UNKNOWN_SYNERGIES, UNKNOWN_POSTURES),)
     """Readers of synergies and postures, with the number behind the last row that they hold for.
 
@@ -99,11 +97,22 @@ class RowContext:
         for part in np.unique(part_of).tolist():
             yield (part_of == part, *self.parts[part][1:])
 
-    def etas(self, rows: Rows) -> NDArray[np.float64]:
-        """Return eta of each nominal success in consecutive rows (n,); `NO_ETA`: trials are missing."""
-        if not self.trials:
-            return np.full(int(np.count_nonzero(success_mask(rows))), NO_ETA)
-        return np.nan_to_num(eta(known_scores(rows, self.trials), self.trials, self.disturbances), nan=NO_ETA)
+    def etas(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return eta and trials of each nominal success in consecutive rows (n,).
+
+        Eta is `NO_ETA` where it is not known.
+        """
+        scores, trials = known_scores(rows, self.plan)
+        known = self.plan.eta(scores) if self.plan.stages else np.full(len(scores), np.nan)
+        return np.nan_to_num(known, nan=NO_ETA), trials
+
+    def has_all_trials(self, rows: Rows) -> NDArray[np.bool_]:
+        """Flag the nominal successes (n,) in consecutive rows that have all of their trials."""
+        if not self.plan.stages:
+            return np.ones(int(np.count_nonzero(success_mask(rows))), dtype=bool)
+        ends = np.flatnonzero(np.diff(rows["generation"].astype(np.int64)))  # of generations
+        is_over = np.flatnonzero(success_mask(rows)) <= max(ends, default=-1)
+        return np.asarray(is_over | (known_scores(rows, self.plan)[1] == self.plan.most))
 
 
 SUCCESS_COLUMNS = (
@@ -121,7 +130,8 @@ SUCCESS_COLUMNS = (
     RowColumn(
         "synergy", "<i2", "1", "the synergy that closed the hand, by its place in the gripper; -1: none"
     ),
-    RowColumn("eta", "<f4", "1", "estimated probability of transfer; -1 where not all trials are recorded"),
+    RowColumn("eta", "<f4", "1", "estimated probability of transfer; -1 where too few trials are recorded"),
+    RowColumn("trials", "<u2", "1", "trials of it that are recorded"),
     *(
         column
         for column in RESULT
@@ -191,26 +201,29 @@ NO_CONTEXT = RowContext()
 def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT) -> tuple[SuccessTable, int]:
     """Some successes (n,) from journal number `first` on, and the number from which to read on.
 
-    Where a success at the end of the journal lacks trials, it is given without eta, and the number to read on
-    from is that of the first such success.
+    Where a success at the end of the journal may have more trials, the number to read on from is that of the
+    first such success; with too few it is given without eta.
     """
     rows, is_last = _scanned_rows(journal, first, context)
     is_success = success_mask(rows)
     numbers, successes = first + np.flatnonzero(is_success), rows[is_success]
+    etas, trials = context.etas(rows)
     finds = success_table(
         successes,
         journal.shape,
         number=numbers,
         synergy=context.synergies(successes, numbers),
         pregrasp=context.pregrasps(successes, numbers),
-        eta=context.etas(rows),
+        eta=etas,
+        trials=trials,
     )
-    lacking = finds["number"][finds["eta"] < 0] if context.trials else finds["number"][:0]
+    lacking = numbers[~context.has_all_trials(rows)]
     upto = int(lacking[0]) if len(lacking) else first + len(rows)
     if not is_last:
         finds = finds[finds["number"] < upto]
     if len(finds) > (most := page_limit(journal.shape)):
-        return finds[:most], min(upto, int(finds["number"][most]))
+        unknown = finds["number"][finds["eta"] < 0] if context.plan.stages else numbers[:0]
+        return finds[:most], min([int(finds["number"][most]), *unknown.tolist()])
     return finds, upto
 
 
@@ -222,6 +235,6 @@ def _scanned_rows(journal: Journal, first: int, context: RowContext) -> tuple[Ro
         kept = journal.kept(first, stop) if first < stop else ()
         rows = np.concatenate([journal.shape.empty(0), *kept])
         is_last = stop >= count
-        if is_last or not context.trials or (context.etas(rows)[:1] >= 0).all():
+        if is_last or context.has_all_trials(rows)[:1].all():
             return rows, is_last
         span *= 2

@@ -117,15 +117,16 @@ def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path
     assert not is_reranking(folder)
     write_source(folder, RunFolder(tmp_path / "first"), source)
     assert is_reranking(folder)
-    assert [(line[1], *line[2:6]) for line in rank_poses(folder)] == [
-        (0.75, 2, 7, 3, 2),
-        (0.75, 1, 7, 2, 2),
-        (0.1, 2, 7, 11, 2),
-        (0.0, 0, 7, 5, 2),
+    assert [(line[1], *line[3:8]) for line in rank_poses(folder)] == [
+        (0.75, 100, 2, 7, 3, 2),
+        (0.75, 100, 1, 7, 2, 2),
+        (0.1, 100, 2, 7, 11, 2),
+        (0.0, 0, 0, 7, 5, 2),
     ]
     assert "4 grasps ranked" in write_ranking(folder)
     with (folder.path / "ranking.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert [line["rank"] for line in lines] == ["1", "2", "3", "4"]
+    assert [line["eta_error"] for line in lines[:3]] == ["0.043519414", "0.043519414", "0.0301511345"]
     assert [line["source_index"] for line in lines] == ["3", "2", "11", "5"]
     assert [line["cell_x"] for line in lines] == ["1", "3", "0", "2"]

@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.cli import job_commands
+from qdgrasp_coordinator.cli import job_commands, run_commands
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.cli.run_commands import rerank_spec
 from qdgrasp_coordinator.search.registry import check_spec
@@ -69,11 +69,50 @@ def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> N
 def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
     with source.journal() as journal:
         chosen: Rows = journal.rows(0, 3)
-    spec = rerank_spec(source, "robust", None, chosen)
+    spec = rerank_spec(source, chosen, None, protocol="robust", trials="sequential", finalists=2)
     check_spec(spec)
     assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
+    assert (spec.stages, spec.finalists) == ((10, 30, 100), 2)
     assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
+
+
+@pytest.mark.parametrize(
+    ("flags", "trials"),
+    [
+        ("--protocol robust", None),
+        ("--protocol robust --aim-for eta", "sequential"),
+        ("--protocol robust --aim-for eta --trials all", "all"),
+        ("--protocol robust --trials sequential --finalists 7", "sequential"),
+        ("SPEC --seed 3", None),
+    ],
+)
+def test_trials_are_sequential_where_eta_is_asked_for_and_no_spec_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, trials: str | None
+) -> None:
+    found: list[RunSpec] = []
+    monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: found.append(spec))
+    file = tmp_path / "spec.toml"
+    file.write_text('protocol = "robust"\naim_for = "eta"\n')
+    scene = ["--gripper", "panda", "--object", "mug"]
+    CliRunner().invoke(
+        app, ["run", *flags.replace("SPEC", str(file)).split(), *scene], catch_exceptions=False
+    )
+    assert [spec.trials for spec in found] == [trials]
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ("--trials sequential", "trials = 'sequential' is for the protocol 'robust', and 'physical' has no"),
+        ("--protocol robust --finalists 3", "or take trials = 'sequential'"),
+        ("--protocol robust --trials some", "trials must be one of 'all', 'sequential', got 'some'"),
+    ],
+)
+def test_trials_that_cannot_be_are_refused(flags: str, words: str) -> None:
+    done = CliRunner().invoke(app, ["run", "--gripper", "panda", "--object", "mug", *flags.split()])
+    assert isinstance(done.exception, InputError)
+    assert words in str(done.exception)
 
 
 @pytest.mark.parametrize(("rows", "words"), [(60, "Hardly any room is free; "), (6000, " MB are free; ")])

@@ -18,12 +18,11 @@ from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
 from qdgrasp_coordinator.export.grasp_set import read_run
-from qdgrasp_coordinator.metrics.scores import SHAKES
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import TRIALS, Outcome, Rows
+from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 FINISHED = {"evaluations": 16, "overlaps": "count"}

@@ -6,8 +6,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.search_plans import SHAPE, Chain, Plan, Task, asked, reference
-from tests.coordinator.scheduler.search_plans import evaluate as evaluate_finely
+from tests.coordinator.scheduler.search_plans import FEW_CELLS, Plan, asked, reference
 from tests.coordinator.scheduler.test_pipeline import journal, rows_in
 from tests.fakes.job import Job
 
@@ -17,15 +16,6 @@ from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec, differences, to_values
 
-
-def evaluate(rows: Rows) -> Rows:
-    """As others are evaluated, with few cells."""
-    found = evaluate_finely(rows)
-    found["descriptor"] = np.sign(found["descriptor"]) * np.float32(0.01)
-    return found
-
-
-FEW_CELLS = Task(Chain, evaluate, SHAPE)
 GOALS = (("successes", 1), ("successes", 9), ("no_new_cell", 1), ("no_new_cell", 6), ("no_new_cell", 20))
 KINDS = {"population": (1, 7), "overlaps": ("count", "redraw"), "in_flight": (1, 2), "trials": (0, 2)}
 PLANS = [
@@ -34,17 +24,11 @@ PLANS = [
 ]
 
 
-def evaluated(pipeline) -> Rows:
-    """All rows that may be asked now, with few cells."""
-    return evaluate(asked(pipeline))
-
-
 @pytest.mark.parametrize("plan", PLANS, ids=str)
-def test_a_run_ends_with_the_same_row_whatever_the_order_of_arrival(plan: Plan, monkeypatch) -> None:
-    monkeypatch.setattr("tests.coordinator.scheduler.test_pipeline.asked", evaluated)
+def test_a_run_ends_with_the_same_row_whatever_the_order_of_arrival(plan: Plan) -> None:
     expected = reference(plan)
     ended = plan.pipeline()
-    assert journal(ended, 0) == journal(plan.pipeline(), 1) == expected
+    assert journal(ended, 0, FEW_CELLS) == journal(plan.pipeline(), 1, FEW_CELLS) == expected
     assert ended.tally.evaluations < plan.evaluations
     assert ended.finished in (
         f"{plan.successes} successes are found",
@@ -64,7 +48,7 @@ def test_any_recorded_beginning_goes_on_to_the_same_end(plan: Plan) -> None:
         pipeline.replay(expected[: n // 2])
         pipeline.replay(expected[n // 2 : n])
         rest = []
-        while len(rows := evaluated(pipeline)):
+        while len(rows := asked(pipeline, FEW_CELLS)):
             rest.append(pipeline.settle(rows[::-1]).rows.tobytes())
         assert b"".join(rest) == expected[n:].tobytes()
 
@@ -90,7 +74,7 @@ def spec_of(plan: Plan) -> RunSpec:
 
 def counted(plan: Plan, rows: Rows, size: int) -> RunCounter:
     goals = StopCriteria(plan.successes, plan.no_new_cell)
-    total = RunCounter(plan.evaluations, plan.overlaps, plan.trials, goals)
+    total = RunCounter(plan.evaluations, plan.overlaps, plan.trial_plan, goals)
     for first in range(0, len(rows), size):
         total.count(rows[first : first + size])
     return total

@@ -11,6 +11,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     archive_growth,
     diversity,
 )
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=2, joints=1)
@@ -104,7 +105,7 @@ def with_trials(*sums: int, trials: int = 10) -> Rows:
 
 
 def test_with_trials_fitness_is_the_sum_over_them() -> None:
-    metrics = SuccessMetrics(trials=10)
+    metrics = SuccessMetrics(TrialPlan((10,)))
     metrics.count(with_trials(0, 7, 20, 13))
     assert metrics.qd_score == 7 + 20
     assert metrics.mean_fitness == 10
@@ -114,7 +115,7 @@ def test_with_trials_fitness_is_the_sum_over_them() -> None:
 
 
 def test_a_success_counts_once_its_trials_are_recorded() -> None:
-    metrics = SuccessMetrics(trials=10)
+    metrics = SuccessMetrics(TrialPlan((10,)))
     journal = with_trials(4, 16)
     metrics.count(journal[:15])
     assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 4, 4)
@@ -124,7 +125,7 @@ def test_a_success_counts_once_its_trials_are_recorded() -> None:
 
 def test_without_trials_there_is_no_eta() -> None:
     assert counted(rows(Outcome.HELD)).eta is None
-    nothing = SuccessMetrics(trials=10).eta
+    nothing = SuccessMetrics(TrialPlan((10,))).eta
     assert nothing is not None
     assert (nothing.successes, nothing.mean, nothing.best, nothing.words) == (0, None, None, "none")
 

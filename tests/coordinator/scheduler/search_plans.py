@@ -4,13 +4,15 @@ import hashlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm
-from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import SHAKES, Genomes, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import Overlaps
 
 SHAPE = RowShape(genes=4, joints=1)
@@ -57,7 +59,15 @@ class Task:
     shape: RowShape
 
 
+def evaluate_in_few_cells(rows: Rows) -> Rows:
+    """As others are evaluated, with eight cells."""
+    found = evaluate(rows)
+    found["descriptor"] = np.sign(found["descriptor"]) * np.float32(0.01)
+    return found
+
+
 CHAIN = Task(Chain, evaluate, SHAPE)
+FEW_CELLS = Task(Chain, evaluate_in_few_cells, SHAPE)
 
 
 @dataclass(frozen=True)
@@ -70,6 +80,10 @@ class Plan:
     overlaps: Overlaps = "count"
     in_flight: int = 1
     trials: int = 0
+    """Of a success that was promoted to the last stage."""
+    few: tuple[int, ...] = ()
+    """Its trials after the stages before."""
+    finalists: int | None = None
     successes: int | None = None
     no_new_cell: int | None = None
     task: Task = CHAIN
@@ -85,7 +99,18 @@ class Plan:
         """A new pipeline of this run."""
         search = self.task.search(self.population, self.seed)
         shape, goals = self.task.shape, StopCriteria(self.successes, self.no_new_cell)
-        return Pipeline(search, shape, self.evaluations, self.overlaps, self.in_flight, self.trials, goals)
+        budget = (self.evaluations, self.overlaps, self.in_flight)
+        return Pipeline(search, shape, *budget, self.trial_plan, goals)
+
+    @property
+    def stages(self) -> tuple[int, ...]:
+        """Trials of a success after each stage."""
+        return (*self.few, self.trials) if self.trials else ()
+
+    @property
+    def trial_plan(self) -> TrialPlan:
+        """The trials of its successes."""
+        return TrialPlan(self.stages, SHAKES, self.finalists)
 
 
 def reference(plan: Plan) -> bytes:
@@ -94,7 +119,7 @@ def reference(plan: Plan) -> bytes:
     search = task.search(plan.population, plan.seed)
     waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
     journal, barren, idle = [], 0, 0
-    end = End(plan)
+    end, race = End(plan), Race(plan)
     while True:
         number, genomes = waiting.popleft()
         rows = task.evaluate(rows_of(number, genomes, task.shape))
@@ -102,16 +127,62 @@ def reference(plan: Plan) -> bytes:
         until = next((n for n, row in enumerate(rows) if end.comes_with(row, counts[n])), None)
         is_last = until is not None
         rows = rows[: until + 1] if is_last else rows
-        trials = [trials_of(row, plan.trials, task) for row in rows if row["outcome"] >= Outcome.DROPPED]
-        journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
+        found = rows[rows["outcome"] >= Outcome.DROPPED]
+        trials = [trials_of(row, plan.trials, task) for row in found]
+        journal.append(rows.tobytes())
+        etas: list[list[float]] = [[] for _ in found]
+        for first, last in pairwise((0, *plan.stages)):
+            for place in range(len(found)) if first == 0 else race.promoted(found, etas, first):
+                journal.append(trials[place][first:last].tobytes())
+                etas[place] += [float(trial["fitness"]) / SHAKES for trial in trials[place][first:last]]
+        race.end(found, etas)
         barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
         if is_last or (barren >= 20 and idle >= 1000):
             return b"".join(journal)
         if plan.trials:
-            sums = [float(sum(trial["fitness"] for trial in found)) for found in trials]
-            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = sums
+            means = [SHAKES * sum(each) * plan.trials / len(each) for each in etas]
+            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = means
+            rows["trial"][rows["outcome"] >= Outcome.DROPPED] = [len(each) for each in etas]
         search.tell(number, rows)
         waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+
+
+class Race:
+    """Tells which successes have more trials, written from the contract (docs/robust.md)."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._wanted, self._stages = plan.finalists, plan.stages
+        self._elders: list[tuple[tuple[int, ...], float]] = []
+        """Of the generations before, the cell and the estimate of each success."""
+
+    def promoted(self, found: Rows, etas: list[list[float]], so_far: int) -> list[int]:
+        means = [float(np.mean(each)) for each in etas]
+        chosen = []
+        for place, row in enumerate(found):
+            if len(etas[place]) < so_far:
+                continue  # it was not promoted before
+            others = [
+                *(mean for where, mean in self._elders if self._wanted or where == _cell(row)),
+                *(means[n] for n, other in enumerate(found) if self._wanted or _cell(other) == _cell(row)),
+            ]
+            if self._wanted:
+                rival = sorted(others)[-self._wanted] if len(others) >= self._wanted else 0.0
+            else:
+                others.remove(means[place])
+                rival = max(others, default=np.inf)
+            upper = eta_bounds(np.array(means), np.full(len(means), so_far))[1]
+            chosen += [place] if upper[place] >= rival else []
+        return chosen
+
+    def end(self, found: Rows, etas: list[list[float]]) -> None:
+        if self._stages:
+            self._elders += [
+                (_cell(row), float(np.mean(each))) for row, each in zip(found, etas, strict=True)
+            ]
+
+
+def _cell(row: np.void) -> tuple[int, ...]:
+    return tuple(np.rint(np.float64(row["descriptor"][:3]) * 100).astype(int).tolist())
 
 
 class End:
@@ -127,7 +198,7 @@ class End:
         self._counted += int(is_counted)
         if row["outcome"] >= Outcome.DROPPED:
             self._found += 1
-            cell = tuple(np.rint(np.float64(row["descriptor"][:3]) * 100).astype(int).tolist())
+            cell = _cell(row)
             if cell not in self._cells:
                 self._cells.add(cell)
                 self._fresh = self._counted
@@ -169,11 +240,11 @@ class Spy(Chain):
         super().tell(generation, rows)
 
 
-def asked(pipeline: Pipeline) -> Rows:
+def asked(pipeline: Pipeline, task: Task = CHAIN) -> Rows:
     """All rows that may be asked now, evaluated."""
     parts = [SHAPE.empty(0)]
     while (generation := pipeline.ask()) is not None:
         rows = rows_of(generation.number, generation.genomes)
         rows["index"], rows["trial"] = generation.indices, generation.trials
-        parts.append(evaluate(rows))
+        parts.append(task.evaluate(rows))
     return np.concatenate(parts)

@@ -7,9 +7,21 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Spy, asked, evaluate, reference, rows_of
+from tests.coordinator.scheduler.search_plans import (
+    CHAIN,
+    FEW_CELLS,
+    SHAPE,
+    Plan,
+    Spy,
+    Task,
+    asked,
+    evaluate,
+    reference,
+    rows_of,
+)
 
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.messages import Failure
@@ -25,12 +37,16 @@ PLANS = [
         )
     )
 ]
+PLANS += [
+    Plan(population=p, in_flight=flight, trials=9, few=few, finalists=n, task=FEW_CELLS)
+    for p, flight, few, n in itertools.product((1, 17), (1, 3), ((2,), (2, 5)), (None, 3))
+]
 
 
-def journal(pipeline: Pipeline, seed: int) -> bytes:
+def journal(pipeline: Pipeline, seed: int, task: Task = CHAIN) -> bytes:
     """Run to the end with rows that arrive in random order and portions."""
     chance = random.Random(seed)  # noqa: S311 - dice, not secrets
-    waiting = list(asked(pipeline))
+    waiting = list(asked(pipeline, task))
     found = []
     while pipeline.finished is None:
         assert waiting, "nothing to evaluate, and no end"
@@ -38,7 +54,7 @@ def journal(pipeline: Pipeline, seed: int) -> bytes:
         portion = [waiting.pop() for _ in range(min(len(waiting), chance.randint(1, 4)))]
         found.append(pipeline.settle(np.array(portion)))
         if chance.random() < 0.7 or not waiting:
-            waiting += list(asked(pipeline))
+            waiting += list(asked(pipeline, task))
     assert [stretch.first for stretch in found if len(stretch)] == _firsts(found)
     return b"".join(stretch.rows.tobytes() for stretch in found)
 
@@ -57,7 +73,7 @@ def test_the_journal_is_the_same_whatever_the_order_of_arrival(plan: Plan) -> No
     expected = reference(plan)
     for seed in range(3):
         pipeline = plan.pipeline()
-        assert journal(pipeline, seed) == expected
+        assert journal(pipeline, seed, plan.task) == expected
         assert pipeline.tally.evaluations == plan.evaluations
 
 
@@ -71,7 +87,7 @@ def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
         pipeline.replay(expected[n // 2 : n])
         assert pipeline.tally.rows == n
         rest = []
-        while len(rows := asked(pipeline)):
+        while len(rows := asked(pipeline, plan.task)):
             rest.append(pipeline.settle(rows[::-1]).rows.tobytes())
         assert b"".join(rest) == expected[n:].tobytes()
         assert pipeline.finished is not None
@@ -103,7 +119,7 @@ def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(ove
     journals = {budget: reference(replace(plan, evaluations=budget)) for budget in range(1, 16)}
     whole = rows_in(journals[13])
     for n in range(len(whole) + 1):
-        tally = RunCounter(13, overlaps, trials)
+        tally = RunCounter(13, overlaps, plan.trial_plan)
         tally.count(whole[:n])
         for budget, expected in journals.items():
             asked = msgspec.structs.replace(spec, evaluations=budget)
@@ -263,7 +279,7 @@ class Fertile(Spy):
 
 def fertile(population: int = 4, evaluations: int = 100, trials: int = 3) -> tuple[Fertile, Pipeline]:
     search = Fertile(population)
-    return search, Pipeline(search, SHAPE, evaluations, "count", trials=trials)
+    return search, Pipeline(search, SHAPE, evaluations, "count", trials=TrialPlan((trials,)))
 
 
 def keys_of(rows: Rows) -> list[tuple[int, int]]:
@@ -294,7 +310,8 @@ def test_the_search_hears_the_sum_over_the_trials_as_the_fitness_of_a_success() 
     assert search.calls == ["ask 0", "tell 0", "ask 1"]
     assert search.heard["fitness"].tolist() == [6, 0, 4, 0]
     heard = search.heard.copy()
-    heard["fitness"] = nominal["fitness"]
+    assert heard["trial"].tolist() == [3, 0, 3, 0]
+    heard["fitness"], heard["trial"] = nominal["fitness"], 0
     assert heard.tobytes() == nominal.tobytes()
 
 

@@ -22,6 +22,7 @@ from qdgrasp_coordinator.search.value_search import (
     FULL_ETAS,
     FULL_MARGIN,
     QUALITY_GRAIN,
+    EtaQualities,
     ValueFrontier,
     ValueModel,
     ValueSearch,
@@ -188,3 +189,14 @@ def test_a_margin_counts_as_a_share_of_the_greatest_in_whole_grains_and_none_as_
     assert quality == pytest.approx([share, 0, 0], abs=1 / QUALITY_GRAIN)
     assert quality[0] > 0
     assert (quality * QUALITY_GRAIN % 1 == 0).all()
+
+
+def test_the_quality_of_few_trials_lies_nearer_to_the_mean_of_the_run() -> None:
+    rows = RowShape(genes=1, joints=1).empty(3)
+    rows["fitness"], rows["trial"] = [60, 60, 0], [10, 100, 10]
+    plain, shrunk = (EtaQualities(60.0, prior)(rows) for prior in (0.0, 5.0))
+    assert plain.tolist() == [1, 1, 0]
+    assert shrunk == pytest.approx([(10 + 10 / 3) / 15, (100 + 10 / 3) / 105, 10 / 3 / 15])
+    later = EtaQualities(60.0, 5.0)
+    later(rows[:2])
+    assert later(rows[2:]) == pytest.approx([10 / 3 / 15])

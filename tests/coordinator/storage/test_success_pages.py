@@ -7,13 +7,14 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import NO_ETA, RowContext, success_page
 from qdgrasp_protocol.rows import Rows
 
 TRIALS = 3
-LEGEND = RowContext(TRIALS)
+LEGEND = RowContext(TrialPlan((TRIALS,)))
 
 
 def with_trials(nominal: Rows, seed: int = 1) -> Rows:

@@ -92,7 +92,8 @@ class GraspView(Struct, frozen=True):
     outcome: int
     fitness: float
     words: str  # Meaning of the outcome
-    eta: float | None  # The estimated probability of transfer; None where not all trials are recorded
+    eta: float | None  # The estimated probability of transfer; None where too few trials are recorded
+    trials: int  # Trials that are recorded
     synergy: str  # Name of the synergy; empty: all driven joints close
     cell: Sequence[int]  # (3,)
     base: str  # The hand's root link
@@ -165,6 +166,7 @@ def grasp_view(
         fitness=float(find["fitness"]),
         words=_words(Outcome(find["outcome"])),
         eta=float(find["eta"]) if find["eta"] >= 0 else None,
+        trials=int(find["trials"]),
         synergy=scene.synergies[find["synergy"]] if 0 <= find["synergy"] < len(scene.synergies) else "",
         cell=cells(find["descriptor"]).tolist(),
         base=scene.base,

@@ -122,9 +122,9 @@ class GraspCard {
   }
 }
 
-function figures({ words, fitness, eta, synergy, cell }) {
+function figures({ words, fitness, eta, trials, synergy, cell }) {
   const lines = [["Outcome", words], ["Fitness", String(fitness)]];
-  if (eta !== null) lines.push(["eta", eta.toFixed(3)]);
+  if (eta !== null) lines.push(["eta", `${eta.toFixed(3)} of ${several(trials, "trial")}`]);
   if (synergy) lines.push(["Synergy", synergy]);
   return list([...lines, ["Cell [cm]", cell.join(", ")]]);
 }
