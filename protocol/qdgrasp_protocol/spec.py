@@ -61,7 +61,7 @@ Weights = tuple[float, ...]
 
 
 class FirstWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Weights that the models of the search for value begin with; None: as a search without them."""
+    """Weights that the models of a search for value begin with; None: as without them."""
 
     touch: Weights | None = None
     """P(touch) of a candidate, one for each of its features (docs/methods.md)."""

@@ -1,4 +1,4 @@
-"""Hands on what searches learned: weights that the models of a new run of the same hand begin with.
+"""Warm start: weights that a new run begins with, learned by others of the same hand.
 
 What is handed on is the value of candidates and of cells by their features, no cells: these belong to an
 object. It is learned from journals, by replaying them into their searches.
@@ -27,7 +27,7 @@ SAME_KEYS = ("aim_for", "nominal_protocol", "overlaps")
 """What must be the same of a spec, so that touch and quality mean the same."""
 
 
-class LearnedFrom(Struct, frozen=True):
+class SourceRun(Struct, frozen=True):
     """A run whose journal weights were learned from."""
 
     run: str
@@ -40,7 +40,7 @@ class WarmStart(Struct, frozen=True):
     """Weights for a new run, and where they come from."""
 
     weights: FirstWeights
-    runs: tuple[LearnedFrom, ...]
+    runs: tuple[SourceRun, ...]
 
     @classmethod
     def learned(cls, spec: RunSpec, folders: Sequence[RunFolder]) -> "WarmStart":
@@ -94,7 +94,7 @@ def _check_alike(spec: RunSpec, folder: RunFolder) -> None:
         )
 
 
-def _replayed(folder: RunFolder) -> tuple[ValueSearch, LearnedFrom]:
+def _replayed(folder: RunFolder) -> tuple[ValueSearch, SourceRun]:
     """Return the search of a run, told its journal, which is checked bit for bit."""
     spec, prepared = folder.spec, folder.prepared_scene()
     search = ValueSearch(spec, search_space(prepared.scene, prior_of(spec)))
@@ -105,7 +105,7 @@ def _replayed(folder: RunFolder) -> tuple[ValueSearch, LearnedFrom]:
                 plan.pipeline.replay(rows)
     except ReplayError as error:
         raise InputError(f"{folder.path} cannot be learned from: {error}") from None
-    return search, LearnedFrom(str(folder.path.absolute()), plan.pipeline.tally.rows)
+    return search, SourceRun(str(folder.path.absolute()), plan.pipeline.tally.rows)
 
 
 def _pooled(name: str, searches: Iterable[ValueSearch]) -> tuple[float, ...] | None:

@@ -36,16 +36,16 @@ class LogisticRegression:
 
     The last feature is constant.
 
-    `start` (features,) are the weights until the first fit, and the mean of their prior, of precision
-    `ridge`, in all fits. With `own_units` the unit of each feature is its standard deviation, instead of 1:
-    what is small then counts as much as what is large.
+    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits; there is
+    one after every `interval` examples. With `own_units` the unit of each feature is its standard deviation,
+    instead of 1: what is small then counts as much as what is large.
     """
 
-    def __init__(self, start: ArrayLike, *, own_units: bool = False, ridge: float = RIDGE) -> None:
+    def __init__(self, start: ArrayLike, *, own_units: bool = False, interval: int = FIT_INTERVAL) -> None:
         self._start = _quantised(np.asarray(start, np.float64))
         self.weights: Floats = self._start  # One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`
         self.own_units = own_units
-        self._ridge = ridge
+        self._interval = interval
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
         self._successes = np.zeros(EXAMPLES_KEPT)
         self._seen = 0
@@ -59,10 +59,10 @@ class LogisticRegression:
         self._seen += len(features)
         known = min(self._seen, EXAMPLES_KEPT)
         found = float(self._successes[:known].sum())
-        if self._seen - self._fitted >= FIT_INTERVAL and min(found, known - found) >= LEAST_EXAMPLES:
+        if self._seen - self._fitted >= self._interval and min(found, known - found) >= LEAST_EXAMPLES:
             self._fitted = self._seen
             features, examples = self.examples
-            precision = self._ridge * (_variances(features) if self.own_units else np.ones(len(self._start)))
+            precision = RIDGE * (_variances(features) if self.own_units else np.ones(len(self._start)))
             self.weights = _quantised(fit(features, examples, self._start, precision))
 
     @property

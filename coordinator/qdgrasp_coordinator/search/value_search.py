@@ -41,7 +41,7 @@ STARTS = {
     "cell_quality": FIRST_QUALITY_WEIGHTS,
 }
 """Weights that models begin with, by their names in `FirstWeights`, where a spec has none for them."""
-LEARNED_RIDGE = 1.0  # Precision of weights that other runs learned, as `RIDGE`
+DOUBT_INTERVAL = 64  # Examples between two fits of a model that begins with what other runs learned
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
@@ -67,10 +67,10 @@ def check_first_weights(spec: RunSpec) -> None:
 
 
 def first_model(name: str, first: Weights | None, *, own_units: bool = False) -> LogisticRegression:
-    """Return a model that begins with weights of other runs; None: with those of its name in `STARTS`."""
+    """Return a model that begins with weights of other runs; None: with its own in `STARTS`."""
     if first is None:
         return LogisticRegression(STARTS[name], own_units=own_units)
-    return LogisticRegression(first, own_units=own_units, ridge=LEARNED_RIDGE)
+    return LogisticRegression(first, own_units=own_units, interval=DOUBT_INTERVAL)
 
 
 Qualities = Callable[[Rows], Floats]
