@@ -19,15 +19,16 @@ from qdgrasp_coordinator.search.success_model import pooled_weights
 from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import ORIGIN
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import InputError, ReplayError
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
 
 SAME_KEYS = ("aim_for", "nominal_protocol", "overlaps")
 """What must be the same of a spec, so that touch and quality mean the same."""
 
 
-class SourceRun(Struct, frozen=True):
+class WarmStartRun(Struct, frozen=True):
     """A run whose journal weights were learned from."""
 
     run: str
@@ -40,7 +41,7 @@ class WarmStart(Struct, frozen=True):
     """Weights for a new run, and where they come from."""
 
     weights: FirstWeights
-    runs: tuple[SourceRun, ...]
+    runs: tuple[WarmStartRun, ...]
 
     @classmethod
     def learned(cls, spec: RunSpec, folders: Sequence[RunFolder]) -> "WarmStart":
@@ -57,17 +58,31 @@ class WarmStart(Struct, frozen=True):
         for folder in folders:
             _check_alike(spec, folder)
         replayed = [_replayed(folder) for folder in folders]
-        weights = {name: _pooled(name, (search for search, _ in replayed)) for name in STARTS}
-        if not any(weights.values()):
+        weights = learned_weights([search for search, _ in replayed])
+        if weights == FirstWeights():
             raise InputError(
                 f"{', '.join(str(folder.path) for folder in folders)} found too few successes or failures to "
                 "learn from; go on with a run, or name others."
             )
-        return cls(FirstWeights(**weights), tuple(origin for _, origin in replayed))
+        return cls(weights, tuple(origin for _, origin in replayed))
 
     def write(self, folder: RunFolder) -> None:
         """Note in the new run's folder which runs its weights were learned from."""
         atomic_files.replace(folder.path / ORIGIN, msgspec.json.encode({"runs": self.runs}))
+
+
+def learned_weights(searches: Sequence[ValueSearch]) -> FirstWeights:
+    """Return weights by what searches were told; None where that is too little."""
+    return FirstWeights(**{name: _pooled(name, searches) for name in STARTS})
+
+
+def replayed_search(spec: RunSpec, prepared: PreparedScene, blocks: Iterable[Rows]) -> ValueSearch:
+    """Return a run's search, told its journal; raise ReplayError where it did not ask that."""
+    search = ValueSearch(spec, search_space(prepared.scene, prior_of(spec)))
+    plan = plan_run(spec, prepared, search=search)
+    for rows in blocks:
+        plan.pipeline.replay(rows)
+    return search
 
 
 def _check_alike(spec: RunSpec, folder: RunFolder) -> None:
@@ -94,22 +109,17 @@ def _check_alike(spec: RunSpec, folder: RunFolder) -> None:
         )
 
 
-def _replayed(folder: RunFolder) -> tuple[ValueSearch, SourceRun]:
-    """Return the search of a run, told its journal, which is checked bit for bit."""
-    spec, prepared = folder.spec, folder.prepared_scene()
-    search = ValueSearch(spec, search_space(prepared.scene, prior_of(spec)))
-    plan = plan_run(spec, prepared, search=search)
+def _replayed(folder: RunFolder) -> tuple[ValueSearch, WarmStartRun]:
     try:
         with folder.journal() as journal:
-            for rows in journal.blocks():
-                plan.pipeline.replay(rows)
+            origin = WarmStartRun(str(folder.path.absolute()), journal.count)
+            return replayed_search(folder.spec, folder.prepared_scene(), journal.blocks()), origin
     except ReplayError as error:
         raise InputError(f"{folder.path} cannot be learned from: {error}") from None
-    return search, SourceRun(str(folder.path.absolute()), plan.pipeline.tally.rows)
 
 
-def _pooled(name: str, searches: Iterable[ValueSearch]) -> tuple[float, ...] | None:
-    """Return weights of a model by the examples of all; None: they tell nothing of it."""
+def _pooled(name: str, searches: Sequence[ValueSearch]) -> tuple[float, ...] | None:
+    """Return weights of a model by the examples of all, as far as genes can hold them."""
     weights = pooled_weights([search.models[name] for search in searches], STARTS[name])
     if weights is None:
         return None
