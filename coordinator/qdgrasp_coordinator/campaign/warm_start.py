@@ -14,7 +14,7 @@ from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import STEEPEST_VALUE
 from qdgrasp_coordinator.scheduler.run_plan import plan_run
 from qdgrasp_coordinator.search.base import search_space
-from qdgrasp_coordinator.search.registry import check_spec, learns_value, prior_of
+from qdgrasp_coordinator.search.registry import learns_value, prior_of
 from qdgrasp_coordinator.search.success_model import pooled_weights
 from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
 from qdgrasp_coordinator.storage import atomic_files
@@ -88,7 +88,6 @@ def replayed_search(spec: RunSpec, prepared: PreparedScene, blocks: Iterable[Row
 def _check_alike(spec: RunSpec, folder: RunFolder) -> None:
     """Check that what a run learned means the same in a run of `spec`."""
     source = folder.spec
-    check_spec(source)
     if not learns_value(source):
         raise InputError(
             f"{folder.path} has learned no value that could be handed on: its method is '{source.method}' "

@@ -41,7 +41,8 @@ STARTS = {
     "cell_quality": FIRST_QUALITY_WEIGHTS,
 }
 """Weights that models begin with, by their names in `FirstWeights`, where a spec has none for them."""
-DOUBT_INTERVAL = 64  # Examples between two fits of a model that begins with what other runs learned
+DOUBT_INTERVAL = 64
+"""Examples between two fits of a model that begins with what other runs learned, which may mislead."""
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
