@@ -62,6 +62,22 @@ AimFor = Literal["hold", "touch", "eta", "margin"]
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
+Weights = tuple[float, ...]
+
+
+class FirstWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Weights that the models of a search for value begin with; None: as without them."""
+
+    touch: Weights | None = None
+    """P(touch) of a candidate, one for each of its features (docs/methods.md)."""
+    quality: Weights | None = None
+    """Quality of a candidate that touches."""
+    cell_touch: Weights | None = None
+    """P(touch) in a cell, one for each of its features."""
+    cell_quality: Weights | None = None
+    """Quality of a grasp that touches in a cell."""
+
+
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
 """Unit of a key's value, for errors."""
 STOP_KEYS = ("evaluations", "successes", "no_new_cell")
@@ -122,6 +138,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     x y z [m], qx qy qz qw, then synergy label and free joints [rad] where the hand has them; decimals that
     float32 gives back.
     """
+    first_weights: FirstWeights | None = None
+    """What other runs learned, for the method `aimed` (`--warm-start`); None: begin from nothing."""
 
     @property
     def nominal_protocol(self) -> str:
@@ -208,15 +226,17 @@ def differences(one: RunSpec, other: RunSpec) -> list[str]:
 
 def to_values(spec: RunSpec) -> dict[str, Any]:
     """Return the full spec as plain values, without fields that have no value."""
-    return {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
+    values = msgspec.structs.asdict(spec)
+    return {key: msgspec.to_builtins(value) for key, value in values.items() if value is not None}
 
 
 def to_toml(spec: RunSpec) -> str:
     """Return the full spec as TOML, without fields that have no value; each pose on a line."""
     values = to_values(spec)
-    poses = values.pop("poses", ())
+    poses, learned = values.pop("poses", ()), values.pop("first_weights", None)
     lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)
-    return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "")
+    table = "" if learned is None else tomli_w.dumps({"first_weights": learned})
+    return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "") + table
 
 
 def _expected_value(kind: Any) -> str:
@@ -230,6 +250,8 @@ def _expected_value(kind: Any) -> str:
         return "text"
     if isinstance(info, msgspec.inspect.VarTupleType):
         return f"1 to {MAX_POPULATION} lists of numbers"
+    if isinstance(info, msgspec.inspect.StructType):
+        return f"a table with lists of numbers, of {', '.join(field.name for field in info.fields)}"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
     limits = {word: getattr(info, name, None) for name, word in words.items()}
     bounds = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from benchmarks import ablation, figure, limits, single_run
+from benchmarks import ablation, figure, limits, single_run, warm_start
 from benchmarks.coordination import METHODS, Coordinator
 from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, Profile
 from benchmarks.measure import Figure, Ledger, Meter, Subject, in_turns, number, spread
@@ -64,6 +64,29 @@ def test_what_is_in_is_not_carried_out_again(tmp_path, monkeypatch):
     assert json.dumps(measured(tmp_path / "runs", ["aimed"])) == json.dumps(once)  # NaN equals itself in text
     with pytest.raises(TypeError):
         measured(tmp_path / "runs", ["aimed", "no gate"])
+
+
+def test_a_warm_start_is_measured_beside_a_search_from_nothing(monkeypatch, capsys):
+    words = [
+        "-",
+        "--sources",
+        "mug",
+        "--source-evaluations",
+        "60",
+        "--objects",
+        "tennis_ball",
+        "--evaluations",
+        "60",
+    ]
+    monkeypatch.setattr("sys.argv", words)
+    monkeypatch.setattr(warm_start, "MILESTONES", (30, 60, 1000))
+    warm_start.main()
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(line["handed_on"], line["evaluations"]) for line in lines] == [
+        ("nothing", [30, 60]),
+        ("all", [30, 60]),
+    ]
+    assert all(line["genomes"][1] >= 60 > line["cells_that_hold"][1] > 0 for line in lines)
 
 
 @pytest.fixture(scope="module")

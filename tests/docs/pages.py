@@ -104,6 +104,7 @@ ELSEWHERE = {
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
     r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
     r"ssh ": "needs another machine",
+    r"qdgrasp run .*--warm-start": "needs runs of some hundred evaluations; it has tests of its own",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
     r"qdgrasp campaign deploy/campaigns/paper(-medium)?\.toml(?! --list)": "takes days",
 }

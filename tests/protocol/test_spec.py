@@ -10,6 +10,7 @@ from qdgrasp_protocol import spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.spec import (
     AimFor,
+    FirstWeights,
     Overlaps,
     ProtocolName,
     RunSpec,
@@ -21,6 +22,7 @@ from qdgrasp_protocol.spec import (
 
 LEAST = {"gripper": "panda", "object": "mug"}
 POSITIVE = {"min_value": 1e-6, "allow_nan": False}
+WEIGHTS = st.none() | st.lists(st.floats(allow_nan=False)).map(tuple)
 SPECS = st.builds(
     RunSpec,
     gripper=st.text(),
@@ -41,6 +43,7 @@ SPECS = st.builds(
     surface_seed=st.integers(0, 2**63 - 1),
     poses=st.none()
     | st.lists(st.lists(st.floats(width=32, allow_nan=False)).map(tuple), min_size=1).map(tuple),
+    first_weights=st.none() | st.builds(FirstWeights, touch=WEIGHTS, cell_quality=WEIGHTS),
 )
 
 
@@ -98,6 +101,9 @@ def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
         ("protocol", "papr", "one of 'paper', 'released'"),
         ("overlaps", "ignore", "one of 'count', 'redraw'"),
         ("aim_for", "grip", "one of 'hold', 'touch', 'eta', 'margin'"),
+        ("first_weights", {"touch": ["a"]}, "a table with lists of numbers, of touch, quality, cell_touch"),
+        ("first_weights", {"tuch": [1.0]}, "a table with lists of numbers, of touch, quality, cell_touch"),
+        ("first_weights", [1.0], "a table with lists of numbers"),
         ("gripper", 3, "text"),
         ("method", ["a"], "text"),
     ],

@@ -12,6 +12,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign import ranking
 from qdgrasp_coordinator.campaign.campaign_folder import extend_run
 from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.campaign.warm_start import WarmStart
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
@@ -94,6 +95,10 @@ def run(
         int | None, typer.Option(help="Generations asked before the first is told; default: the method's.")
     ] = None,
     surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
+    warm_start: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN", help="Begin with what this run of the same hand learned; repeatable."),
+    ] = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
@@ -106,6 +111,8 @@ def run(
     """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
 
     Example: qdgrasp run --gripper panda --object mug --evaluations 10000 --seed 1
+
+    Example: qdgrasp run --gripper panda --object bowl --warm-start runs/panda-mug-aimed-s1
     """
     flags = options.given(
         gripper=gripper,
@@ -137,7 +144,14 @@ def run(
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
-    start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)
+    place = out or Path("runs") / run_plan.default_run_name(asked)
+    if not warm_start:
+        start_run(asked, place, config, job)
+        return
+    learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
+    start_run(
+        msgspec.structs.replace(asked, first_weights=learned.weights), place, config, job, learned.write
+    )
 
 
 def start_run(

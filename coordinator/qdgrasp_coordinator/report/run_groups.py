@@ -3,6 +3,7 @@
 Runs of one hand can be pooled over its objects: what a method reached on all of them, on average.
 """
 
+import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -186,6 +187,8 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
 def _settings(spec: RunSpec) -> dict[str, Any]:
     """Return the settings of a run; without a recorded objective `aimed` aimed for touch."""
     values = {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+    if spec.first_weights is not None:
+        values["first_weights"] = hashlib.sha256(repr(spec.first_weights).encode()).hexdigest()[:8]
     return values | ({"aim_for": spec.aim_for or "touch"} if METHODS[spec.method].aim_for else {})
 
 

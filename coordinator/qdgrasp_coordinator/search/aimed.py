@@ -17,6 +17,7 @@ New in this project, not from the paper.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy as np
 from qdgrasp_assets.genes import MOST_CANDIDATES, NU_A, RANKING_GENES
 from qdgrasp_assets.geometry.rotation import Floats, tangents, turned
 from qdgrasp_coordinator.metrics.cells import PER_METRE
+from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import ANYWHERE, EliteStore, Frontier, Places
 from qdgrasp_coordinator.search.success_model import ValueThreshold
@@ -168,7 +170,11 @@ class AimedSearch(ABC):
     """
 
     def __init__(
-        self, spec: RunSpec, space: SearchSpace, frontier: type[Frontier], threshold: ValueThreshold
+        self,
+        spec: RunSpec,
+        space: SearchSpace,
+        frontier: Callable[[PositionBox, float, tuple[float, float]], Frontier],
+        threshold: ValueThreshold,
     ) -> None:
         self._spec = spec
         self._space = space

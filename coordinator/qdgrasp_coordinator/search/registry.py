@@ -14,7 +14,7 @@ from qdgrasp_coordinator.search import cma_mae, fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
 from qdgrasp_coordinator.search.touch_search import TouchSearch
-from qdgrasp_coordinator.search.value_search import ValueSearch
+from qdgrasp_coordinator.search.value_search import ValueSearch, check_first_weights
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import GIVEN, trial_count
 from qdgrasp_protocol.spec import AimFor, Overlaps, RunSpec
@@ -80,6 +80,11 @@ def _family(
 def aims_for_touch(spec: RunSpec) -> bool:
     """Return whether a spec of method `aimed` asks for contact alone, as before 0.2.0."""
     return spec.aim_for in (None, "touch")
+
+
+def learns_value(spec: RunSpec) -> bool:
+    """Return whether a spec's search has the models that `first_weights` are for."""
+    return method(spec.method) is AIMED and not aims_for_touch(spec)
 
 
 def check_objective(spec: RunSpec) -> None:
@@ -176,4 +181,8 @@ def check_spec(spec: RunSpec) -> None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
+    if spec.first_weights is not None and not learns_value(spec):
+        whose = f"method '{spec.method}'" + (f" with aim_for '{spec.aim_for}'" if spec.aim_for else "")
+        raise ImpossibleValue("first_weights", "a table", f"left out for {whose}, which has no such models")
+    check_first_weights(spec)
     chosen.check(spec)

@@ -5,6 +5,8 @@ up to a point, which is a share of genomes that are simulated. A cell that gave 
 and for less each time.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,15 +36,16 @@ class LogisticRegression:
 
     The last feature is constant.
 
-    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits. With
-    `own_units` the unit of each feature is its standard deviation, instead of 1: what is small then counts as
-    much as what is large.
+    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits; there is
+    one after every `interval` examples. With `own_units` the unit of each feature is its standard deviation,
+    instead of 1: what is small then counts as much as what is large.
     """
 
-    def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:
+    def __init__(self, start: ArrayLike, *, own_units: bool = False, interval: int = FIT_INTERVAL) -> None:
         self._start = _quantised(np.asarray(start, np.float64))
         self.weights: Floats = self._start  # One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`
-        self._own_units = own_units
+        self.own_units = own_units
+        self._interval = interval
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
         self._successes = np.zeros(EXAMPLES_KEPT)
         self._seen = 0
@@ -56,15 +59,43 @@ class LogisticRegression:
         self._seen += len(features)
         known = min(self._seen, EXAMPLES_KEPT)
         found = float(self._successes[:known].sum())
-        if self._seen - self._fitted >= FIT_INTERVAL and min(found, known - found) >= LEAST_EXAMPLES:
+        if self._seen - self._fitted >= self._interval and min(found, known - found) >= LEAST_EXAMPLES:
             self._fitted = self._seen
-            features, examples = self._features[:known], self._successes[:known]
-            precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
+            features, examples = self.examples
+            precision = RIDGE * (_variances(features) if self.own_units else np.ones(len(self._start)))
             self.weights = _quantised(fit(features, examples, self._start, precision))
+
+    @property
+    def examples(self) -> tuple[Floats, Floats]:
+        """The examples that a fit looks at: features (n, k), and how much of a success each is (n,)."""
+        known = min(self._seen, EXAMPLES_KEPT)
+        return self._features[:known], self._successes[:known]
 
     def likely(self, features: Floats) -> Floats:
         """The probability (n,) of success for features (n, k)."""
         return _likely(features, self.weights)
+
+
+def pooled_weights(models: Sequence[LogisticRegression], start: ArrayLike) -> Floats | None:
+    """Return weights (k,) of one fit to the examples of several models of the same features.
+
+    Each model has a constant of its own, so that how often objects are touched or hold is not laid to
+    features in which they differ as well; the last weight is the mean of these. `start` (k,) is the mean of
+    their prior. None: successes or failures are too few.
+    """
+    features, successes = (np.concatenate([model.examples[i] for model in models]) for i in range(2))
+    if min(successes.sum(), len(successes) - successes.sum()) < LEAST_EXAMPLES:
+        return None
+    m, first = len(models), np.asarray(start, np.float64)
+    constants = np.repeat(np.eye(m), [len(model.examples[1]) for model in models], axis=0)
+    units = _variances(features) if models[0].own_units else np.ones(len(first))
+    weights = fit(
+        np.concatenate([features[:, :-1], constants], axis=1),
+        successes,
+        np.append(first[:-1], np.repeat(first[-1], m)),
+        RIDGE * np.append(units[:-1], np.ones(m)),
+    )
+    return _quantised(np.append(weights[:-m], weights[-m:].mean()))
 
 
 def fit(features: Floats, successes: Floats, mean: Floats, precision: Floats) -> Floats:

@@ -13,7 +13,9 @@ Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`
 
 import math
 from collections.abc import Callable
+from functools import partial
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,14 +26,24 @@ from qdgrasp_coordinator.search.aimed import AimedSearch
 from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, Frontier, Places, outcome_ranks
-from qdgrasp_coordinator.search.success_model import LogisticRegression, ValueThreshold
+from qdgrasp_coordinator.search.success_model import WEIGHT_GRAIN, LogisticRegression, ValueThreshold
+from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, trial_count
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import FirstWeights, RunSpec, Weights
 
 FIRST_TOUCH_WEIGHTS = (1.0, -5.0, 3.0, 0.0, 1.0, 2.0)
 """Weights of a cell's features for P(touch) before the first fit."""
 FIRST_QUALITY_WEIGHTS = (0.0, 0.0, 0.0, 3.0, -0.5, -1.0)
 """The same for the quality of a grasp that touches."""
+STARTS = {
+    "touch": (0.0,) * len(VALUE_FEATURES),
+    "quality": (0.0,) * len(VALUE_FEATURES),
+    "cell_touch": FIRST_TOUCH_WEIGHTS,
+    "cell_quality": FIRST_QUALITY_WEIGHTS,
+}
+"""Weights that models begin with, by their names in `FirstWeights`, where a spec has none for them."""
+DOUBT_INTERVAL = 64
+"""Examples between two fits of a model that begins with what other runs learned, which may mislead."""
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
@@ -43,6 +55,28 @@ PRIOR_TRIALS = 2.0
 etas is 2.3 for the Panda on the cube (base `physical`)."""
 QUALITY_GRAIN = 1024
 """Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
+
+NO_WEIGHTS = FirstWeights()
+
+
+def check_first_weights(spec: RunSpec) -> None:
+    """Check that the weights which a spec begins with fit the models, in whole grains."""
+    for name, weights in msgspec.structs.asdict(spec.first_weights or NO_WEIGHTS).items():
+        key, n = f"first_weights.{name}", len(STARTS[name])
+        if weights is not None and len(weights) != n:
+            raise ImpossibleValue(key, f"{len(weights)} of them", f"{n} numbers, one for each feature")
+        grains = WEIGHT_GRAIN * np.asarray(weights or (), np.float64)
+        if not ((np.abs(grains) <= WEIGHT_GRAIN * STEEPEST_VALUE) & (grains == np.rint(grains))).all():
+            expected = f"multiples of 1/{WEIGHT_GRAIN} from {-STEEPEST_VALUE:g} to {STEEPEST_VALUE:g}"
+            raise ImpossibleValue(key, weights, expected)
+
+
+def first_model(name: str, first: Weights | None, *, own_units: bool = False) -> LogisticRegression:
+    """Return a model that begins with weights of other runs; None: with its own in `STARTS`."""
+    if first is None:
+        return LogisticRegression(STARTS[name], own_units=own_units)
+    return LogisticRegression(first, own_units=own_units, interval=DOUBT_INTERVAL)
+
 
 Qualities = Callable[[Rows], Floats]
 """The quality (n,) of successes (n,), 0 to 1."""
@@ -89,10 +123,16 @@ def _quantised_quality(values: Floats) -> Floats:
 class ValueFrontier(Frontier):
     """Cells beside successes and those of successes, with the best quality of each."""
 
-    def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
+    def __init__(
+        self,
+        box: PositionBox,
+        reach: float,
+        within: tuple[float, float] = ANYWHERE,
+        first: FirstWeights = NO_WEIGHTS,
+    ) -> None:
         super().__init__(box, reach, within)
-        self._touch = LogisticRegression(FIRST_TOUCH_WEIGHTS)
-        self._quality = LogisticRegression(FIRST_QUALITY_WEIGHTS)
+        self._touch = first_model("cell_touch", first.cell_touch)
+        self._quality = first_model("cell_quality", first.cell_quality)
         self._best = np.zeros(self.size)
         self._best_around = np.zeros(self.size)
         self._is_known = np.zeros(self.size, np.bool_)
@@ -161,15 +201,14 @@ class ValueFrontier(Frontier):
 class ValueModel:
     """The models that rank candidates, by the features that the prior `valued` gives of a pose."""
 
-    def __init__(self) -> None:
-        start = np.zeros(len(VALUE_FEATURES))
-        self._touch = LogisticRegression(start, own_units=True)
-        self._quality = LogisticRegression(start, own_units=True)
+    def __init__(self, first: FirstWeights = NO_WEIGHTS) -> None:
+        self._touch = first_model("touch", first.touch, own_units=True)
+        self._quality = first_model("quality", first.quality, own_units=True)
 
     def ranking(self, wanted: Floats) -> Floats:
         """Return weights of both models, and the value wanted of candidates: (n, w).
 
-        All zero before the first fit.
+        All zero before the first fit, unless other runs' weights were handed on.
         """
         weights = np.zeros((len(wanted), RANKING_GENES[VALUED]))
         if self._touch.weights.any():
@@ -192,9 +231,18 @@ class ValueSearch(AimedSearch):
     _frontier: ValueFrontier
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
-        super().__init__(spec, space, ValueFrontier, ValueThreshold(WANTED, LEAST_SHARE))
+        first = spec.first_weights or NO_WEIGHTS
+        frontier = partial(ValueFrontier, first=first)
+        super().__init__(spec, space, frontier, ValueThreshold(WANTED, LEAST_SHARE))
         self._qualities = quality_measure(spec, space)
-        self._model = ValueModel()
+        self._model = ValueModel(first)
+
+    @property
+    def models(self) -> dict[str, LogisticRegression]:
+        """Its models, by their names in `FirstWeights`."""
+        model, frontier = self._model, self._frontier
+        each = (model._touch, model._quality, frontier._touch, frontier._quality)
+        return dict(zip(STARTS, each, strict=True))
 
     def tell(self, generation: int, rows: Rows) -> None:
         """Learn from reached cells, dead ends and the features of simulated poses."""

@@ -25,10 +25,11 @@ JOB, ENDPOINT, LOCK, SUPERVISED = "job.json", "endpoint", "lock", "supervised"
 CAMPAIGN, LOGS, RUNS = "campaign.toml", "logs", "runs"
 SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
 SOURCE, RANKING = "source.json", "ranking.csv"  # Of a run that scores the grasps of another one again
+ORIGIN = "warm_start.json"  # Of a run that begins with what others learned
 MARKS = (JOB, CAMPAIGN, SCENE, JOURNAL)
 """Files that each mark the folder of a run or job, also where others are missing."""
 PARTS = frozenset(
-    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING]
+    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, ORIGIN]
     + [JOURNAL + suffix for suffix in ("-wal", "-shm")]
 )
 

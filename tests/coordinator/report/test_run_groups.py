@@ -29,6 +29,7 @@ from qdgrasp_coordinator.report.run_groups import (
 from qdgrasp_coordinator.report.run_history import RunHistory
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.spec import FirstWeights
 
 
 def test_runs_that_differ_in_their_seed_alone_are_one_entry() -> None:
@@ -61,6 +62,16 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
     assert [(group.name, len(group.runs)) for group in found] == [
         ("me_scs mutation sigma 0.05", 2), ("me_scs mutation sigma 0.3", 2), ("cma_mae", 1),
     ]  # fmt: skip
+
+
+def test_runs_with_and_without_a_warm_start_are_variants() -> None:
+    starts = [None, *(FirstWeights(touch=(weight,)) for weight in (0.5, 1.0, 1.0))]
+    found = group_runs([made("aimed", climb(1), seed=i, first_weights=one) for i, one in enumerate(starts)])
+    assert sorted(len(group.runs) for group in found) == [1, 1, 2]
+    assert (
+        next(group for group in found if group.runs[0].spec.seed == 0).name == "aimed first weights default"
+    )
+    assert len({group.name for group in found}) == 3
 
 
 def test_the_usual_variant_of_a_method_is_the_one_nearest_to_the_defaults() -> None:

@@ -16,10 +16,12 @@ from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, check_spec, method, prior_of
+from qdgrasp_coordinator.search.value_search import FIRST_TOUCH_WEIGHTS
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import FirstWeights, RunSpec
 
+WEIGHTS = FIRST_TOUCH_WEIGHTS
 GENES = 7
 SHAPE = RowShape(genes=GENES, joints=2)
 GENERATIONS = 6
@@ -198,9 +200,36 @@ def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
             {"aim_for": "touch", "method": "given"},
             "aim_for must be left out for method 'given', which has none, got",
         ),
+        *[
+            (
+                values | {"first_weights": FirstWeights(touch=(0.5,))},
+                "first_weights must be left out for " + whose,
+            )
+            for values, whose in (
+                ({"method": "me_scs"}, "method 'me_scs', which has no such models, got"),
+                ({"aim_for": "touch"}, "method 'aimed' with aim_for 'touch', which has no such models, got"),
+            )
+        ],
+        *[
+            (
+                {"aim_for": "hold", "first_weights": FirstWeights(cell_touch=weights)},
+                f"first_weights.cell_touch must be {expected}",
+            )
+            for weights, expected in (
+                ((), f"{len(WEIGHTS)} numbers, one for each feature, got '0 of them'"),
+                (
+                    WEIGHTS[1:],
+                    f"{len(WEIGHTS)} numbers, one for each feature, got '{len(WEIGHTS) - 1} of them'",
+                ),
+                ((*WEIGHTS[1:], 0.3), "multiples of 1/64 from -64 to 64, got"),
+                ((*WEIGHTS[1:], 65.0), "multiples of 1/64 from -64 to 64, got"),
+                ((*WEIGHTS[1:], np.nan), "multiples of 1/64 from -64 to 64, got"),
+                ((*WEIGHTS[1:], np.inf), "multiples of 1/64 from -64 to 64, got"),
+            )
+        ],
     ],
 )
-def test_an_objective_that_cannot_be_sought_is_refused_in_one_sentence(values, words) -> None:
+def test_what_a_search_cannot_do_is_refused_in_one_sentence(values, words) -> None:
     with pytest.raises(ImpossibleValue) as refused:
         check_spec(spec(**values))
     assert str(refused.value).startswith(words)
