@@ -18,10 +18,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 238  # 5 of them for recorded contacts, margins and `physical`, 3 for the search for value
-MOST_LINES = 45_400
-MOST_TEST_FILES = 268
-MOST_TEST_LINES = 46_950
+MOST_MODULES = 239  # 5 of them for recorded contacts, margins and `physical`, 4 for value and kinds
+MOST_LINES = 45_850
+MOST_TEST_FILES = 269
+MOST_TEST_LINES = 47_130
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500

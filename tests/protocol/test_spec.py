@@ -10,6 +10,7 @@ from qdgrasp_protocol import spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.spec import (
     AimFor,
+    DiversityName,
     Overlaps,
     ProtocolName,
     RunSpec,
@@ -31,6 +32,8 @@ SPECS = st.builds(
     method=st.text(),
     protocol=st.sampled_from(get_args(ProtocolName)),
     aim_for=st.none() | st.sampled_from(get_args(AimFor)),
+    diversity=st.none() | st.sampled_from(get_args(DiversityName)),
+    grasps_per_cell=st.none() | st.integers(1, 60),
     evaluations=st.integers(1, 10**9),
     seed=st.integers(0, 2**63 - 1),
     overlaps=st.sampled_from(get_args(Overlaps)),
@@ -98,6 +101,8 @@ def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
         ("protocol", "papr", "one of 'paper', 'released'"),
         ("overlaps", "ignore", "one of 'count', 'redraw'"),
         ("aim_for", "grip", "one of 'hold', 'touch', 'eta', 'margin'"),
+        ("diversity", "roll", "one of 'position', 'orientation', 'posture'"),
+        ("grasps_per_cell", 61, "a whole number at least 1 and at most 60"),
         ("gripper", 3, "text"),
         ("method", ["a"], "text"),
     ],

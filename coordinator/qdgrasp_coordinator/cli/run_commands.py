@@ -16,7 +16,6 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.metrics.niches import niches
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.report.row_report import synergy_reader
 from qdgrasp_coordinator.scheduler import run_plan
@@ -28,7 +27,15 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
-from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.spec import (
+    DEFAULT_METHOD,
+    MAX_POPULATION,
+    OBJECTIVE_KEYS,
+    RunSpec,
+    read_run_spec,
+    run_spec,
+    to_values,
+)
 from qdgrasp_protocol.text import counted
 
 
@@ -67,6 +74,8 @@ def run(
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
     aim_for: options.AimFor = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
     no_new_cell: options.NoNewCell = None,
@@ -113,6 +122,8 @@ def run(
         protocol=protocol,
         base=base,
         aim_for=aim_for,
+        diversity=diversity,
+        grasps_per_cell=grasps_per_cell,
         evaluations=evaluations,
         successes=successes,
         no_new_cell=no_new_cell,
@@ -227,8 +238,12 @@ def rerank(
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
     by_niche: Annotated[
-        bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--niches/--cells",
+            help="Take the best of each niche, cell, orientation and synergy, or cell; default: as searched.",
+        ),
+    ] = None,
     max_penetration: options.MaxPenetration = None,
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
@@ -269,7 +284,8 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
-    chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
+    kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
+    chosen = ranking.best_of_kinds(found, top, kinds)
     spec = rerank_spec(source, protocol, base, chosen)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
@@ -323,7 +339,7 @@ def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows
         "overlaps": "count",
         "poses": poses,
     }
-    return run_spec({key: value for key, value in values.items() if key != "aim_for"}, "rerank")
+    return run_spec({key: value for key, value in values.items() if key not in OBJECTIVE_KEYS}, "rerank")
 
 
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")

@@ -13,6 +13,7 @@ from qdgrasp_assets import genes
 from qdgrasp_coordinator.search import cma_mae, fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
+from qdgrasp_coordinator.search.niche_search import NicheSearch
 from qdgrasp_coordinator.search.touch_search import TouchSearch
 from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
@@ -82,10 +83,34 @@ def aims_for_touch(spec: RunSpec) -> bool:
     return spec.aim_for in (None, "touch")
 
 
+def _aimed_search(spec: RunSpec) -> BuildSearch:
+    """Return the search that a spec of method `aimed` asks for."""
+    if aims_for_touch(spec):
+        return TouchSearch
+    return ValueSearch if by_position(spec) else NicheSearch
+
+
+def by_position(spec: RunSpec) -> bool:
+    """Return whether a spec tells grasps apart by their cell alone."""
+    return spec.diversity in (None, "position")
+
+
 def check_objective(spec: RunSpec) -> None:
-    """Check that the spec's protocol tells how good a grasp is in the sense of its objective."""
+    """Check that the search can tell how good a grasp is, and of what kind, by its spec."""
+    if aims_for_touch(spec):
+        _check_no_kinds(spec, "aim_for = 'touch', which fills cells with first touches")
+    if by_position(spec) and (spec.grasps_per_cell or 1) > 1:
+        raise ImpossibleValue(
+            "grasps_per_cell", spec.grasps_per_cell, "1 for diversity = 'position', which tells cells apart"
+        )
     if spec.aim_for == "eta" and not trial_count(spec.protocol):
         raise ImpossibleValue("protocol", spec.protocol, "'robust' for aim_for = 'eta', which trials measure")
+
+
+def _check_no_kinds(spec: RunSpec, reason: str) -> None:
+    for name in ("diversity", "grasps_per_cell"):
+        if (value := getattr(spec, name)) is not None:
+            raise ImpossibleValue(name, value, f"left out for {reason}")
 
 
 PAPER = [
@@ -117,7 +142,7 @@ PAPER = [
 AIMED = Method(
     "aimed",
     genes.VALUED,
-    lambda spec, space: (TouchSearch if aims_for_touch(spec) else ValueSearch)(spec, space),
+    lambda spec, space: _aimed_search(spec)(spec, space),
     check_objective,
     "redraw",
     50,
@@ -174,6 +199,8 @@ def check_spec(spec: RunSpec) -> None:
     chosen = method(spec.method)
     if spec.aim_for is not None and chosen.aim_for is None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
+    if chosen.aim_for is None:
+        _check_no_kinds(spec, f"method '{spec.method}', which does not look for kinds")
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
     chosen.check(spec)
