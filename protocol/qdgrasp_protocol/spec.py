@@ -58,6 +58,8 @@ SEQUENTIAL_STAGES = (10, 30)
 
 AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
+DiversityName = Literal["position", "orientation", "posture"]
+"""What tells grasps apart: their cell; its orientation bin too; its synergy too."""
 
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
@@ -82,6 +84,10 @@ VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0
 """Unit of a key's value, for errors."""
 STOP_KEYS = ("evaluations", "successes", "no_new_cell")
 """Keys of a spec's stop criteria, which may change when a run goes on."""
+
+
+OBJECTIVE_KEYS = ("aim_for", "diversity", "grasps_per_cell")
+"""Keys of a spec that only the method with an objective has."""
 
 
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
@@ -112,6 +118,10 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """With sequential trials: how many best poses are wanted; None: the best of each 1 cm cell."""
     aim_for: AimFor | None = None
     """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
+    diversity: DiversityName | None = None
+    """What tells grasps apart that a search with an objective looks for; None: position."""
+    grasps_per_cell: Annotated[int, Meta(ge=1, le=60)] | None = None
+    """Grasps of different kinds after which a cell is filled; None: 1 by position, else no bound."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None

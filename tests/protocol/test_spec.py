@@ -10,6 +10,7 @@ from qdgrasp_protocol import spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.spec import (
     AimFor,
+    DiversityName,
     FirstWeights,
     Overlaps,
     ProtocolName,
@@ -33,6 +34,8 @@ SPECS = st.builds(
     method=st.text(),
     protocol=st.sampled_from(get_args(ProtocolName)),
     aim_for=st.none() | st.sampled_from(get_args(AimFor)),
+    diversity=st.none() | st.sampled_from(get_args(DiversityName)),
+    grasps_per_cell=st.none() | st.integers(1, 60),
     evaluations=st.integers(1, 10**9),
     seed=st.integers(0, 2**63 - 1),
     overlaps=st.sampled_from(get_args(Overlaps)),
@@ -104,6 +107,8 @@ def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
         ("first_weights", {"touch": ["a"]}, "a table with lists of numbers, of touch, quality, cell_touch"),
         ("first_weights", {"tuch": [1.0]}, "a table with lists of numbers, of touch, quality, cell_touch"),
         ("first_weights", [1.0], "a table with lists of numbers"),
+        ("diversity", "roll", "one of 'position', 'orientation', 'posture'"),
+        ("grasps_per_cell", 61, "a whole number at least 1 and at most 60"),
         ("gripper", 3, "text"),
         ("method", ["a"], "text"),
     ],

@@ -33,7 +33,14 @@ from qdgrasp_protocol.errors import (
     UnusableMeshes,
 )
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import DEFAULT_METHOD, STOP_KEYS, RunSpec, read_run_spec, run_spec
+from qdgrasp_protocol.spec import (
+    DEFAULT_METHOD,
+    OBJECTIVE_KEYS,
+    STOP_KEYS,
+    RunSpec,
+    read_run_spec,
+    run_spec,
+)
 from qdgrasp_protocol.text import counted
 
 SHORT_KEYS = {
@@ -45,6 +52,8 @@ SHORT_KEYS = {
     "overlaps": "",
     "aim_for": "",
     "trials": "",
+    "diversity": "",
+    "grasps_per_cell": "grasps",
 }
 """Short forms of keys in the names of runs."""
 NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's name begins with
@@ -251,8 +260,9 @@ def _cross_lists(
             values = dict(zip(order, each, strict=True))
             own = objects.get(values.get("object", ""), {})
             known = {key: value for key, value in own.items() if key not in cross}
-            if "aim_for" not in cross and values["method"] != DEFAULT_METHOD:
-                run_spec({"gripper": "", "object": "", "aim_for": values.pop("aim_for")}, where)
+            for key in OBJECTIVE_KEYS:
+                if key in values and key not in cross and values["method"] != DEFAULT_METHOD:
+                    run_spec({"gripper": "", "object": "", key: values.pop(key)}, where)
             yield {key: value for key, value in values.items() if key not in known}, known
 
 

@@ -109,7 +109,9 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
     platforms = [part.source.platform.items() for part in parts]
     values: dict[str, Any] = dict(summaries[0])
     values |= {name: sum(one[name] for one in summaries) for name in SUMMED_FIELDS}
-    for name in ("method", "aim_for", "overlaps_mode"):
+    if len({one.get("grasps_per_cell") for one in summaries}) > 1:
+        values["grasps_per_cell"] = None
+    for name in ("method", "aim_for", "told_apart_by", "overlaps_mode"):
         values[name] = ", ".join(sorted({one.get(name, "") for one in summaries} - {""}))
     values |= {
         "complete": all(one["complete"] for one in summaries),

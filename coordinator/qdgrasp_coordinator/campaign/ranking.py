@@ -16,6 +16,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
+from qdgrasp_coordinator.metrics.niches import SynergyReader, niches, without_synergy
 from qdgrasp_coordinator.metrics.scores import best_first, nominal_scores, scored_successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
@@ -24,6 +25,7 @@ from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 RANKS_SHOWN = 10  # Grasps that are shown to a person
@@ -81,6 +83,20 @@ def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None)
     order = best_first(rows)
     _, first = np.unique(kinds[order], return_index=True)
     return rows[order[np.sort(first)]][:most]
+
+
+def kinds_of_run(
+    spec: RunSpec, rows: Rows, synergies: SynergyReader, by_niche: bool | None = None
+) -> NDArray[np.int64] | None:
+    """Return the kinds (n,) of a run's rows for `best_of_kinds`; None: their cells.
+
+    They are niches or, where `by_niche` is False, cells; None: as the run's search told grasps apart.
+    """
+    diversity = spec.diversity or "position"
+    if by_niche is False or (by_niche is None and diversity == "position"):
+        return None
+    keys = niches(rows, synergies)
+    return without_synergy(keys) if by_niche is None and diversity == "orientation" else keys
 
 
 def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:

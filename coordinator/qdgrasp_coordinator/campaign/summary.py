@@ -17,7 +17,8 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.text import counted
 
 FIRST_FIELDS = (
-    *("gripper", "object", "scale", "method", "aim_for", "protocol", "seed", "overlaps_mode"),
+    *("gripper", "object", "scale", "method", "aim_for"),
+    *("told_apart_by", "grasps_per_cell", "protocol", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """Figures that a table begins with."""
@@ -33,6 +34,10 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     method: str
     aim_for: str = ""
     """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
+    told_apart_by: str = ""
+    """Diversity that the search looked for, `position`, `orientation` or `posture`; empty: no objective."""
+    grasps_per_cell: int | None = None
+    """Grasps of different kinds that fill a cell, as the spec has it."""
     protocol: str
     seed: int
     overlaps_mode: str
@@ -105,6 +110,8 @@ def run_summary(folder: RunFolder) -> RunSummary:
             **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
             scale=spec.scale or 1.0,
             aim_for=spec.aim_for or "",
+            told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
+            grasps_per_cell=spec.grasps_per_cell,
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,

@@ -57,6 +57,8 @@ def campaign(
         list[int] | None, typer.Option(help="With --objects: may be repeated; default 0.")
     ] = None,
     protocol: options.ProtocolOption = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[
         int | None, typer.Option(help="With --objects: counted evaluations of each run; default 10000.")
     ] = None,
@@ -92,6 +94,8 @@ def campaign(
         "method": method,
         "seed": seed,
         "protocol": protocol,
+        "diversity": diversity,
+        "grasps_per_cell": grasps_per_cell,
         "evaluations": evaluations,
     }
     metres, path = scale_of(units, scale), _campaign_folder(what, objects, out)

@@ -44,6 +44,13 @@ AimFor = Annotated[
     str | None,
     typer.Option(help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold."),
 ]
+Diversity = Annotated[
+    str | None,
+    typer.Option(help="What tells grasps apart: position, orientation, posture; default position."),
+]
+GraspsPerCell = Annotated[
+    int | None, typer.Option(metavar="N", min=1, max=60, help="Different grasps that fill a cell of 1 cm.")
+]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 Successes = Annotated[
     int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")

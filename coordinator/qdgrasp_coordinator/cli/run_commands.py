@@ -17,7 +17,6 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.metrics.niches import niches
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.report.row_report import synergy_reader
 from qdgrasp_coordinator.scheduler import run_plan
@@ -29,7 +28,15 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
-from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.spec import (
+    DEFAULT_METHOD,
+    MAX_POPULATION,
+    OBJECTIVE_KEYS,
+    RunSpec,
+    read_run_spec,
+    run_spec,
+    to_values,
+)
 from qdgrasp_protocol.text import counted
 
 CANDIDATES = 4  # Candidates of a reranking for each of the best that are wanted
@@ -72,6 +79,8 @@ def run(
     trials: options.Trials = None,
     finalists: options.Finalists = None,
     aim_for: options.AimFor = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
     no_new_cell: options.NoNewCell = None,
@@ -126,6 +135,8 @@ def run(
         trials=trials,
         finalists=finalists,
         aim_for=aim_for,
+        diversity=diversity,
+        grasps_per_cell=grasps_per_cell,
         evaluations=evaluations,
         successes=successes,
         no_new_cell=no_new_cell,
@@ -264,8 +275,12 @@ def rerank(
         ),
     ] = None,
     by_niche: Annotated[
-        bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--niches/--cells",
+            help="Take the best of each niche, cell, orientation and synergy, or cell; default: as searched.",
+        ),
+    ] = None,
     max_penetration: options.MaxPenetration = None,
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
@@ -308,7 +323,8 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
-    chosen = ranking.best_of_kinds(found, most, niches(found, synergy_reader(source)) if by_niche else None)
+    kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
+    chosen = ranking.best_of_kinds(found, most, kinds)
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
     spec = rerank_spec(source, chosen, base, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
@@ -379,7 +395,7 @@ def rerank_spec(source: RunFolder, chosen: Rows, base: str | None, **asked: Any)
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = ("aim_for", "trials", "finalists")
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists")
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""

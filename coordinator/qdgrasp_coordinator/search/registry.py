@@ -13,6 +13,7 @@ from qdgrasp_assets import genes
 from qdgrasp_coordinator.search import cma_mae, fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
+from qdgrasp_coordinator.search.niche_search import NicheSearch
 from qdgrasp_coordinator.search.touch_search import TouchSearch
 from qdgrasp_coordinator.search.value_search import ValueSearch, check_first_weights
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
@@ -84,13 +85,37 @@ def aims_for_touch(spec: RunSpec) -> bool:
 
 def learns_value(spec: RunSpec) -> bool:
     """Return whether a spec's search has the models that `first_weights` are for."""
-    return method(spec.method) is AIMED and not aims_for_touch(spec)
+    return method(spec.method) is AIMED and not aims_for_touch(spec) and by_position(spec)
+
+
+def _aimed_search(spec: RunSpec) -> BuildSearch:
+    """Return the search that a spec of method `aimed` asks for."""
+    if aims_for_touch(spec):
+        return TouchSearch
+    return ValueSearch if by_position(spec) else NicheSearch
+
+
+def by_position(spec: RunSpec) -> bool:
+    """Return whether a spec tells grasps apart by their cell alone."""
+    return spec.diversity in (None, "position")
 
 
 def check_objective(spec: RunSpec) -> None:
-    """Check that the spec's protocol tells how good a grasp is in the sense of its objective."""
+    """Check that the search can tell how good a grasp is, and of what kind, by its spec."""
+    if aims_for_touch(spec):
+        _check_no_kinds(spec, "aim_for = 'touch', which fills cells with first touches")
+    if by_position(spec) and (spec.grasps_per_cell or 1) > 1:
+        raise ImpossibleValue(
+            "grasps_per_cell", spec.grasps_per_cell, "1 for diversity = 'position', which tells cells apart"
+        )
     if spec.aim_for == "eta" and not trial_count(spec.protocol):
         raise ImpossibleValue("protocol", spec.protocol, "'robust' for aim_for = 'eta', which trials measure")
+
+
+def _check_no_kinds(spec: RunSpec, reason: str) -> None:
+    for name in ("diversity", "grasps_per_cell"):
+        if (value := getattr(spec, name)) is not None:
+            raise ImpossibleValue(name, value, f"left out for {reason}")
 
 
 PAPER = [
@@ -122,7 +147,7 @@ PAPER = [
 AIMED = Method(
     "aimed",
     genes.VALUED,
-    lambda spec, space: (TouchSearch if aims_for_touch(spec) else ValueSearch)(spec, space),
+    lambda spec, space: _aimed_search(spec)(spec, space),
     check_objective,
     "redraw",
     50,
@@ -179,10 +204,13 @@ def check_spec(spec: RunSpec) -> None:
     chosen = method(spec.method)
     if spec.aim_for is not None and chosen.aim_for is None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
+    if chosen.aim_for is None:
+        _check_no_kinds(spec, f"method '{spec.method}', which does not look for kinds")
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
     if spec.first_weights is not None and not learns_value(spec):
-        whose = f"method '{spec.method}'" + (f" with aim_for '{spec.aim_for}'" if spec.aim_for else "")
+        keys = ("method", "aim_for", "diversity")
+        whose = " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
         raise ImpossibleValue("first_weights", "a table", f"left out for {whose}, which has no such models")
     check_first_weights(spec)
     chosen.check(spec)

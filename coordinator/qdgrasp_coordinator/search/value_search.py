@@ -146,7 +146,12 @@ class ValueFrontier(Frontier):
         np.maximum.at(self._best, places, quality)
         gain = self._best[new] - before
         np.add.at(self._best_around, self.around(new).ravel(), np.repeat(gain, len(NEIGHBOURS)))
-        self.edge = self.edge[self._best[self.edge] < 1.0]
+        self.edge = self.edge[self._is_open(self.edge)]
+
+    def _is_open(self, places: Places) -> NDArray[np.bool_]:
+        """Return which of `places` (n,) may still gain something."""
+        is_open: NDArray[np.bool_] = self._best[places] < 1.0
+        return is_open
 
     def _open_cells(self, new: Places, contacts: Floats) -> None:
         """Add distinct cells with their first success, and those around them, to the edge."""
@@ -250,13 +255,18 @@ class ValueSearch(AimedSearch):
         is_success = rows["outcome"] >= Outcome.DROPPED
         is_told, quality = is_simulated | self._counts_all, np.zeros(len(rows))
         quality[is_success] = self._qualities(rows[is_success])
-        features = self._open.pop(generation)
-        told = is_told[: len(features)].nonzero()[0]
-        self._frontier.learn_quality(features[told], is_success[told], quality[told])
+        self._learn_cells(generation, rows, is_told, quality)
         self._frontier.count_dead_ends(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success], quality[is_success])
         self._model.learn(rows[is_simulated], quality[is_simulated])
         self._threshold.update(is_told)
+
+    def _learn_cells(self, generation: int, rows: Rows, is_told: NDArray[np.bool_], quality: Floats) -> None:
+        """Learn from a generation's tries at cells, of such quality (n,) and so far as they count."""
+        features = self._open.pop(generation)
+        told = is_told[: len(features)].nonzero()[0]
+        is_success = rows["outcome"][told] >= Outcome.DROPPED
+        self._frontier.learn_quality(features[told], is_success, quality[told])
 
     def _succeed(self, successes: Rows, quality: Floats) -> None:
         """Learn from successes of such quality (n,); those outside the box are passed over."""
@@ -266,6 +276,10 @@ class ValueSearch(AimedSearch):
         self._frontier.add_grasps(places, successes["surface_point"].astype(np.float64), quality)
         is_graded = self._spec.aim_for == "hold"
         ranks = outcome_ranks(successes) if is_graded else Outcome.DROPPED + GRADES * quality
+        self._offer(places, successes, quality, ranks)
+
+    def _offer(self, places: Places, successes: Rows, quality: Floats, ranks: Floats) -> None:
+        """Offer successes (n,) in cells `places` (n,) to the elites."""
         self._elites.offer(places, successes, ranks)
 
     def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:

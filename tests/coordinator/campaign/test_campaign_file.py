@@ -124,6 +124,15 @@ class TestObjectives:
         with pytest.raises(ImpossibleValue, match="aim_for must be left out for method 'me_scs'"):
             names({"cross": [pair | aims | {"method": "me_scs"}]})
 
+    def test_kinds_of_grasps_are_for_methods_with_an_objective_alone(self) -> None:
+        kinds = {"diversity": "orientation", "grasps_per_cell": [2, 3]}
+        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
+        found = names({"defaults": kinds, "cross": [cross]})
+        aimed = [f"panda-mug-aimed-s0-orientation-grasps{n}" for n in (2, 3)]
+        assert found == [*aimed, "panda-mug-me_scs-s0"]
+        with pytest.raises(ImpossibleValue, match="diversity must be left out for method 'me_scs'"):
+            names({"cross": [cross | kinds]})
+
     def test_a_folder_that_version_0_1_0_began_goes_on_to_aim_at_touch(self, tmp_path: Path) -> None:
         file = tmp_path / "campaign.toml"
         file.write_text(tomli_w.dumps(BEGUN))

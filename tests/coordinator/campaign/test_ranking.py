@@ -12,15 +12,16 @@ from tests.coordinator.recorded_runs import record_spec
 from qdgrasp_coordinator.campaign.ranking import (
     best_of_kinds,
     is_reranking,
+    kinds_of_run,
     rank_poses,
     read_run_grasps,
     write_ranking,
     write_source,
 )
 from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, niches
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader, niches
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=7, joints=2)
@@ -89,6 +90,26 @@ def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
     found["penetration"] = [0.002, 0.001, 0.001, 0.002]
     assert best_of_kinds(found, 4)["index"].tolist() == [1]
     assert best_of_kinds(found, 4, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("diversity", "by_niche", "chosen"),
+    [
+        (None, None, [0]),
+        ("position", True, [0, 1, 2]),
+        ("orientation", None, [0, 1]),
+        ("posture", None, [0, 1, 2]),
+        ("posture", False, [0]),
+    ],
+)
+def test_grasps_are_told_apart_as_the_search_did_or_as_is_asked(diversity, by_niche, chosen) -> None:
+    found = rows(*[Outcome.HELD] * 3)
+    found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0]]
+    reader = SynergyReader(Layout("given", (Gene("synergy", 0.0, 3.0),)))
+    found["genome"][:, 0] = [0.0, 0.0, 2.0]
+    asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
+    kinds = kinds_of_run(asked, found, reader, by_niche)
+    assert best_of_kinds(found, 4, kinds)["index"].tolist() == chosen
 
 
 def test_only_grasps_are_scored_again(tmp_path: Path) -> None:

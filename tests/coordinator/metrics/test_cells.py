@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
-from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES, best_per_cell, cell_keys, cells, orientations
+from qdgrasp_coordinator.metrics.cells import (
+    BINS,
+    MIDDLES,
+    best_per_cell,
+    cell_keys,
+    cells,
+    clear_orientations,
+    orientations,
+)
 
 
 def test_a_cell_reaches_half_a_centimetre_to_both_sides() -> None:
@@ -104,6 +112,17 @@ def test_a_hand_that_stands_square_to_the_object_keeps_its_bin_when_it_is_nudged
         nudged = multiply(nudge, np.broadcast_to(hand, nudge.shape))
         assert angles(nudged, hand).min() > 17
         assert set(orientations(nudged)) == set(orientations(hand[None]))
+
+
+def test_a_rotation_is_clear_in_the_middle_of_its_bin_and_not_on_the_border() -> None:
+    bins, clearness = clear_orientations(MIDDLES)
+    assert bins.tolist() == list(range(BINS))
+    assert clearness == pytest.approx(np.ones(BINS))
+    beside = MIDDLES[np.argsort(angles(MIDDLES[0], MIDDLES))[1]]
+    beside = beside * np.sign(beside @ MIDDLES[0])
+    way = unit(np.linspace(MIDDLES[0], MIDDLES[0] + beside, 6))
+    assert (np.diff(clear_orientations(way)[1]) < 0).all()
+    assert clear_orientations(way)[1][-1] == pytest.approx(0.0)
 
 
 def test_no_rotations_have_no_orientations() -> None:

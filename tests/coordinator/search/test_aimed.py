@@ -1,6 +1,7 @@
 """Rules that both searches that aim keep to, on a make-believe object, and the grasps that explore."""
 
 import hashlib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,12 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 POSTURE = ("synergy", "spread")
-OBJECTIVES = ("touch", "hold")
+OBJECTIVES = {
+    "touch": {"aim_for": "touch"},
+    "hold": {"aim_for": "hold"},
+    "kinds": {"aim_for": "hold", "diversity": "posture", "grasps_per_cell": 2},
+}
+"""What a spec may ask of the search, by a name."""
 
 
 def spec(**values) -> RunSpec:
@@ -54,7 +60,7 @@ def build(asked: RunSpec, posture: tuple[str, ...] = ()) -> tuple[AimedSearch, S
 
 def digest() -> str:
     """The sha256 over what is asked and told in 1000 evaluations for each objective."""
-    told = [play(*build(spec(aim_for=aim_for), POSTURE), 1000).tobytes() for aim_for in OBJECTIVES]
+    told = [play(*build(spec(**objective), POSTURE), 1000).tobytes() for objective in OBJECTIVES.values()]
     return hashlib.sha256(b"".join(told)).hexdigest()
 
 
@@ -63,14 +69,16 @@ def targets(where: SearchSpace, rows: Rows) -> np.ndarray:
 
 
 @pytest.fixture(params=OBJECTIVES)
-def aim_for(request) -> str:
-    return str(request.param)
+def objective(request) -> dict[str, Any]:
+    return OBJECTIVES[request.param]
 
 
 @pytest.mark.parametrize("in_flight", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight: int, aim_for: str) -> None:
+def test_a_run_that_was_stopped_goes_on_to_the_same_journal(
+    in_flight: int, objective: dict[str, Any]
+) -> None:
     def pipeline() -> Pipeline:
-        search, _ = build(spec(seed=3, aim_for=aim_for), POSTURE)
+        search, _ = build(spec(seed=3, **objective), POSTURE)
         return Pipeline(search, shape(where), 700, "redraw", in_flight)
 
     def journal(running: Pipeline, last_first: bool = False) -> Rows:
@@ -84,7 +92,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight: int, aim_
             pieces += [running.settle(rows).rows for rows in (asked[::-1] if last_first else asked)]
         return np.concatenate(pieces)
 
-    _, where = build(spec(aim_for=aim_for), POSTURE)
+    _, where = build(spec(**objective), POSTURE)
     whole = journal(pipeline())
     assert journal(pipeline(), last_first=True).tobytes() == whole.tobytes()
     resumed = pipeline()
@@ -92,8 +100,8 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight: int, aim_
     assert journal(resumed).tobytes() == whole[333:].tobytes()
 
 
-def test_with_one_candidate_it_still_covers_more_when_overlaps_count(aim_for: str) -> None:
-    search, where = build(spec(overlaps="count", aim_for=aim_for))
+def test_with_one_candidate_it_still_covers_more_when_overlaps_count(objective: dict[str, Any]) -> None:
+    search, where = build(spec(overlaps="count", **objective))
     rows = play(search, where, 2000, "count")
     values = where.layout.values(rows["genome"])
     assert (values[:, CANDIDATES] == 1).all()
@@ -104,14 +112,14 @@ def test_with_one_candidate_it_still_covers_more_when_overlaps_count(aim_for: st
 
 
 @pytest.mark.parametrize("population", [1, 50, 500])
-def test_any_population_finds_its_way(population: int, aim_for: str) -> None:
-    rows = play(*build(spec(population=population, aim_for=aim_for)), 600)
+def test_any_population_finds_its_way(population: int, objective: dict[str, Any]) -> None:
+    rows = play(*build(spec(population=population, **objective)), 600)
     assert len(rows) % population == 0
     assert covered(rows) > (100 if population == 500 else 300)
 
 
-def test_no_target_lies_outside_the_box(aim_for: str) -> None:
-    search, where = build(spec(aim_for=aim_for))
+def test_no_target_lies_outside_the_box(objective: dict[str, Any]) -> None:
+    search, where = build(spec(**objective))
     rows = play(search, where, 2000)
     low, high = where.box
     assert (targets(where, rows) >= low).all()
@@ -119,8 +127,10 @@ def test_no_target_lies_outside_the_box(aim_for: str) -> None:
     assert np.abs(rows["genome"]).max() <= 1
 
 
-def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(aim_for: str) -> None:
-    search, where = build(spec(overlaps="count", aim_for=aim_for))
+def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(
+    objective: dict[str, Any],
+) -> None:
+    search, where = build(spec(overlaps="count", **objective))
     values = where.layout.values(play(search, where, 2000)["genome"])[FIRST_SCOUTS:]
     distances = np.linalg.norm(values[:, TARGET] - values[:, CONTACT], axis=1)
     least, greatest = where.distances
@@ -128,8 +138,8 @@ def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(ai
     assert ((distances > least - scatter) & (distances < greatest + scatter)).mean() > 0.98
 
 
-def test_the_beginning_and_a_few_later_genomes_scout(aim_for: str) -> None:
-    search, where = build(spec(aim_for=aim_for))
+def test_the_beginning_and_a_few_later_genomes_scout(objective: dict[str, Any]) -> None:
+    search, where = build(spec(**objective))
     rows = play(search, where, 2000)
     loose = where.layout.values(rows["genome"])[:, LOOSENESS] > 0
     assert loose[:FIRST_SCOUTS].all()
@@ -137,8 +147,8 @@ def test_the_beginning_and_a_few_later_genomes_scout(aim_for: str) -> None:
 
 
 @pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP, Outcome.MISSED])
-def test_without_a_success_it_scouts_on_and_goes_astray(outcome: Outcome, aim_for: str) -> None:
-    (seeking, where), asked = build(spec(aim_for=aim_for)), []
+def test_without_a_success_it_scouts_on_and_goes_astray(outcome: Outcome, objective: dict[str, Any]) -> None:
+    (seeking, where), asked = build(spec(**objective)), []
     for generation in range(60):
         rows = evaluate(where, generation, seeking.ask(generation))
         rows["outcome"] = outcome
@@ -152,9 +162,9 @@ def test_without_a_success_it_scouts_on_and_goes_astray(outcome: Outcome, aim_fo
     assert len(np.unique(rows["genome"], axis=0)) == len(rows)
 
 
-def test_dead_ends_are_not_tried_for_ever(aim_for: str) -> None:
+def test_dead_ends_are_not_tried_for_ever(objective: dict[str, Any]) -> None:
     """One cell in three is a dead end, whatever is tried there."""
-    (seeking, where), told = build(spec(aim_for=aim_for)), []
+    (seeking, where), told = build(spec(**objective)), []
     for generation in range(80):
         rows = evaluate(where, generation, seeking.ask(generation))
         rows["outcome"][cells(targets(where, rows)).sum(axis=1) % 3 == 0] = Outcome.DEAD_END

@@ -15,8 +15,9 @@ from tests.coordinator.search.synthetic_scene import plain
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
+from qdgrasp_coordinator.search.niche_search import NicheSearch
 from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, check_spec, method, prior_of
-from qdgrasp_coordinator.search.value_search import FIRST_TOUCH_WEIGHTS
+from qdgrasp_coordinator.search.value_search import FIRST_TOUCH_WEIGHTS, ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
@@ -227,6 +228,22 @@ def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
                 ((*WEIGHTS[1:], np.inf), "multiples of 1/64 from -64 to 64, got"),
             )
         ],
+        (
+            {"diversity": "orientation", "aim_for": "touch"},
+            "diversity must be left out for aim_for = 'touch', which fills cells with first touches, got",
+        ),
+        (
+            {"grasps_per_cell": 1},  # without an objective, as before there was a choice
+            "grasps_per_cell must be left out for aim_for = 'touch', which fills cells with first touches",
+        ),
+        (
+            {"diversity": "posture", "method": "me_scs"},
+            "diversity must be left out for method 'me_scs', which does not look for kinds, got 'posture'.",
+        ),
+        (
+            {"grasps_per_cell": 2, "aim_for": "hold"},
+            "grasps_per_cell must be 1 for diversity = 'position', which tells cells apart, got 2.",
+        ),
     ],
 )
 def test_what_a_search_cannot_do_is_refused_in_one_sentence(values, words) -> None:
@@ -234,6 +251,15 @@ def test_what_a_search_cannot_do_is_refused_in_one_sentence(values, words) -> No
         check_spec(spec(**values))
     assert str(refused.value).startswith(words)
     assert str(refused.value).count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    ("diversity", "search"), [(None, ValueSearch), ("position", ValueSearch), ("posture", NicheSearch)]
+)
+def test_diversity_decides_on_the_search(diversity, search) -> None:
+    asked = spec(aim_for="hold", diversity=diversity, grasps_per_cell=1)
+    check_spec(asked)
+    assert type(method("aimed").build(asked, synthetic_scene.space("valued"))) is search
 
 
 def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:

@@ -1,0 +1,167 @@
+"""The search that fills cells with grasps of several kinds, on a make-believe object."""
+
+import numpy as np
+import pytest
+from tests.coordinator.search.synthetic_scene import Poses, evaluate, play, shape, space
+from tests.coordinator.search.test_aimed import POSTURE, build, spec, targets
+
+from qdgrasp_assets.genes import TOUCH_VALUE
+from qdgrasp_assets.geometry.rotation import unit
+from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES, cell_keys, cells, orientations
+from qdgrasp_coordinator.search.aimed import LOOSENESS, posture_genes
+from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, NEIGHBOURS, NO_SLOT
+from qdgrasp_coordinator.search.niche_search import (
+    MANY_KINDS,
+    KindReader,
+    NicheFrontier,
+    NicheSearch,
+    NicheStore,
+    worth_of,
+)
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+
+PLACES = 200
+BOX = (np.full(3, -0.05), np.full(3, 0.05))
+KINDS = {"aim_for": "hold", "diversity": "orientation"}
+
+
+def kinds_per_cell(rows: Rows) -> list[int]:
+    """The number of orientations that hold, in each cell with one."""
+    held = rows[rows["outcome"] == Outcome.HELD]
+    places = cell_keys(cells(held["descriptor"][:, :3]))
+    pairs = np.unique(np.stack([places, orientations(held["base_to_object"][:, 3:])], axis=1), axis=0)
+    return np.unique(pairs[:, 0], return_counts=True)[1].tolist()
+
+
+def test_cells_hold_more_kinds_for_as_many_evaluations() -> None:
+    one, many = (kinds_per_cell(play(*build(spec(**asked)), 1000)) for asked in ({"aim_for": "hold"}, KINDS))
+    assert np.mean(one) < 1.1
+    assert np.mean(many) > 2
+    assert sum(many) > 0.9 * sum(one)
+
+
+@pytest.mark.parametrize("most", [2, 3])
+def test_a_cell_is_filled_by_so_many_kinds_and_then_left_alone(most: int) -> None:
+    seeking, where = build(spec(**KINDS, grasps_per_cell=most))
+    held: dict[tuple[int, ...], set[int]] = {}
+    again = 0
+    for generation in range(20):
+        rows = evaluate(where, generation, seeking.ask(generation))
+        tight = rows[where.layout.values(rows["genome"])[:, LOOSENESS] == 0]
+        aims = list(map(tuple, cells(targets(where, tight))))
+        assert len(set(aims)) == len(aims)
+        assert all(len(held.get(aim, ())) < most for aim in aims)
+        again += sum(aim in held for aim in aims)
+        seeking.tell(generation, rows)
+        good = rows[rows["outcome"] == Outcome.HELD]
+        for cell, kind in zip(
+            map(tuple, cells(good["descriptor"][:, :3])),
+            orientations(good["base_to_object"][:, 3:]).tolist(),
+            strict=True,
+        ):
+            held.setdefault(cell, set()).add(kind)
+    assert again > 50
+
+
+def test_most_tries_in_a_cell_that_holds_a_grasp_are_of_a_kind_that_it_lacks() -> None:
+    seeking, where = build(spec(**KINDS))
+    assert isinstance(seeking, NicheSearch)
+    fresh: list[bool] = []
+    for generation in range(25):
+        rows = evaluate(where, generation, seeking.ask(generation))
+        n = len(seeking._followed[generation])
+        places = seeking._frontier.places(rows["descriptor"][:n, :3])
+        is_again = seeking._frontier.successful[places] & (rows["outcome"][:n] == Outcome.HELD)
+        gains = seeking._gains(rows[:n], (rows["outcome"][:n] == Outcome.HELD).astype(float))
+        fresh += (gains[is_again] > 0).tolist()
+        seeking.tell(generation, rows)
+    assert len(fresh) > 100
+    assert np.mean(fresh) > 0.9
+
+
+def test_with_postures_a_synergy_makes_another_kind() -> None:
+    where = space("valued", POSTURE)
+    rows = shape(where).empty(3)
+    rows["base_to_object"][:, 3:] = MIDDLES[[4, 4, 5]]
+    rows["genome"][:, where.layout.names.index("synergy")] = [-1.0, 1.0, 1.0]
+    synergy = KindReader(spec(diversity="posture"), where).of_rows(rows)
+    assert synergy.tolist() == [4 + BINS, 4 + 2 * BINS, 5 + 2 * BINS]
+    assert KindReader(spec(diversity="orientation"), where).of_rows(rows).tolist() == [4, 4, 5]
+
+
+def test_the_kind_of_a_proposed_grasp_is_that_of_its_pose() -> None:
+    random, where, n = np.random.default_rng(0), space("valued", POSTURE), 500
+    ways, rolls = unit(random.standard_normal((n, 3))), random.uniform(0, 2 * np.pi, n)
+    rows = shape(where).empty(n)
+    rows["base_to_object"][:, 3:] = Poses(-0.1 * ways, np.zeros((n, 3)), ways, rolls).quaternions
+    postures = random.uniform(-1, 1, (n, posture_genes(where)))
+    rows["genome"][:, -postures.shape[1] :] = postures
+    reader = KindReader(spec(diversity="posture"), where)
+    proposed, clearness = reader.of_aims(ways, rolls, postures)
+    is_clear = clearness > 1e-5  # rows are float32
+    assert is_clear.mean() > 0.99
+    assert proposed[is_clear].tolist() == reader.of_rows(rows)[is_clear].tolist()
+    assert len(set(proposed.tolist())) > BINS
+
+
+def test_a_store_knows_the_niches_that_one_counts_by_hand() -> None:
+    random, store = np.random.default_rng(2), NicheStore(PLACES, (0.0, 0.0, 1.0), 1)
+    known: dict[tuple[int, int], float] = {}
+    while len(known) <= 2 * FIRST_CAPACITY:
+        places, kinds = random.integers(0, PLACES, 40), random.integers(0, BINS, 40)
+        quality = random.random(40)
+        pairs = list(zip(places.tolist(), kinds.tolist(), strict=True))
+        assert (store.find(places, kinds) != NO_SLOT).tolist() == [pair in known for pair in pairs]
+        niches = store.make(places, kinds)
+        store.raise_best(niches, quality)
+        rows = RowShape(genes=1, joints=1).empty(40)
+        rows["base_to_object"][:, 6] = 1.0
+        rows["surface_point"][:, 0] = kinds
+        store.offer(niches, rows, quality)
+        for pair, value in zip(pairs, quality.tolist(), strict=True):
+            known[pair] = max(known.get(pair, 0.0), value)
+    rows, niches = store.among(np.arange(PLACES).reshape(-1, 10))
+    found = list(zip(store.places(niches).tolist(), store.kinds(niches).tolist(), strict=True))
+    assert sorted(found) == sorted(known)
+    assert (store.places(niches) // 10).tolist() == rows.tolist()
+    assert store.best(niches).tolist() == store.ranks(niches).tolist() == [known[pair] for pair in found]
+    assert store.points(niches)[:, 0].tolist() == store.kinds(niches).tolist()
+
+
+@pytest.fixture
+def frontier() -> NicheFrontier:
+    return NicheFrontier(BOX, 0.1, most=2)
+
+
+def test_a_cell_is_weighed_by_what_it_gave_for_what_was_spent(frontier: NicheFrontier) -> None:
+    places = frontier.places(np.array([[0.0, 0, 0], [0.03, 0, 0], [0.03, 0.03, 0]]))
+    frontier.add_grasps(places, np.full((3, 3), 0.01), np.ones(3))
+    frontier.count_tries(places[:2].repeat(3))
+    frontier.add_gains(places[[0, 2]], np.ones(2), places[[0, 2]])
+    features = frontier.features(places)
+    value = TOUCH_VALUE + (1 - TOUCH_VALUE) * frontier._quality.likely(features)
+    expected = frontier._touch.likely(features) * value * [2 / 4, 1 / 4, 1.0]
+    assert frontier.worth(places) == pytest.approx(expected)
+
+
+def test_a_cell_leaves_the_edge_with_its_last_kind(frontier: NicheFrontier) -> None:
+    middle = frontier.places(np.zeros((1, 3)))
+    frontier.add_grasps(middle, np.full((1, 3), 0.01), np.ones(1))
+    frontier.add_gains(middle, np.ones(1), middle)
+    assert middle[0] in frontier.edge
+    frontier.add_gains(middle, np.ones(1), middle)
+    assert middle[0] not in frontier.edge
+    assert len(frontier.edge) == len(NEIGHBOURS)
+
+
+def test_features_tell_the_kinds_of_a_cell_and_of_its_neighbours(frontier: NicheFrontier) -> None:
+    middle = frontier.places(np.zeros((1, 3)))
+    frontier.add_grasps(middle, np.zeros((1, 3)), np.ones(1))
+    frontier.add_gains(middle.repeat(2), np.array([1.0, TOUCH_VALUE]), middle)
+    here, beside = frontier.features(np.concatenate([middle, frontier.around(middle)[0, :1]]))[:, -2:]
+    assert here.tolist() == pytest.approx([1.2 / MANY_KINDS, 0])
+    assert beside.tolist() == pytest.approx([0, 1.2 / MANY_KINDS / len(NEIGHBOURS)])
+
+
+def test_no_grasp_is_worth_nothing_and_the_worst_one_its_touch() -> None:
+    assert worth_of(np.array([-1.0, 0.0, 1.0])).tolist() == [0.0, TOUCH_VALUE, 1.0]
