@@ -14,7 +14,7 @@ from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import STEEPEST_VALUE
 from qdgrasp_coordinator.scheduler.run_plan import plan_run
 from qdgrasp_coordinator.search.base import search_space
-from qdgrasp_coordinator.search.registry import learns_value, prior_of
+from qdgrasp_coordinator.search.registry import learns_value, prior_of, search_words
 from qdgrasp_coordinator.search.success_model import pooled_weights
 from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
 from qdgrasp_coordinator.storage import atomic_files
@@ -52,8 +52,8 @@ class WarmStart(Struct, frozen=True):
         """
         if not learns_value(spec):
             raise InputError(
-                f"A warm start is for the method 'aimed' that aims for hold, eta or margin, and method "
-                f"'{spec.method}' with aim_for {spec.aim_for} learns no such value; leave --warm-start out."
+                "A warm start is for the method 'aimed' that aims for hold, eta or margin, by position, and "
+                f"{search_words(spec)} learns no such value; leave --warm-start out."
             )
         for folder in folders:
             _check_alike(spec, folder)
@@ -90,8 +90,8 @@ def _check_alike(spec: RunSpec, folder: RunFolder) -> None:
     source = folder.spec
     if not learns_value(source):
         raise InputError(
-            f"{folder.path} has learned no value that could be handed on: its method is '{source.method}' "
-            f"with aim_for {source.aim_for}; name runs of 'aimed' that aim for {spec.aim_for}."
+            f"{folder.path} has learned no value that could be handed on: it is a run of "
+            f"{search_words(source)}; name runs of 'aimed' that aim for {spec.aim_for} by position."
         )
     for key in SAME_KEYS:
         mine, its = getattr(spec, key), getattr(source, key)

@@ -88,6 +88,12 @@ def learns_value(spec: RunSpec) -> bool:
     return method(spec.method) is AIMED and not aims_for_touch(spec) and by_position(spec)
 
 
+def search_words(spec: RunSpec) -> str:
+    """Return the words for a spec's method and what it looks for."""
+    keys = ("method", "aim_for", "diversity")
+    return " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
+
+
 def _aimed_search(spec: RunSpec) -> BuildSearch:
     """Return the search that a spec of method `aimed` asks for."""
     if aims_for_touch(spec):
@@ -209,8 +215,8 @@ def check_spec(spec: RunSpec) -> None:
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
     if spec.first_weights is not None and not learns_value(spec):
-        keys = ("method", "aim_for", "diversity")
-        whose = " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
-        raise ImpossibleValue("first_weights", "a table", f"left out for {whose}, which has no such models")
+        raise ImpossibleValue(
+            "first_weights", "a table", f"left out for {search_words(spec)}, which has no such models"
+        )
     check_first_weights(spec)
     chosen.check(spec)

@@ -179,7 +179,8 @@ def test_what_misleads_is_unlearned_within_few_tries() -> None:
     [
         ({"gripper": "paw"}, "is a run of the hand 'paw'"),
         ({"aim_for": "touch"}, "has learned no value"),
-        ({"method": "contact_me_scs", "aim_for": None}, "its method is 'contact_me_scs'"),
+        ({"method": "contact_me_scs", "aim_for": None}, "it is a run of method 'contact_me_scs'; name"),
+        ({"diversity": "orientation"}, "aim_for 'hold' with diversity 'orientation'; name runs of 'aimed'"),
         ({"aim_for": "margin"}, "has aim_for 'margin' and this run 'hold'"),
         ({"protocol": "physical"}, "has protocol 'physical' and this run 'paper'"),
         ({"overlaps": "count"}, "has overlaps 'count' and this run 'redraw'"),

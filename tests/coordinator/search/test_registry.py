@@ -209,6 +209,7 @@ def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
             for values, whose in (
                 ({"method": "me_scs"}, "method 'me_scs', which has no such models, got"),
                 ({"aim_for": "touch"}, "method 'aimed' with aim_for 'touch', which has no such models, got"),
+                ({"aim_for": "hold", "diversity": "posture"}, "method 'aimed' with aim_for 'hold' with"),
             )
         ],
         *[
