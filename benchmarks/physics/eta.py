@@ -31,7 +31,7 @@ from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_worker.decoder import Decoder, HandPose
-from qdgrasp_worker.episode import Episode, approach_path
+from qdgrasp_worker.episode import APPROACH_STEP, Episode, approach_path
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSurface
@@ -362,6 +362,21 @@ def refinement_row(study: Study, which: str) -> Iterable[list[object]]:
     ]
 
 
+def way_rows(study: Study) -> Iterable[list[object]]:
+    """Where hands stop, in shares of trials of grasps that hold; how far back [mm]; how many hold then."""
+    is_held = study.grasps["outcome"] == Outcome.HELD
+    path, retreat = (study._arrivals[f"{arm} back"][is_held] for arm in ("path", "retreat"))
+    holds, is_early = study.results("path").outcome[is_held] == Outcome.HELD, path > 0
+    yield [
+        study.target,
+        f"{is_early.mean():.3f}",
+        f"{(path != retreat).mean():.3f}",
+        f"{1e3 * APPROACH_STEP * np.median(path[is_early]):.0f}",
+        f"{holds[is_early].mean():.2f}",
+        f"{holds[~is_early].mean():.2f}",
+    ]
+
+
 def cost_rows(study: Study) -> Iterable[list[object]]:
     """CPU time of a trial [ms]."""
     yield [study.target, *(f"{1e3 * each:.2f}" for each in study.seconds)]
@@ -376,6 +391,7 @@ TABLES = {
     "refinement": (refinement_rows, ["object", "of each group", "n", "own", "refined", "neighbour",
                                      "refined - own", "neighbour - own", "trials", "CPU s",
                                      "a CPU s, refined", "a CPU s, neighbour"]),
+    "way": (way_rows, ["object", "stops early", "path is not retreat", "back, median", "held", "held if clear"]),
     "cost": (cost_rows, ["object", "paper", "way", *ARRIVALS]),
 }  # fmt: skip
 
