@@ -391,7 +391,7 @@ TABLES = {
     "refinement": (refinement_rows, ["object", "of each group", "n", "own", "refined", "neighbour",
                                      "refined - own", "neighbour - own", "trials", "CPU s",
                                      "a CPU s, refined", "a CPU s, neighbour"]),
-    "way": (way_rows, ["object", "stops early", "path is not retreat", "back, median", "held", "held if clear"]),
+    "way": (way_rows, ["object", "stops early", "not retreat", "back, median", "held", "held if clear"]),
     "cost": (cost_rows, ["object", "paper", "way", *ARRIVALS]),
 }  # fmt: skip
 
