@@ -31,7 +31,7 @@ from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_worker.decoder import Decoder, HandPose
-from qdgrasp_worker.episode import Episode, approach_path
+from qdgrasp_worker.episode import APPROACH_STEP, Episode, approach_path
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSurface
@@ -146,10 +146,10 @@ class Study:
         """CPU time of a trial on `paper`, of a way from outside, and of a trial of each arrival [s]."""
         return np.array([self._paper["seconds"], *self._arrivals["seconds"]])
 
-    @cached_property
-    def refined(self) -> Arrays:
-        """For the first grasp of each group: fresh etas of it, of its refined and of its neighbour."""
-        return self._kept("refined", lambda: refine(self))
+    def refined(self, which: str) -> Arrays:
+        """Fresh etas of the first or best grasp of each group, of its refined one and of its neighbour."""
+        is_best = which == "best"
+        return self._kept("refined-best" if is_best else "refined", lambda: refine(self, is_best=is_best))
 
 
 def evaluated(evaluator: Evaluator, genomes: NDArray[np.float32], numbers: Iterable[int]) -> Arrays:
@@ -218,8 +218,11 @@ def moved(genome: NDArray[np.float32], random: np.random.Generator) -> NDArray[n
     return moves.astype(np.float32)
 
 
-def refine(study: Study) -> Arrays:
-    """Fresh etas (groups, 3) of the first grasp of each group, refined, and the best of the group."""
+def refine(study: Study, *, is_best: bool) -> Arrays:
+    """Fresh etas (groups, 3) of a grasp of each group, of its refined one, and of the group's best.
+
+    It is the first, or the best by 40 trials.
+    """
     grasps, known = study.grasps, study.results("path")
     early = known.eta(PUSHES, 0, SECOND.stop - 1)
     rows, seconds, simulated = [], [], []
@@ -231,7 +234,7 @@ def refine(study: Study) -> Arrays:
 
         for group in sorted({*grasps["group"].tolist()} - {-1}):
             members = np.flatnonzero(grasps["group"] == group)
-            own = members[0]
+            own = members[early[members].argmax()] if is_best else members[0]
             started = time.process_time()
             moves = moved(grasps["genomes"][own], np.random.default_rng([1, group]))
             moves = moves[evaluated(evaluator, moves, [0])["outcome"][:, 0] == Outcome.HELD]
@@ -246,7 +249,7 @@ def refine(study: Study) -> Arrays:
                 if whole.max() > best:
                     chosen = moves[finals[whole.argmax()]]
             spent = time.process_time() - started
-            others = members[: 1 + round(trials / TRIALS)]
+            others = np.union1d([own], members[: 1 + round(trials / TRIALS)])
             neighbour = others[known.eta(PUSHES)[others].argmax()]
             fresh = [grasps["genomes"][own], chosen, grasps["genomes"][neighbour]]
             distinct = {genome.tobytes(): genome for genome in fresh}
@@ -337,18 +340,40 @@ def smoothing_rows(study: Study) -> Iterable[list[object]]:
 
 def refinement_rows(study: Study) -> Iterable[list[object]]:
     """Fresh etas of grasps, of refined ones and of the best of as many trials of others."""
-    found, cost = study.refined, study.seconds
+    for which in ("first", "best"):
+        yield from refinement_row(study, which)
+
+
+def refinement_row(study: Study, which: str) -> Iterable[list[object]]:
+    """The row of the first or of the best grasps of groups."""
+    found, cost = study.refined(which), study.seconds
     own, refined, neighbour = found["eta"].T
     trials, others = found["simulated"].mean(axis=0)
     trial_seconds = cost[1] + cost[2 + ARRIVALS.index("path")]
     yield [
         study.target,
+        which,
         len(own),
         *(mean_error(each) for each in (own, refined, neighbour, refined - own, neighbour - own)),
         f"{trials:.0f} / {others:.0f}",
         f"{found['seconds'].mean():.2f} / {others * trial_seconds:.2f}",
         mean_error((refined - own) / found["seconds"].mean()),
         mean_error((neighbour - own) / max(others * trial_seconds, 1e-9)),
+    ]
+
+
+def way_rows(study: Study) -> Iterable[list[object]]:
+    """Where hands stop, in shares of trials of grasps that hold; how far back [mm]; how many hold then."""
+    is_held = study.grasps["outcome"] == Outcome.HELD
+    path, retreat = (study._arrivals[f"{arm} back"][is_held] for arm in ("path", "retreat"))
+    holds, is_early = study.results("path").outcome[is_held] == Outcome.HELD, path > 0
+    yield [
+        study.target,
+        f"{is_early.mean():.3f}",
+        f"{(path != retreat).mean():.3f}",
+        f"{1e3 * APPROACH_STEP * np.median(path[is_early]):.0f}",
+        f"{holds[is_early].mean():.2f}",
+        f"{holds[~is_early].mean():.2f}",
     ]
 
 
@@ -363,9 +388,10 @@ TABLES = {
     "choice": (choice_rows, ["object", "trials", "groups", "by eta", "mean", "by penetration",
                              "by eta, judged on path", "eta - mean", "eta - penetration"]),
     "smoothing": (smoothing_rows, ["object", "towards", *(f"K {k}" for k in STRENGTHS)]),
-    "refinement": (refinement_rows, ["object", "n", "own", "refined", "neighbour", "refined - own",
-                                     "neighbour - own", "trials", "CPU s", "a CPU s, refined",
-                                     "a CPU s, neighbour"]),
+    "refinement": (refinement_rows, ["object", "of each group", "n", "own", "refined", "neighbour",
+                                     "refined - own", "neighbour - own", "trials", "CPU s",
+                                     "a CPU s, refined", "a CPU s, neighbour"]),
+    "way": (way_rows, ["object", "stops early", "not retreat", "back, median", "held", "held if clear"]),
     "cost": (cost_rows, ["object", "paper", "way", *ARRIVALS]),
 }  # fmt: skip
 
