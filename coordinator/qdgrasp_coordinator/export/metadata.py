@@ -197,7 +197,8 @@ def _confidence_words(spec: RunSpec) -> str:
     if not trial_count(spec.protocol):
         return share
     base = "" if spec.base == "paper" else f" under {spec.base}"
-    return f"eta{base}, {ETA_WORDS}; where it is not known {share}"
+    trials = " or ".join(map(str, spec.stages))
+    return f"eta{base} of {trials} trials, {ETA_WORDS}; where it is not known {share}"
 
 
 def _source_runs(folder: RunFolder, journal: Journal) -> tuple[SourceRun, ...]:

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import (
     NEAR_NU,
     Diversity,
+    EtaSummary,
     StepSeries,
     SuccessHistory,
     SuccessMetrics,
@@ -80,8 +81,8 @@ class RunHistory:
     """(24,): successes by nu, from 0 to pi."""
     near: int
     """Successes with nu below pi / 4."""
-    eta: float | None
-    """Mean over the successes whose trials are recorded; None where the protocol has none."""
+    eta: EtaSummary | None
+    """Of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
@@ -143,7 +144,7 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         qd_score=metrics.qd_score,
         nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
         near=int(np.count_nonzero(history.nu < NEAR_NU)),
-        eta=None if metrics.eta is None else metrics.eta.mean,
+        eta=metrics.eta,
     )
 
 

@@ -76,7 +76,10 @@ FIGURES = {
     "published": Figure("cvg as published", PERCENT, lambda run: _share(run.published, run.target.size)),
     "robust": Figure("robust cvg", PERCENT, lambda run: _share(run.robust_found, _robust_size(run))),
     "nu_below_quarter_pi": Figure("nu < pi/4", "{:.0%}".format, lambda run: run.near_share),
-    "eta": Figure("eta", TWO_PLACES, lambda run: run.eta),
+    "eta": Figure("eta", TWO_PLACES, lambda run: None if run.eta is None else run.eta.mean),
+    "trials_per_success": Figure(
+        "trials of a success", WHOLE, lambda run: None if run.eta is None else run.eta.trials
+    ),
     "rate": Figure(
         "evaluations per CPU s",
         lambda x: f"{x:,.0f}" if x >= 10 else f"{x:.2g}",
