@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import RANKING_GENES, STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES, VALUED
 from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.aimed import AimedSearch
 from qdgrasp_coordinator.search.archive import PositionBox
@@ -50,9 +51,12 @@ GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and
 FULL_ETAS = {"paper": 0.3, "physical": 1.0}
 """Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""
 FULL_MARGIN = 0.1  # Ferrari-Canny margin of quality 1; of the Panda on cube and mug 99 in 100 are below 0.07
-PRIOR_TRIALS = 2.0
-"""Trials that the mean of a run counts for, where they are sequential: the variance of a trial over that of
-etas is 2.3 for the Panda on the cube (base `physical`)."""
+PRIOR_TRIALS = 5.0
+"""Trials that the mean of grasps nearby counts for, where they are sequential.
+
+It predicted other trials of the same grasps best (docs/protocols.md, "Trials of `physical`").
+"""
+BLOCK = np.concatenate([NEIGHBOURS, np.zeros((1, 3), np.int64)])  # Steps to a cell's neighbours and itself
 QUALITY_GRAIN = 1024
 """Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
 
@@ -94,25 +98,37 @@ def quality_measure(spec: RunSpec, space: SearchSpace) -> Qualities:
 
 
 class EtaQualities:
-    """Quality by eta, drawn towards the mean of the run where it is of few trials.
+    """Quality by eta, drawn towards that of other grasps nearby where it is of few trials.
 
-    The mean counts as `prior_trials` trials more, as where etas are drawn from a beta distribution; `most` is
-    the fitness, in sum over all trials, of quality 1.
+    The mean of the other successes in the cell and in the 26 around it counts as `prior_trials` trials more,
+    as where etas are drawn from a beta distribution; that of the run where there are none. `most` is the
+    fitness, in sum over all trials, of quality 1.
     """
 
     def __init__(self, most: float, prior_trials: float) -> None:
         self._most = most
         self._prior_trials = prior_trials
-        self._sum, self._count = 0.0, 0
+        self._known: dict[int, list[float]] = {}  # Qualities by cell, as they were measured
 
     def __call__(self, rows: Rows) -> Floats:
         """Return the qualities (n,) of the next successes that the search is told."""
         quality, trials = np.minimum(rows["fitness"].astype(np.float64) / self._most, 1.0), rows["trial"]
         if not (self._prior_trials and len(rows)):
             return quality
-        self._sum, self._count = math.fsum([self._sum, *quality.tolist()]), self._count + len(rows)
-        prior = self._prior_trials * self._sum / self._count
-        return np.asarray((trials * quality + prior) / (trials + self._prior_trials))
+        reached = cells(rows["descriptor"][:, :3])
+        for cell, value in zip(cell_keys(reached).tolist(), quality.tolist(), strict=True):
+            self._known.setdefault(cell, []).append(value)
+        block = cell_keys((reached[:, None] + BLOCK).reshape(-1, 3)).reshape(-1, len(BLOCK))
+        every = [value for values in self._known.values() for value in values]
+        run = math.fsum(every) / len(every)
+        pairs = zip(block.tolist(), quality.tolist(), strict=True)
+        prior = np.array([self._mean_of_others(nearby, own, run) for nearby, own in pairs])
+        return np.asarray((trials * quality + self._prior_trials * prior) / (trials + self._prior_trials))
+
+    def _mean_of_others(self, nearby: list[int], own: float, default: float) -> float:
+        """Return the mean quality in cells but for one that is `own`; `default` where there is no other."""
+        values = [value for cell in nearby for value in self._known.get(cell, [])]
+        return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else default
 
 
 def _quantised_quality(values: Floats) -> Floats:
