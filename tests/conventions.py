@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 241  # 5 of them for recorded contacts, margins and `physical`, 6 for value, kinds and trials
-MOST_LINES = 46_650
+MOST_LINES = 46_660
 MOST_TEST_FILES = 271
 MOST_TEST_LINES = 47_900
 MOST_SCRIPTS = 24

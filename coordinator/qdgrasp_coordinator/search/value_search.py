@@ -126,7 +126,7 @@ class EtaQualities:
         return np.asarray((trials * quality + self._prior_trials * prior) / (trials + self._prior_trials))
 
     def _mean_of_others(self, nearby: list[int], own: float, default: float) -> float:
-        """Return the mean quality in cells but for one that is `own`; `default` where there is no other."""
+        """Return the mean quality in cells, less one that is `own`; `default` without others."""
         values = [value for cell in nearby for value in self._known.get(cell, [])]
         return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else default
 
