@@ -18,10 +18,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 238  # 5 of them for recorded contacts, margins and `physical`, 3 for the search for value
-MOST_LINES = 45_400
-MOST_TEST_FILES = 268
-MOST_TEST_LINES = 46_950
+MOST_MODULES = (
+    241  # 5 for recorded contacts, margins and `physical`, 3 for the search for value, 3 for MuJoCo
+)
+MOST_LINES = 46_400
+MOST_TEST_FILES = 269
+MOST_TEST_LINES = 47_200
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500

@@ -48,6 +48,8 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
+EngineName = Literal["bullet", "mujoco"]
+"""The physics engines (docs/engines.md)."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -55,6 +57,7 @@ AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
 
 DEFAULT_METHOD = "aimed"
+DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
@@ -85,6 +88,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
+    engine: EngineName | None = None
+    """The physics engine; None: Bullet, in which every protocol is simulated."""
     aim_for: AimFor | None = None
     """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
@@ -120,6 +125,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         return nominal_protocol(self.protocol, self.base)
 
     @property
+    def protocol_words(self) -> str:
+        """The protocol, and its engine where that is not Bullet."""
+        return f"{self.protocol} in {self.engine}" if self.engine else self.protocol
+
+    @property
     def disturbances(self) -> int:
         """Disturbances in one evaluation: the fitness of a grasp that survives them all."""
         return disturbance_count(self.nominal_protocol)
@@ -151,6 +161,13 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: base = '{spec.base}' says what the trials of the protocol 'robust' disturb, and "
             f"'{spec.protocol}' has no trials; leave base out, or take protocol = 'robust'."
+        )
+    if spec.engine == DEFAULT_ENGINE:
+        return msgspec.structs.replace(spec, engine=None)
+    if spec.engine and spec.nominal_protocol != "physical":
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' simulates the protocol 'physical', and 'robust' with base = "
+            f"'physical', and this is '{spec.protocol}'; leave engine out, or take one of these."
         )
     return spec
 

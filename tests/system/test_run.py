@@ -34,6 +34,23 @@ def test_the_spec_in_a_run_folder_repeats_the_run_whatever_the_workers_and_batch
     assert read_run_spec(qdgrasp.home / "again" / "spec.toml") == read_run_spec(folder / "spec.toml")
 
 
+def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(qdgrasp, reference):
+    scene = ("--gripper", "panda", "--object", "rubiks_cube", "--protocol", "physical", "--engine", "mujoco")
+    asked = ("run", *scene, "--evaluations", 40, "--population", 20)
+    qdgrasp.succeed(*asked, "--workers", 1, "--out", "one")
+    qdgrasp.succeed(*asked, "--workers", 2, "--batch-size", 7, "--out", "two")
+    assert qdgrasp.digest("one") == qdgrasp.digest("two")
+    assert qdgrasp.info("one")["robust"] > 5
+    platforms = []
+    for folder in (qdgrasp.home / "one", reference[0]):
+        with RunFolder.open(folder).journal() as journal:
+            platforms.append(journal.platform.keys())
+    assert platforms[0] - platforms[1] == {"mujoco", "mujoco_code"}
+    qdgrasp.succeed("verify", "one", "--all", "--workers", 1)
+    drawn = qdgrasp("render", "one", "--grasp", 0, "-o", "a.png")
+    assert (drawn.code, "in the engine mujoco cannot be drawn" in drawn.err) == (2, True)
+
+
 def test_another_seed_gives_other_genomes(qdgrasp, reference):
     qdgrasp.succeed("run", *SMALL, "--evaluations", 60, "--seed", 1, "--workers", 1, "--out", "run")
     ours, others = (RunFolder.open(path).journal() for path in (qdgrasp.home / "run", reference[0]))

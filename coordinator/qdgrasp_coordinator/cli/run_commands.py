@@ -28,7 +28,15 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
-from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
+    DEFAULT_METHOD,
+    MAX_POPULATION,
+    RunSpec,
+    read_run_spec,
+    run_spec,
+    to_values,
+)
 from qdgrasp_protocol.text import counted
 
 
@@ -66,6 +74,7 @@ def run(
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
+    engine: options.EngineOption = None,
     aim_for: options.AimFor = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
@@ -112,6 +121,7 @@ def run(
         method=method,
         protocol=protocol,
         base=base,
+        engine=engine,
         aim_for=aim_for,
         evaluations=evaluations,
         successes=successes,
@@ -223,6 +233,9 @@ def rerank(
     base: Annotated[
         str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
     ] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="Physics engine: bullet or mujoco; default: as in the run.")
+    ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
@@ -270,7 +283,7 @@ def rerank(
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
     chosen = ranking.best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
-    spec = rerank_spec(source, protocol, base, chosen)
+    spec = rerank_spec(source, protocol, base, chosen, engine)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
@@ -309,14 +322,20 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
     return found
 
 
-def rerank_spec(source: RunFolder, protocol: str, base: str | None, chosen: Rows) -> RunSpec:
-    """The spec of a run that scores grasps of another; its base is that of the run unless given."""
+def rerank_spec(
+    source: RunFolder, protocol: str, base: str | None, chosen: Rows, engine: str | None = None
+) -> RunSpec:
+    """The spec of a run that scores grasps of another.
+
+    Its base and engine are those of the run unless given.
+    """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     values = to_values(source.spec) | {
         "method": GIVEN,
         "protocol": protocol,
         "base": base or ("physical" if source.spec.nominal_protocol == "physical" else "paper"),
+        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,
