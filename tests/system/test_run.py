@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.common import wait_for
+from tests.golden.runs import RECORDED
 from tests.system.commands import BUDGET, SMALL, Commands, rows_recorded
 
 from qdgrasp_coordinator.campaign.ranking import best_of_kinds, read_run_grasps
@@ -47,6 +48,13 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(qdgras
             platforms.append(journal.platform.keys())
     assert platforms[0] - platforms[1] == {"mujoco", "mujoco_code"}
     qdgrasp.succeed("verify", "one", "--all", "--workers", 1)
+    compared = qdgrasp.succeed("verify", "one", "--engine", "bullet", "--all", "--json", "--workers", 1).json
+    table = list(csv.DictReader((qdgrasp.home / "one" / "engine-bullet.csv").open()))
+    assert compared["rows"] == len(table) == qdgrasp.info("one")["successes"]
+    assert compared["same_verdict"] > 0.8 * compared["rows"]
+    assert sum(each["outcome_now"] == "held" for each in table) > 5
+    refused = qdgrasp("verify", RECORDED / "finished", "--engine", "mujoco")
+    assert (refused.code, "and this is 'paper'" in refused.err) == (2, True)
     drawn = qdgrasp("render", "one", "--grasp", 0, "-o", "a.png")
     assert (drawn.code, "in the engine mujoco cannot be drawn" in drawn.err) == (2, True)
 
