@@ -52,6 +52,7 @@ def build_scene(spec: RunSpec) -> Scene:
     return Scene(
         protocol=spec.protocol,
         base=spec.base,
+        engine=spec.engine,
         gripper=hand,
         object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),

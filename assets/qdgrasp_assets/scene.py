@@ -19,7 +19,9 @@ from qdgrasp_protocol.errors import MessageError
 Vector = tuple[float, float, float]
 
 FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
+ENGINE_FORMAT = 4  # That of a scene that names an engine; others have no such field, and keep their bytes
 OLD_FORMAT = 2  # That of version 0.1.0; the fields that it lacks have their defaults
+FORMATS = (OLD_FORMAT, FORMAT, ENGINE_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -165,6 +167,8 @@ class Scene(Struct, frozen=True, kw_only=True):
     protocol: str
     base: str = "paper"
     """The protocol that the trials of `robust` disturb."""
+    engine: str | None = None
+    """The physics engine; None: Bullet."""
     gripper: SceneGripper
     object: SceneObject
     points: bytes
@@ -202,6 +206,10 @@ class Bundle:
 def pack_scene(scene: Scene) -> Bundle:
     """Return the canonical bytes of a scene and their sha256."""
     values = msgspec.to_builtins(scene, builtin_types=(bytes,), order="sorted")
+    if scene.engine is None:
+        del values["engine"]
+    else:
+        values["format"] = ENGINE_FORMAT
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 
@@ -211,10 +219,9 @@ def unpack_scene(payload: bytes) -> Scene:
     try:
         values = msgpack.unpackb(payload, max_ext_len=0)
         came = values.get("format") if isinstance(values, dict) else None
-        if came not in (OLD_FORMAT, FORMAT):
-            raise MessageError(
-                f"it is of format {came}, this version of qdgrasp reads the formats {OLD_FORMAT} and {FORMAT}"
-            )
+        if came not in FORMATS:
+            known = " and ".join(map(str, FORMATS))
+            raise MessageError(f"it is of format {came}, this version of qdgrasp reads the formats {known}")
         return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None

@@ -48,6 +48,8 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
+EngineName = Literal["bullet", "mujoco"]
+"""The physics engines (docs/engines.md)."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -62,6 +64,7 @@ DiversityName = Literal["position", "orientation", "posture"]
 """What tells grasps apart: their cell; its orientation bin too; its synergy too."""
 
 DEFAULT_METHOD = "aimed"
+DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
 Weights = tuple[float, ...]
@@ -112,6 +115,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
+    engine: EngineName | None = None
+    """The physics engine; None: Bullet, in which every protocol is simulated."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -155,6 +160,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     def nominal_protocol(self) -> str:
         """The protocol of its nominal evaluations: the one that `robust` disturbs, else its own."""
         return nominal_protocol(self.protocol, self.base)
+
+    @property
+    def protocol_words(self) -> str:
+        """The protocol, and its engine where that is not Bullet."""
+        return f"{self.protocol} in {self.engine}" if self.engine else self.protocol
 
     @property
     def disturbances(self) -> int:
@@ -205,6 +215,13 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: finalists = {spec.finalists} says how many successes have all trials where they are "
             "sequential; leave it out, or take trials = 'sequential'."
+        )
+    if spec.engine == DEFAULT_ENGINE:
+        return msgspec.structs.replace(spec, engine=None)
+    if spec.engine and spec.nominal_protocol != "physical":
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' simulates the protocol 'physical', and 'robust' with base = "
+            f"'physical', and this is '{spec.protocol}'; leave engine out, or take one of these."
         )
     return spec
 

@@ -1,4 +1,4 @@
-"""Episodes of `physical` in Bullet: what is held, what the joints do, and that it forgets."""
+"""Episodes of `physical` in each engine: what is held, what the joints do, and that it forgets."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -11,7 +11,7 @@ from tests.worker.genomes import draw, elsewhere, evaluated, outcomes, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.bullet import Bullet
@@ -26,7 +26,7 @@ from qdgrasp_worker.evaluation_protocols import (
     TrialSetup,
 )
 from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
-from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.physical_episode import BulletPhysicalWorld
 
 SIDE = radians(27.0)  # The direction of one of the cube's sides
 HALF_TURN = (SIDE + radians(90.0)) / 2
@@ -37,13 +37,14 @@ FINGER_TOLERANCE = 1e-3  # How deep fingers that rest on each other may be insid
 HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow")
 
 
-def physical(friction: float | None = None) -> Scene:
-    return build_scene(RunSpec(gripper="panda", object="rubiks_cube", protocol="physical", friction=friction))
+def physical(engine: str | None = None, friction: float | None = None, **more: str) -> Scene:
+    values = {"gripper": "panda", "object": "rubiks_cube", "protocol": "physical", **more}
+    return build_scene(RunSpec(**values, friction=friction, engine=engine))
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return physical()
+@pytest.fixture(scope="module", params=[None, "mujoco"], ids=["bullet", "mujoco"])
+def scene(request) -> Scene:
+    return physical(request.param)
 
 
 def judged(scene: Scene, pose: HandPose = ABOVE) -> EpisodeResult:
@@ -59,7 +60,7 @@ def test_a_cube_between_the_fingers_of_a_panda_is_held_against_every_push(scene)
 
 
 def test_a_slippery_cube_is_not(scene):
-    assert judged(physical(friction=0.05)).outcome < Outcome.HELD
+    assert judged(physical(scene.engine, friction=0.005)).outcome < Outcome.HELD
 
 
 def test_a_jaw_centres_what_it_holds(scene):
@@ -73,7 +74,7 @@ def test_a_jaw_centres_what_it_holds(scene):
 def test_a_hand_that_closes_on_nothing_keeps_its_limits_and_its_fingers_apart(hand, make_scene):
     scene = make_scene(hand, "rubiks_cube", "physical")
     with closing(make_world(scene, PHYSICAL)) as world:
-        assert isinstance(world, PhysicalWorld)
+        assert isinstance(world, BulletPhysicalWorld)
         end = np.array(world.closing(world.opened, NO_SYNERGY)[-1])
         limits = [world._bullet.links(world._hand.body)[joint][4:6] for joint in world._hand.fingers]
         low, high = np.array(limits).T
@@ -85,8 +86,8 @@ def test_a_hand_that_closes_on_nothing_keeps_its_limits_and_its_fingers_apart(ha
         assert (end != np.array(world.opened))[driven].all()
 
 
-def test_fingers_that_meet_touch_each_other_and_not_the_object(scene):
-    with closing(make_world(scene, PHYSICAL)) as world:
+def test_fingers_that_meet_touch_each_other_and_not_the_object():
+    with closing(make_world(physical(), PHYSICAL)) as world:
         world.closing([0.04, 0.04], NO_SYNERGY)
         assert world._bullet.contacts(world._hand.body, world._hand.body)
         assert world.contacts() == []
@@ -144,9 +145,7 @@ class TestRobustOnPhysical:
     genomes = draw(6, near=6, seed=3)
 
     def test_trials_disturb_the_physical_grasp(self, scene):
-        robust = build_scene(
-            RunSpec(gripper="panda", object="rubiks_cube", protocol="robust", base="physical")
-        )
+        robust = physical(scene.engine, protocol="robust", base="physical")
         nominal = evaluated(robust, "approach", self.genomes)
         assert results(nominal) == results(evaluated(scene, "approach", self.genomes))
         trials = np.tile(np.array([1, 2, 3]), len(self.genomes))
@@ -252,3 +251,25 @@ def test_a_base_without_trials_is_refused_in_one_sentence(protocol):
 def test_a_scene_of_an_unknown_base_is_refused(scene):
     with pytest.raises(UnknownName, match="base"):
         Evaluator(msgspec.structs.replace(scene, protocol="robust", base="other"))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [({"protocol": "paper"}, "this is 'paper'"), ({"protocol": "robust"}, "this is 'robust'")],
+)
+def test_another_engine_than_bullet_is_refused_to_protocols_that_shake(values, words):
+    values |= {"gripper": "panda", "object": "mug", "engine": "mujoco"}
+    with pytest.raises(InputError, match=f"engine = 'mujoco' simulates the protocol 'physical'.*{words}"):
+        run_spec(values)
+
+
+def test_bullet_named_is_bullet_not_named():
+    values = {"gripper": "panda", "object": "mug", "protocol": "physical"}
+    assert run_spec(values | {"engine": "bullet"}) == run_spec(values)
+
+
+def test_a_scene_of_an_unknown_engine_or_of_one_that_cannot_shake_is_refused(scene):
+    with pytest.raises(UnknownName, match="engine"):
+        Evaluator(msgspec.structs.replace(scene, engine="other"))
+    with pytest.raises(AssetError, match="does not simulate the protocol 'paper'"):
+        Evaluator(msgspec.structs.replace(scene, protocol="paper", engine="mujoco"))

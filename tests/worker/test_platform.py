@@ -6,6 +6,7 @@ from tests.worker.genomes import evaluated, outcomes
 
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker import platform as module
+from qdgrasp_worker import syntax_digest
 from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
 from qdgrasp_worker.platform import (
     code_digest,
@@ -19,9 +20,15 @@ from qdgrasp_worker.platform import (
 
 def test_the_platform_names_versions_and_digests_in_words():
     found = platform()
-    assert {"qdgrasp", "pybullet", "numpy", "code", "probes"} <= found.keys()
+    assert {"qdgrasp", "pybullet", "numpy", "code", "probes", "mujoco"} <= found.keys()
     assert all(isinstance(value, str) and value for value in found.values())
-    assert len(found["code"]) == len(found["probes"]) == 64
+    assert len(found["code"]) == len(found["probes"]) == len(found["mujoco_code"]) == 64
+
+
+def test_the_code_of_another_engine_is_none_of_bullets():
+    reached = {key.module for key in syntax_digest.reached(*module.EVALUATION)}
+    assert "qdgrasp_worker.physical_episode" in reached
+    assert not any(name.startswith("qdgrasp_worker.engines") for name in reached)
 
 
 def test_the_probes_reach_every_phase_of_an_evaluation():

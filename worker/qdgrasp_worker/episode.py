@@ -19,7 +19,7 @@ from qdgrasp_worker.evaluation_protocols import (
     TrialSetup,
 )
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
-from qdgrasp_worker.world import GraspContact, World
+from qdgrasp_worker.world import GraspContact, GraspWorld, World
 
 APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
@@ -50,7 +50,7 @@ def outcome_of(survived: int, disturbances: int) -> Outcome:
     return Outcome.HELD if survived == disturbances else Outcome.SHAKEN
 
 
-def settled_pose(world: World, commanded: HandPose) -> list[float]:
+def settled_pose(world: GraspWorld, commanded: HandPose) -> list[float]:
     """The hand's base link in the object's frame, as both are now: x y z [m], qx qy qz qw.
 
     Of the two quaternions that mean it, the one nearer to the commanded pose's.

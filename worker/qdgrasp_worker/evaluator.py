@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
@@ -23,7 +25,7 @@ from qdgrasp_worker.episode import Episode, EpisodeResult
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
+from qdgrasp_worker.physical_episode import BulletPhysicalWorld, PhysicalEpisode, PhysicalWorld
 from qdgrasp_worker.world import GraspContact, World
 
 REASON_LENGTH = 200
@@ -84,14 +86,14 @@ class BatchEvaluator(ABC):
 
 
 class Evaluator(BatchEvaluator):
-    """One Bullet world for one scene; a context manager that leaves it.
+    """One world for one scene; a context manager that leaves it.
 
     `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
     closing ends when the object has left; they change no result
     (docs/decisions/0007-evaluation-shortcuts.md).
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
-    batch, or of the process (docs/reproducibility.md). An AssetError if Bullet cannot load the scene.
+    batch, or of the process (docs/reproducibility.md). An AssetError if the engine cannot load the scene.
     """
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
@@ -121,7 +123,7 @@ class Evaluator(BatchEvaluator):
         self.close()
 
     def close(self) -> None:
-        """Leave Bullet; closing twice is allowed."""
+        """Leave the world; closing twice is allowed."""
         self._world.close()
 
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
@@ -170,13 +172,25 @@ class Evaluator(BatchEvaluator):
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
-def make_world(scene: Scene, protocol: EvaluationProtocol) -> World:
-    """A world for episodes of a protocol; an AssetError if Bullet cannot load the scene."""
-    return PhysicalWorld(scene, protocol.physics) if protocol.physics else World(scene)
+ENGINES = {"mujoco": ("mujoco-core", "qdgrasp_worker.engines.mujoco_world", "MujocoWorld")}
+"""Package of each engine beside Bullet, module and class of its world; imported where a scene names it."""
+
+
+def make_world(scene: Scene, protocol: EvaluationProtocol) -> World | PhysicalWorld:
+    """A world for episodes of a protocol; an AssetError if its engine cannot load the scene."""
+    if scene.engine is None:
+        return BulletPhysicalWorld(scene, protocol.physics) if protocol.physics else World(scene)
+    if scene.engine not in ENGINES:
+        raise UnknownName("engine", scene.engine, ENGINES)
+    if protocol.physics is None:
+        raise AssetError(f"The engine {scene.engine} does not simulate the protocol '{protocol.name}'.")
+    _, module, name = ENGINES[scene.engine]
+    world: PhysicalWorld = getattr(import_module(module), name)(scene, protocol.physics)
+    return world
 
 
 def make_episode(
-    world: World,
+    world: World | PhysicalWorld,
     protocol: EvaluationProtocol,
     contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER,
     *,

@@ -82,12 +82,13 @@ class FingerControl:
     def __init__(self, drives: Sequence[FingerDrive], *, is_coupled: bool) -> None:
         self.drives = drives
         self.is_coupled = is_coupled
-        self._targets = [drive.opened for drive in drives]
+        self.targets = [drive.opened for drive in drives]
+        """Where each joint is to be [m or rad]."""
         self._ways = [TargetMotion(0, drive.opened) for drive in drives]
 
     def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
         """Let the targets of the joints `closing` walk from `posture`; the others hold theirs."""
-        self._targets = list(posture)
+        self.targets = list(posture)
         self._ways = [
             target_motion(drive, place) if drive.name in closing else TargetMotion(0, place)
             for drive, place in zip(self.drives, posture, strict=True)
@@ -95,33 +96,37 @@ class FingerControl:
 
     def stop(self) -> None:
         """Let all targets stay where they are."""
-        self._ways = [TargetMotion(0, target) for target in self._targets]
+        self._ways = [TargetMotion(0, target) for target in self.targets]
 
     def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
         """Walk on; the force or torque of each joint by its position and velocity."""
-        share = self._mean_share(states) if self.is_coupled else None
+        targets = self.walk([position for position, _ in states], time_step)
         torques = []
-        for i, (drive, way, (position, velocity)) in enumerate(
-            zip(self.drives, self._ways, states, strict=True)
-        ):
+        for drive, target, (position, velocity) in zip(self.drives, targets, states, strict=True):
+            torque = drive.stiffness * (target - position) - drive.damping * velocity
+            torques.append(max(-drive.limit, min(drive.limit, torque)))
+        return torques
+
+    def walk(self, positions: Sequence[float], seconds: float) -> list[float]:
+        """Move the targets on by the joints' positions; the target of each joint."""
+        share = self._mean_share(positions) if self.is_coupled else None
+        for i, (drive, way, position) in enumerate(zip(self.drives, self._ways, positions, strict=True)):
             sense, end = way
             if sense:
                 place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
                 ahead = min(
-                    sense * self._targets[i] + drive.speed * time_step,
+                    sense * self.targets[i] + drive.speed * seconds,
                     sense * place + drive.lead,
                     sense * end,
                 )
-                self._targets[i] = sense * ahead
-            torque = drive.stiffness * (self._targets[i] - position) - drive.damping * velocity
-            torques.append(max(-drive.limit, min(drive.limit, torque)))
-        return torques
+                self.targets[i] = sense * ahead
+        return self.targets
 
-    def _mean_share(self, states: Sequence[tuple[float, float]]) -> float:
+    def _mean_share(self, positions: Sequence[float]) -> float:
         """Share of their way that the moving joints have gone in the mean."""
         shares = [
             (position - drive.opened) / (drive.closed - drive.opened)
-            for drive, way, (position, _) in zip(self.drives, self._ways, states, strict=True)
+            for drive, way, position in zip(self.drives, self._ways, positions, strict=True)
             if way.sense
         ]
         return sum(shares) / len(shares) if shares else 0.0

@@ -12,6 +12,7 @@ The constants, and where they are from: `evaluation_protocols.Physics`, docs/pro
    one after the other, until one of the pushes makes the hand lose it.
 """
 
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import acos, dist
@@ -24,7 +25,14 @@ from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture
-from qdgrasp_worker.world import AWAY_POSITION, FREE_POSTURES, HandBody, World, closing_joints
+from qdgrasp_worker.world import (
+    AWAY_POSITION,
+    FREE_POSTURES,
+    GraspWorld,
+    HandBody,
+    World,
+    closing_joints,
+)
 
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links; Bullet multiplies it with the object's
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
@@ -48,8 +56,90 @@ class PosesNow(NamedTuple):
     quaternion: Quaternion
 
 
-class PhysicalWorld(World):
-    """A fixed hand with driven fingers, and an object that is fixed or free."""
+class PhysicalWorld(GraspWorld):
+    """A fixed hand with driven fingers, and an object that is fixed or free, in some engine."""
+
+    physics: Physics
+    steps_at_once = 1
+    """Steps that `step` moves on by; divides `Physics.look_every`."""
+    _control: FingerControl
+    _names: dict[int, list[str]]
+    """Names of the joints that close, by the synergy's label."""
+    _away: TrialSetup
+
+    @abstractmethod
+    def release(self) -> None:
+        """Let the object go, damped; the targets of a jaw go on, others stay."""
+
+    @abstractmethod
+    def begin_pushes(self) -> None:
+        """Let all targets stay, and take the damping off the object."""
+
+    @abstractmethod
+    def push(self, direction: Vector) -> None:
+        """Push the object with its weight, during the next step, along a direction in hand frame."""
+
+    @abstractmethod
+    def object_pose(self) -> tuple[Vector, Quaternion]:
+        """The object's position and quaternion; the hand does not move."""
+
+    def look(self) -> PosesNow:
+        """The places of all that can move, as they are now."""
+        return PosesNow(self.finger_positions(), *self.object_pose())
+
+    def closing_joints(self, synergy: int) -> list[str]:
+        """The names of a synergy's joints; a ValueError for one that the hand does not have."""
+        if synergy not in self._names:
+            raise ValueError(f"synergy must be one of {sorted(self._names)}, got {synergy}")
+        return self._names[synergy]
+
+    def rests(self, before: PosesNow, after: PosesNow) -> bool:
+        """Return whether neither fingers nor object have moved from one look to the next.
+
+        Places tell, not velocities: those of what is pressed together change sign at every step.
+        """
+        seconds = self.physics.look_every * self.physics.time_step
+        return (
+            self._control.rests(before.joints, after.joints, seconds)
+            and dist(before.position, after.position) < REST_SPEED * seconds
+            and angle_between(before.quaternion, after.quaternion) < REST_SPIN * seconds
+        )
+
+    def closing_steps(self, synergy: int) -> int:
+        """The most steps that closing takes."""
+        names = self._names[synergy]
+        longest = max((drive.duration for drive in self._control.drives if drive.name in names), default=0.0)
+        return self.physics.steps(longest + self.physics.slack)
+
+    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
+        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
+        self.reset(self._away, posture)
+        course = [self.finger_positions()]
+        for _ in self.steps_of_closing(synergy):
+            self.step()
+            course.append(self.finger_positions())
+        return course
+
+    def steps_of_closing(self, synergy: int) -> Iterator[int]:
+        """Begin to close, and count the steps until the fingers rest."""
+        self.close_fingers(synergy)
+        yield from self.steps_to_rest(self.closing_steps(synergy))
+
+    def steps_to_rest(self, most: int) -> Iterator[int]:
+        """Count steps until all rests, `most` at most."""
+        resting, before = 0, self.look()
+        for step in range(0, most, self.steps_at_once):
+            if step and step % self.physics.look_every == 0:
+                now = self.look()
+                resting = resting + 1 if self.rests(before, now) else 0
+                before = now
+                if resting == RESTING_LOOKS:
+                    return
+            yield step
+
+
+class BulletPhysicalWorld(PhysicalWorld, World):
+    """A world of `physical` in Bullet."""
 
     _links_meet = True
 
@@ -131,10 +221,9 @@ class PhysicalWorld(World):
 
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
-        if synergy not in self._names:
-            raise ValueError(f"synergy must be one of {sorted(self._names)}, got {synergy}")
+        names = self.closing_joints(synergy)
         self._bullet.set_inertia(self._target.body, 0.0, self._moments)
-        self._control.start(self._posture, self._names[synergy])
+        self._control.start(self._posture, names)
 
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""
@@ -163,57 +252,9 @@ class PhysicalWorld(World):
         along = [force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)]
         self._bullet.push(self._target.body, along, self._bullet.position(self._target.body))
 
-    def look(self) -> PosesNow:
-        """The places of all that can move, as they are now."""
-        return PosesNow(self.finger_positions(), *self._bullet.pose(self._target.body))
-
-    def rests(self, before: PosesNow, after: PosesNow) -> bool:
-        """Return whether neither fingers nor object have moved from one look to the next.
-
-        Places tell, not velocities: those of what is pressed together change sign at every step.
-        """
-        seconds = self.physics.look_every * self.physics.time_step
-        return (
-            self._control.rests(before.joints, after.joints, seconds)
-            and dist(before.position, after.position) < REST_SPEED * seconds
-            and angle_between(before.quaternion, after.quaternion) < REST_SPIN * seconds
-        )
-
     def object_pose(self) -> tuple[Vector, Quaternion]:
         """The object's position and quaternion; the hand does not move."""
         return self._bullet.pose(self._target.body)
-
-    def closing_steps(self, synergy: int) -> int:
-        """The most steps that closing takes."""
-        names = self._names[synergy]
-        longest = max((drive.duration for drive in self._control.drives if drive.name in names), default=0.0)
-        return self.physics.steps(longest + self.physics.slack)
-
-    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(self._away, posture)
-        course = [self.finger_positions()]
-        for _ in self.steps_of_closing(synergy):
-            self.step()
-            course.append(self.finger_positions())
-        return course
-
-    def steps_of_closing(self, synergy: int) -> Iterator[int]:
-        """Begin to close, and count the steps until the fingers rest."""
-        self.close_fingers(synergy)
-        yield from self.steps_to_rest(self.closing_steps(synergy))
-
-    def steps_to_rest(self, most: int) -> Iterator[int]:
-        """Count steps until all rests, `most` at most."""
-        resting, before = 0, self.look()
-        for step in range(most):
-            if step and step % self.physics.look_every == 0:
-                now = self.look()
-                resting = resting + 1 if self.rests(before, now) else 0
-                before = now
-                if resting == RESTING_LOOKS:
-                    return
-            yield step
 
 
 def reach_of(bullet: Bullet, hand: HandBody, joint: int, links: Sequence[BulletLink]) -> float:
@@ -252,7 +293,7 @@ def neighbours(links: Sequence[BulletLink]) -> set[tuple[int, int]]:
 class PhysicalEpisode(Episode):
     """Simulates poses in a world of `physical`."""
 
-    world: PhysicalWorld
+    world: PhysicalWorld  # type: ignore[assignment]  # of World it takes what every GraspWorld has
 
     @property
     def disturbances(self) -> int:
@@ -286,7 +327,9 @@ class PhysicalEpisode(Episode):
         for step in world.steps_to_rest(physics.steps(physics.push_time)):
             world.push(direction)
             world.step()
-            if (step + 1) % physics.look_every == 0 and self._has_lost(position, quaternion):
+            if (step + world.steps_at_once) % physics.look_every == 0 and self._has_lost(
+                position, quaternion
+            ):
                 return False
         return True
 

@@ -12,14 +12,14 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.syntax_digest import syntax_digest
+from qdgrasp_worker.evaluator import ENGINES, Evaluator
+from qdgrasp_worker.syntax_digest import Key, syntax_digest
 
 EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"8e7f06190a61388a4288e84f11814eef3746953e2f12cccd78c7a3f485d70562": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"d10d4524833ff1ad09f8fd2bfc2773f0ea283b56ccc37ae3a93fe7cce5394b31": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
@@ -32,12 +32,15 @@ PROBE_AIM = (-1.0, -0.5)
 
 
 def platform() -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digest of the probes' results."""
-    return {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")} | {
-        "machine": machine.machine(),
-        "code": code_digest(),
-        "probes": probe_digest(),
-    }
+    """Versions, the digest of the evaluation's code, and the digest of the probes' results.
+
+    Entries of engines beside Bullet concern the rows of these alone: `mujoco` and `mujoco_code`.
+    """
+    versions = {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")}
+    found = versions | {"machine": machine.machine(), "code": code_digest(), "probes": probe_digest()}
+    for engine, (package, module, name) in ENGINES.items():
+        found |= {engine: version(package), f"{engine}_code": syntax_digest(Key(module, name))}
+    return found
 
 
 def code_digest() -> str:

@@ -56,15 +56,20 @@ class Definition(NamedTuple):
         return (Key(*found) for found in REFERENCE.findall(self.text))
 
 
-def syntax_digest(*entries: Callable[..., object]) -> str:
-    """The sha256 over these classes and functions and all that they reach, 64 hex digits."""
+def syntax_digest(*entries: Callable[..., object] | Key) -> str:
+    """The sha256 over these classes and functions and all that they reach, 64 hex digits.
+
+    A `Key` names one whose module is not imported.
+    """
     return _sha256("".join(sorted(digests(reached(*entries)).values())))
 
 
-def reached(*entries: Callable[..., object]) -> dict[Key, Definition]:
+def reached(*entries: Callable[..., object] | Key) -> dict[Key, Definition]:
     """The definitions that these classes and functions reach by name, themselves among them."""
     found: dict[Key, Definition] = {}
-    waiting = [Key(entry.__module__, entry.__qualname__) for entry in entries]
+    waiting = [
+        entry if isinstance(entry, Key) else Key(entry.__module__, entry.__qualname__) for entry in entries
+    ]
     while waiting:
         key = waiting.pop()
         if key not in found:

@@ -5,6 +5,7 @@ Hand and object are loaded into Bullet out of a folder that is gone afterwards.
 
 import math
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,7 +17,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.bullet import BREAKING_THRESHOLD, STILL, UPRIGHT, Bullet, Contact, Motor
+from qdgrasp_worker.bullet import BREAKING_THRESHOLD, STILL, UPRIGHT, Bullet, Contact, Motor, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import SweptBox
@@ -128,8 +129,69 @@ AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everythin
 FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
 
 
-class World:
-    """A hand on its carrier and an object, until `close`; an AssetError if one cannot be loaded."""
+class GraspWorld(ABC):
+    """A hand and an object in a physics engine, until `close`: what every episode asks of it."""
+
+    opened: list[float]
+    """The open posture [rad or m]."""
+    finger_links: frozenset[int]
+    """The links, as `contacts` names them, whose contact after closing makes a success."""
+    approach_axis: Vector
+    """Unit vector from the palm to the object, hand's base frame."""
+    reach: float
+    """Distance from which the hand comes along it [m]."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the world; closing twice is allowed."""
+
+    @abstractmethod
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
+        """Put hand and object in place, at rest; the finger joints are at `posture` [rad or m]."""
+
+    @abstractmethod
+    def place_hand(self, pose: HandPose) -> None:
+        """Put the hand's base link at a pose, its joints as they are."""
+
+    @abstractmethod
+    def set_fingers(self, posture: Sequence[float]) -> None:
+        """Put the finger joints at `posture` [rad or m], at rest."""
+
+    @abstractmethod
+    def close_fingers(self, synergy: int) -> None:
+        """Begin to close a synergy's fingers; a ValueError for one that the hand does not have."""
+
+    @abstractmethod
+    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
+        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Move on."""
+
+    @abstractmethod
+    def is_touching(self) -> bool:
+        """Return whether any link of the hand touches the object."""
+
+    @abstractmethod
+    def contacts(self) -> list[Contact]:
+        """The contacts of the hand's links with the object."""
+
+    @abstractmethod
+    def contact_forces(self) -> list[GraspContact]:
+        """The contacts of the hand with the object that bear a force, or are about to."""
+
+    @abstractmethod
+    def hand_pose(self) -> HandFrame:
+        """The hand's base link in the object's frame, as both are now."""
+
+    @abstractmethod
+    def finger_positions(self) -> list[float]:
+        """The positions of the finger joints, in the gripper's order [rad or m]."""
+
+
+class World(GraspWorld):
+    """A hand on its carrier and an object in Bullet; an AssetError if one cannot be loaded."""
 
     _breaking_threshold = BREAKING_THRESHOLD
     _links_meet = False

@@ -47,7 +47,10 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
 
 
 TOTALS_FILE = "found.json"
-SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "base", "surface_seed")
+SCENE_KEYS = (
+    *("gripper", "object", "mass", "scale", "friction"),
+    *("protocol", "base", "engine", "surface_seed"),
+)
 """The keys of a spec that its scene depends on."""
 
 

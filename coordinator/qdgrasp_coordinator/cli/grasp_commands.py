@@ -149,6 +149,7 @@ def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
         "friction": spec.friction if about else found.imported.friction,
         "protocol": None if spec.protocol == "paper" else spec.protocol,
         "base": None if spec.base == "paper" else spec.base,
+        "engine": spec.engine,
     }
 
 
@@ -165,6 +166,7 @@ def evaluate(
     friction: options.Friction = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
+    engine: options.EngineOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
@@ -186,6 +188,7 @@ def evaluate(
         friction=friction,
         protocol=protocol,
         base=base,
+        engine=engine,
     )
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"

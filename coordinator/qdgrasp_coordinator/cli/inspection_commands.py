@@ -33,7 +33,12 @@ from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
-from qdgrasp_coordinator.verification.verify import choose_rows, run_folders_at, verify_rows
+from qdgrasp_coordinator.verification.verify import (
+    choose_rows,
+    compare_engine,
+    run_folders_at,
+    verify_rows,
+)
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted, parse_numbers
@@ -88,6 +93,10 @@ def verify(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Another seed draws other rows.")] = 0,
     every: Annotated[bool, typer.Option("--all", help="Evaluate every row again.")] = False,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="Compare verdicts on successes of physical with this engine: bullet or mujoco."),
+    ] = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     as_json: options.Json = False,
@@ -98,13 +107,24 @@ def verify(
     goes through its own prior, genome and trial. Where something differs, the rows and columns are named, and
     how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
 
+    With --engine the commanded poses of successes of a run are simulated in another engine, and both verdicts
+    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0.
+
     Example: qdgrasp verify runs/demo --sample 500
     """
     if every and sample is not None:
         raise InputError("--all leaves nothing to --sample: give one of them.")
     config = LocalJobConfig(options.worker_count(workers), batch_size)
+    most = None if every else sample or SAMPLE_ROWS
+    if engine is not None:
+        with progress_display("verify", most or 0) as shown, lifetime("qdgrasp verify") as stop:
+            compared = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
+        if compared is None:
+            raise typer.Exit(stop.exit_code)
+        typer.echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
+        return
     folders = run_folders_at(directory)
-    samples = choose_rows(folders, None if every else sample or SAMPLE_ROWS, seed)
+    samples = choose_rows(folders, most, seed)
     with (
         progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,
         lifetime("qdgrasp verify") as stop,

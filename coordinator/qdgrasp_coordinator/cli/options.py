@@ -29,6 +29,10 @@ BaseOption = Annotated[
     str | None,
     typer.Option("--base", help="What the trials of robust disturb: paper or physical; default paper."),
 ]
+EngineOption = Annotated[
+    str | None,
+    typer.Option("--engine", help="Physics engine: bullet, or mujoco for physical alone; default bullet."),
+]
 Trials = Annotated[
     str | None,
     typer.Option(

@@ -29,6 +29,7 @@ from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, In
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
     DEFAULT_METHOD,
     MAX_POPULATION,
     OBJECTIVE_KEYS,
@@ -76,6 +77,7 @@ def run(
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
+    engine: options.EngineOption = None,
     trials: options.Trials = None,
     finalists: options.Finalists = None,
     aim_for: options.AimFor = None,
@@ -132,6 +134,7 @@ def run(
         method=method,
         protocol=protocol,
         base=base,
+        engine=engine,
         trials=trials,
         finalists=finalists,
         aim_for=aim_for,
@@ -255,6 +258,9 @@ def rerank(
     base: Annotated[
         str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
     ] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="Physics engine: bullet or mujoco; default: as in the run.")
+    ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
@@ -326,7 +332,7 @@ def rerank(
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
     chosen = ranking.best_of_kinds(found, most, kinds)
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
-    spec = rerank_spec(source, chosen, base, protocol=protocol, **race)
+    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
@@ -379,13 +385,19 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
     return found
 
 
-def rerank_spec(source: RunFolder, chosen: Rows, base: str | None, **asked: Any) -> RunSpec:
-    """The spec of a run that scores grasps of another; its base is that of the run unless given."""
+def rerank_spec(
+    source: RunFolder, chosen: Rows, base: str | None, engine: str | None = None, **asked: Any
+) -> RunSpec:
+    """The spec of a run that scores grasps of another.
+
+    Its base and engine are those of the run unless given.
+    """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     values = to_values(source.spec) | {
         "method": GIVEN,
         "base": base or ("physical" if source.spec.nominal_protocol == "physical" else "paper"),
+        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,

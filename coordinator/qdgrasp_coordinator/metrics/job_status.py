@@ -50,7 +50,7 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
             gripper=spec.gripper,
             object=spec.object,
             method=spec.method,
-            protocol=spec.protocol,
+            protocol=spec.protocol_words,
             seed=spec.seed,
             scene=scene,
             budget=counter.budget,

@@ -258,7 +258,7 @@ class Recorder:
                 raise Refused(
                     f"run '{run.run}' was recorded on another platform than the job's rows: {differing}"
                 )
-            platform = platform or recorded
+            platform = recorded | platform
         return platform
 
     def _recorded_platform(self) -> dict[str, str]:

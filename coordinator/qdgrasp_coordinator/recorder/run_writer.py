@@ -14,7 +14,7 @@ from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_of
 from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -110,6 +110,7 @@ class RunWriter:
         """
         if not self._waiting:
             return
+        platform = platform_of(self.identity.spec.engine, platform)
         if platform and platform != self.platform:
             self.journal.set_platform(platform)
             self.platform = platform

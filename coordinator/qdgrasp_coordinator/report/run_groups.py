@@ -26,7 +26,7 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 HAND_ORDER = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
 """The paper's order of the hands; others follow."""
-GROUP_KEYS = {"gripper", "object", "protocol", "method", "seed", "evaluations"}
+GROUP_KEYS = {"gripper", "object", "protocol", "engine", "method", "seed", "evaluations"}
 """Keys of a spec that name the group of a run, or may differ between its runs."""
 SPEC_UNITS = {"mass": " kg"}
 SPEC_DEFAULTS = {
@@ -159,7 +159,7 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
 
 def scene_name(spec: RunSpec) -> SceneName:
     """Return the scene that a spec asks for."""
-    return SceneName(Path(spec.gripper).stem, Path(spec.object).stem, spec.protocol)
+    return SceneName(Path(spec.gripper).stem, Path(spec.object).stem, spec.protocol_words)
 
 
 def _scene_order(scene: SceneName) -> tuple[Any, ...]:

@@ -38,6 +38,9 @@ class PreparedScene(NamedTuple):
 
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
+ENGINE_ENTRIES = {"mujoco": ("mujoco", "mujoco_code")}
+"""Entries of a platform that concern the rows of an engine alone; the platform of others lacks them."""
+ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
 
 
 class PlatformDiffers(Refused):
@@ -49,7 +52,8 @@ class PlatformDiffers(Refused):
 
 def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
     """Describe the entries in which another platform differs from the job's."""
-    differing = [name for name in sorted({*job, *other}) if job.get(name) != other.get(name)]
+    compared = sorted({*job, *other} - ENGINE_NAMES | ENGINE_NAMES & {*job} & {*other})
+    differing = [name for name in compared if job.get(name) != other.get(name)]
     if differing == [VERSION]:
         return ""
     return ", ".join(
@@ -65,7 +69,15 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
     """
     if job and platform_differences(job, worker):
         raise PlatformDiffers(job, worker)
-    return dict(job or worker)
+    if not job:
+        return dict(worker)
+    return {name: worker[name] for name in sorted(ENGINE_NAMES & {*worker})} | dict(job)
+
+
+def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
+    """The part of a platform that concerns the rows of an engine; None: Bullet."""
+    others = ENGINE_NAMES.difference(ENGINE_ENTRIES.get(engine or "", ()))
+    return {name: value for name, value in platform.items() if name not in others}
 
 
 def journal_digest(journal: Journal) -> str:

@@ -53,7 +53,7 @@ class ReplayCaption:
     ) -> "ReplayCaption":
         """Make the caption of a row whose replay differs in `differences` from what is recorded."""
         spec, outcome = shown.found_by.spec, shown.outcome
-        made = f"protocol {spec.protocol}, method {spec.method}, seed {spec.seed}"
+        made = f"protocol {spec.protocol_words}, method {spec.method}, seed {spec.seed}"
         agreement = f"but replayed: {', '.join(differences)}" if differences else "replayed as recorded"
         if outcome is Outcome.DEAD_END:
             agreement = "not simulated in the run"

@@ -9,18 +9,30 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
+from msgspec import Struct
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import run_temporary_job
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, ReevaluationPlan, RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import (
+    JobExtent,
+    ReevaluationPlan,
+    RunPlan,
+    SingleRunQueue,
+    plan_genomes,
+)
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import run_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
+from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
 from qdgrasp_coordinator.verification.comparison import (
     DifferentRow,
     PlatformShare,
@@ -30,7 +42,9 @@ from qdgrasp_coordinator.verification.comparison import (
 from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
+from qdgrasp_protocol.spec import run_spec, to_values
+from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]
 
@@ -213,3 +227,91 @@ def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) ->
         platform = dict(items)
         differences = run_folder.platform_differences(platform, now)
         yield PlatformShare(rows=rows, platform=platform, differences=differences)
+
+
+class EngineComparison(Struct, frozen=True, kw_only=True):
+    """Verdicts of another engine on recorded successes."""
+
+    engine: str
+    rows: int
+    same_verdict: int
+    """Rows that both engines call robust, or neither."""
+    outcomes: dict[str, dict[str, int]]
+    """Rows by their recorded outcome, and by that in the other engine."""
+    file: str
+    """The table of all rows."""
+
+    @property
+    def table(self) -> str:
+        """Lines for a person."""
+        lines = [f"recorded {name}: {join_counts(found)}" for name, found in self.outcomes.items()]
+        share = f"{self.same_verdict} of {counted(self.rows, 'success', 'successes')}"
+        return "\n".join(
+            [f"{share} have the same verdict in {self.engine}, robust or not", *lines, self.file]
+        )
+
+
+def join_counts(found: dict[str, int]) -> str:
+    """Counts by name in words."""
+    return ", ".join(f"{number} {name}" for name, number in found.items())
+
+
+def compare_engine(
+    folder: RunFolder,
+    engine: str,
+    most: int | None,
+    seed: int,
+    config: LocalJobConfig,
+    display: ProgressDisplay,
+    stop: Stop,
+) -> EngineComparison | None:
+    """Simulate successes of a run in another engine, and write a table into its folder.
+
+    Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
+    InputError for a run of another protocol, of several runs, or without successes.
+    """
+    values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
+    spec = run_spec({key: value for key, value in values.items() if key != "base"}, "verify")
+    with folder.journal() as journal:
+        if journal.sources:
+            raise InputError(
+                f"{folder.path} is merged from several runs; compare the engines on one of them."
+            )
+        rows = np.concatenate([journal.shape.empty(0), *journal.kept()])
+    places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
+    if not len(places):
+        raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")
+    random = np.random.default_rng(seed)
+    places = places[balanced_sample(rows["outcome"][places], most or len(places), random)]
+    scene = msgspec.structs.replace(
+        folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base
+    )
+    genomes = as_given(scene, prior_of(folder.spec), rows[places])
+    plan = plan_genomes(spec, PreparedScene(scene, pack_scene(scene)), GIVEN, genomes)
+    memory = MemorySink(plan.shape)
+    queue = SingleRunQueue(lambda: plan, len(places))
+    run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
+    if stop.is_set:
+        return None
+    table = OutFile(folder.path / f"engine-{engine}.csv", force=True)
+    table.write(engine_table(places, rows[places], memory.rows).encode())
+    pairs = Counter(zip(rows["outcome"][places].tolist(), memory.rows["outcome"].tolist(), strict=True))
+    outcomes: dict[str, dict[str, int]] = {}
+    for (recorded, now), number in sorted(pairs.items(), reverse=True):
+        outcomes.setdefault(Outcome(recorded).name.lower(), {})[Outcome(now).name.lower()] = number
+    robust = [each["outcome"] >= Outcome.HELD for each in (rows[places], memory.rows)]
+    same = int((robust[0] == robust[1]).sum())
+    return EngineComparison(
+        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table.path)
+    )
+
+
+def engine_table(numbers: NDArray[np.int64], recorded: Rows, now: Rows) -> str:
+    """CSV of both verdicts of each row, by its number in the journal."""
+    lines = ["row,outcome,fitness,outcome_now,fitness_now"]
+    for number, one, other in zip(numbers.tolist(), recorded, now, strict=True):
+        verdicts = (
+            f"{Outcome(each['outcome']).name.lower()},{int(each['fitness'])}" for each in (one, other)
+        )
+        lines.append(",".join([str(number), *verdicts]))
+    return "\n".join(lines) + "\n"

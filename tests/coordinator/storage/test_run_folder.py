@@ -21,6 +21,7 @@ from qdgrasp_coordinator.storage.run_folder import (
     RunFolder,
     admit_platform,
     platform_differences,
+    platform_of,
     provenance,
     provenances,
 )
@@ -279,3 +280,18 @@ def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, 
     (name,) = other
     with pytest.raises(PlatformDiffers, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
         admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})
+
+
+IN_MUJOCO = {"mujoco": "4.0.1", "mujoco_code": "ef" * 32}
+
+
+def test_what_concerns_an_engine_is_recorded_with_its_rows_alone() -> None:
+    assert platform_of(None, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM
+    assert platform_of("mujoco", JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | IN_MUJOCO
+
+
+def test_an_engine_is_compared_where_rows_of_it_are_recorded() -> None:
+    other = JOB_PLATFORM | IN_MUJOCO | {"mujoco": "4.0.2"}
+    assert admit_platform(JOB_PLATFORM, other) == other
+    with pytest.raises(PlatformDiffers, match=r"mujoco 4\.0\.2 instead of 4\.0\.1"):
+        admit_platform(JOB_PLATFORM | IN_MUJOCO, other)

@@ -10,7 +10,7 @@ from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import BASE
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
-from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.physical_episode import BulletPhysicalWorld
 from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World
@@ -130,7 +130,7 @@ class RecordingWorld(World):
         )
 
 
-class RecordingPhysicalWorld(RecordingWorld, PhysicalWorld):
+class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
     """A world of `physical` that records its last evaluation."""
 
     _parts_of_step = 2  # its steps are half as long
@@ -148,4 +148,6 @@ class RecordingPhysicalWorld(RecordingWorld, PhysicalWorld):
 
 def recording_world(scene: Scene, protocol: EvaluationProtocol) -> RecordingWorld:
     """A world that records episodes; an AssetError if Bullet cannot load the scene."""
+    if scene.engine is not None:
+        raise InputError(f"An evaluation in the engine {scene.engine} cannot be drawn; one in Bullet can.")
     return RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingWorld(scene)

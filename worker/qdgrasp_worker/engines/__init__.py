@@ -1,0 +1,1 @@
+"""Worlds of physics engines beside Bullet; each is imported when a scene names its engine."""

@@ -1,0 +1,363 @@
+"""MuJoCo's model of a scene as MJCF: the hand at the world's origin, and the object.
+
+What Bullet makes of a URDF is made here too: hulls and cylinders are met `HULL_MARGIN` outside of their
+surface, and the inertia of a link is that of a box around its shapes (`box_moments`). Joints that the scene
+does not command are rigid.
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from qdgrasp_assets.geometry.mesh import stl_triangles
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
+from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_worker.finger_drive import FingerDrive
+
+HULL_MARGIN = 1e-3  # Distance from its surface at which a hull is met, as in Bullet [m]
+DETECTION_GAP = 5e-4  # So much farther away contacts are seen; two shapes add theirs [m]
+LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # Of a link to which Bullet gives none [kg, kg m2]
+OBJECT = "*object"  # Name of the object's body
+TWELFTH = 0.08333333  # As it stands in Bullet
+INFLATIONS = {"box": (0, 0), "sphere": (0, 0), "cylinder": (1, 1), ".stl": (1, 1), ".obj": (3, 0)}
+"""Margins that Bullet adds to each side of a shape's box before it is turned, and after."""
+OPTIONS = {
+    "gravity": "0 0 0",
+    "integrator": "implicitfast",
+    "cone": "elliptic",
+    "solver": "Newton",
+    "jacobian": "dense",
+    "tolerance": "1e-8",
+    "impratio": "10",
+}
+FLAGS = {"multiccd": "enable", "island": "disable"}
+CONTACT = {"solref": f"{1 / 120!r} 1", "solimp": "0.95 0.99 0.001", "gap": repr(DETECTION_GAP)}
+"""Contacts give way within a few steps of 1/480 s."""
+LIMIT = {"solreflimit": "0.01 1", "solimplimit": "0.95 0.99 0.001"}
+BELT = {"solref": f"{1 / 120!r} 1", "solimp": "0.99 0.999 0.001"}
+HAND_GROUP, HAND_AFFINITY, OBJECT_GROUP = "1", "3", "2"  # The object meets the hand alone
+PAIR_FRICTION = (
+    "0.25 0 0"  # Of two links of the hand, sliding alone; the object's own holds for hand and object
+)
+
+
+@dataclass(frozen=True)
+class LinkShape:
+    """A collision shape of a link: a primitive, or the hulls of a mesh."""
+
+    kind: str
+    """A primitive of URDF, or the suffix of a mesh's file."""
+    frame: Floats
+    """(4, 4), link frame."""
+    low: Floats
+    """(3,): low corner of the box around it [m], own frame."""
+    high: Floats
+    hulls: tuple[Floats, ...] = ()
+    """Corners (v, 3) [m] of each hull of a mesh, own frame."""
+
+
+@dataclass(frozen=True)
+class HandLink:
+    """A link of the hand with its collision shapes."""
+
+    name: str
+    mass: float
+    """[kg]."""
+    inertial: Floats
+    """(4, 4): the frame of its principal axes of inertia, link frame."""
+    shapes: tuple[LinkShape, ...]
+
+    @property
+    def box(self) -> Floats:
+        """The box (2, 3) that Bullet puts around its shapes [m], inertial frame."""
+        back = np.linalg.inv(self.inertial)
+        boxes = [
+            inflated_box(
+                shape.low, shape.high, back @ shape.frame, *(HULL_MARGIN * n for n in INFLATIONS[shape.kind])
+            )
+            for shape in self.shapes
+        ]
+        return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
+
+    @property
+    def moments(self) -> Floats:
+        """Its principal moments of inertia (3,) as Bullet has them [kg m2]: of its box."""
+        if not self.shapes:
+            return np.zeros(3)
+        first, around = self.shapes[0], 1
+        if len(self.shapes) == 1 and np.array_equal(first.frame, self.inertial):  # Bullet takes it alone
+            if first.kind == "sphere":
+                return np.full(3, 0.4 * self.mass * first.high[0] ** 2)
+            around = INFLATIONS[first.kind][1]
+        low, high = self.box
+        return box_moments(self.mass, high - low + 2 * around * HULL_MARGIN)
+
+
+def inflated_box(low: Floats, high: Floats, frame: Floats, before: float, after: float) -> Floats:
+    """The box (2, 3) around a box that is put at `frame`, made larger before and after that [m]."""
+    centre, half = (low + high) / 2, (high - low) / 2 + before
+    middle, side = frame[:3, :3] @ centre + frame[:3, 3], np.abs(frame[:3, :3]) @ half + after
+    return np.stack([middle - side, middle + side])
+
+
+class Coupling(NamedTuple):
+    """A joint of a jaw that a belt or gears couple to the first one: offset + ratio * leader."""
+
+    joint: str
+    leader: str
+    offset: float
+    ratio: float
+
+
+def box_moments(mass: float, sides: Floats) -> Floats:
+    """The principal moments (3,) [kg m2] of a box with these sides (3,) [m]."""
+    squares = sides**2
+    return np.asarray(TWELFTH * mass * (squares.sum() - squares))
+
+
+def hand_links(robot: Urdf, gripper: SceneGripper) -> dict[str, HandLink]:
+    """The links of a hand by name; an AssetError for a shape that MuJoCo cannot take."""
+    masses = robot.masses
+    return {
+        name: HandLink(
+            name,
+            masses[name][0],
+            parse_origin(robot.path, element.find("inertial/origin")),
+            tuple(link_shapes(robot, element, gripper)),
+        )
+        for element in robot.element.findall("link")
+        for name in [element.get("name", "")]
+    }
+
+
+def link_shapes(robot: Urdf, link: ET.Element, gripper: SceneGripper) -> Iterator[LinkShape]:
+    """Yield the collision shapes of a link."""
+    for collision in link.findall("collision"):
+        geometry = collision.find("geometry")
+        if geometry is None or not len(geometry):
+            continue
+        element, frame = geometry[0], parse_origin(robot.path, collision.find("origin"))
+        kind = PurePosixPath(element.get("filename", "")).suffix.lower() or element.tag
+        if kind not in INFLATIONS or collision.get(CONCAVE) is not None:
+            raise AssetError(
+                f"The engine mujoco takes boxes, spheres, cylinders and convex meshes (.obj, .stl), and link "
+                f"'{link.get('name')}' of '{gripper.name}' has another shape; leave the engine out."
+            )
+        if element.tag == "mesh":
+            yield mesh_shape(kind, frame, mesh_corners(kind, element, gripper))
+        else:
+            half = primitive_half(element)
+            yield LinkShape(kind, frame, -half, half)
+
+
+def mesh_corners(kind: str, element: ET.Element, gripper: SceneGripper) -> list[Floats]:
+    """The corners (v, 3) [m] of each hull of a mesh; an AssetError if it cannot be read."""
+    content, scale = gripper.meshes[element.get("filename", "")], attribute_numbers(element, "scale", "1 1 1")
+    if kind == ".obj":
+        return [corners * scale for corners in obj_group_corners(content.decode("utf-8", "replace"))]
+    if (triangles := stl_triangles(content)) is None:
+        raise AssetError(f"The mesh '{element.get('filename')}' of '{gripper.name}' is no binary STL file.")
+    return [np.unique(triangles.reshape(-1, 3), axis=0) * scale]
+
+
+def mesh_shape(kind: str, frame: Floats, hulls: Sequence[Floats]) -> LinkShape:
+    """The shape of hulls (v, 3) [m] each; flat ones count for its box only."""
+    corners = np.concatenate(hulls)
+    return LinkShape(kind, frame, corners.min(axis=0), corners.max(axis=0), tuple(filter(has_volume, hulls)))
+
+
+def has_volume(corners: Floats) -> bool:
+    """Return whether corners (v, 3) are not all in a plane."""
+    try:
+        return bool(ConvexHull(corners).volume > 0)
+    except (QhullError, ValueError):
+        return False
+
+
+def primitive_half(element: ET.Element) -> Floats:
+    """Half sides (3,) [m] of the box around a primitive."""
+    if element.tag == "box":
+        return np.array(attribute_numbers(element, "size", "0 0 0")) / 2
+    radius = float(element.get("radius", 0))
+    return np.array(
+        [radius, radius, radius if element.tag == "sphere" else float(element.get("length", 0)) / 2]
+    )
+
+
+def reach_of(robot: Urdf, links: dict[str, HandLink], opened: dict[str, float], joint: UrdfJoint) -> float:
+    """Distance from a joint to the farthest corner of a box of what it moves, hand open [m]."""
+    frames, moved = robot.forward(opened), robot.subtree(joint.child).links
+    boxes = [
+        inflated_box(low, high, frames[link.name] @ link.inertial, 0.0, HULL_MARGIN)
+        for link in map(links.__getitem__, moved)
+        if link.shapes
+        for low, high in [link.box]
+    ]
+    place = frames[joint.child][:3, 3]
+    farthest = [np.maximum(np.abs(low - place), np.abs(high - place)) for low, high in boxes]
+    return max((math.hypot(*corner) for corner in farthest), default=0.0)
+
+
+def neighbours(robot: Urdf) -> set[tuple[str, str]]:
+    """Pairs of links between which there is no joint that moves, or one."""
+    heads = {robot.root: robot.root}  # of each link the first one that is fixed to it
+    carriers = {robot.root: robot.root}  # of each of these the one that carries it
+    for joint in robot.joints_beyond(robot.root):
+        heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
+        carriers.setdefault(heads[joint.child], heads[joint.parent])
+    return {
+        (one, other)
+        for one, head in heads.items()
+        for other, with_head in heads.items()
+        if one < other and (head == with_head or carriers[head] == with_head or carriers[with_head] == head)
+    }
+
+
+def object_shape(target: SceneObject) -> LinkShape:
+    """The shape of an object, CoM frame."""
+    return mesh_shape(".obj", np.eye(4), list(obj_group_corners(target.collision.decode())))
+
+
+class SceneModel:
+    """MJCF of a scene, with the object free or fixed where it is put.
+
+    An AssetError for a collision shape that MuJoCo cannot take, or a joint that the URDF does not have.
+    """
+
+    def __init__(self, scene: Scene, time_step: float) -> None:
+        gripper = scene.gripper
+        self._time_step = time_step
+        self.robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        self.links = hand_links(self.robot, gripper)
+        self.joints = [self._joint(joint) for joint in gripper.joints]
+        """The joints of the hand that are commanded, in the gripper's order."""
+        self.couplings = list(couplings(gripper.joints)) if gripper.jaw else []
+        target, shape = scene.object, object_shape(scene.object)
+        sides = shape.high - shape.low + 2 * (sum(INFLATIONS[".obj"]) + 1) * HULL_MARGIN
+        self.moments = box_moments(target.mass, sides)
+        """The object's principal moments of inertia (3,) [kg m2]."""
+        self._mass, self._shape = target.mass, shape
+
+    def _joint(self, joint: Joint) -> UrdfJoint:
+        found = self.robot.joint(joint.name)
+        if found is None or not found.moves:
+            raise AssetError(f"The hand has no joint '{joint.name}' that moves.")
+        return found
+
+    def text(
+        self, drives: Sequence[FingerDrive], passing: Iterable[tuple[str, str]], *, is_free: bool
+    ) -> str:
+        """The MJCF of the scene; links of the pairs `passing` pass through each other."""
+        root = ET.Element("mujoco")
+        ET.SubElement(root, "compiler", angle="radian", autolimits="false", boundmass=repr(LEAST_MASS))
+        ET.SubElement(ET.SubElement(root, "option", OPTIONS, timestep=repr(self._time_step)), "flag", FLAGS)
+        ET.SubElement(ET.SubElement(root, "default"), "geom", CONTACT)
+        meshes, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+        armatures = {drive.name: drive.inertia for drive in drives}
+        self._add_link(world, meshes, self.robot.root, armatures)
+        self._add_object(world, meshes, is_free=is_free)
+        contact = ET.SubElement(root, "contact")
+        for one, other in sorted(passing):
+            ET.SubElement(contact, "exclude", body1=one, body2=other)
+        equality = ET.SubElement(root, "equality")
+        for joint, leader, offset, ratio in self.couplings:
+            polynomial = words([offset, ratio, 0.0, 0.0, 0.0])
+            ET.SubElement(equality, "joint", BELT, joint1=joint, joint2=leader, polycoef=polynomial)
+        actuator = ET.SubElement(root, "actuator")
+        for drive in drives:
+            ET.SubElement(actuator, "general", drive_attributes(drive))
+        return ET.tostring(root, encoding="unicode")
+
+    def _add_link(
+        self, parent: ET.Element, meshes: ET.Element, name: str, armatures: dict[str, float]
+    ) -> None:
+        link = self.links[name]
+        joint = next((joint for joint in self.robot.joints if joint.child == name), None)
+        body = ET.SubElement(parent, "body", placed(joint.origin if joint else np.eye(4)), name=name)
+        moments = np.maximum(link.moments, LEAST_MOMENT)
+        inertial = {"mass": repr(max(link.mass, LEAST_MASS)), "diaginertia": words(moments)}
+        ET.SubElement(body, "inertial", placed(link.inertial), **inertial)
+        if joint and joint.name in armatures:
+            limited = joint.lower < joint.upper
+            ET.SubElement(
+                body,
+                "joint",
+                LIMIT,
+                name=joint.name,
+                type="slide" if joint.kind == "prismatic" else "hinge",
+                axis=words(joint.axis),
+                limited=str(limited).lower(),
+                range=words([joint.lower, joint.upper]) if limited else "0 0",
+                armature=repr(armatures[joint.name]),
+            )
+        for shape in link.shapes:
+            group = {"contype": HAND_GROUP, "conaffinity": HAND_AFFINITY, "friction": PAIR_FRICTION}
+            add_shape(body, meshes, shape, group)
+        for below in self.robot.joints:
+            if below.parent == name:
+                self._add_link(body, meshes, below.child, armatures)
+
+    def _add_object(self, world: ET.Element, meshes: ET.Element, *, is_free: bool) -> None:
+        body = ET.SubElement(world, "body", name=OBJECT, mocap=str(not is_free).lower())
+        inertial = {"mass": repr(self._mass), "diaginertia": words(self.moments)}
+        ET.SubElement(body, "inertial", placed(np.eye(4)), **inertial)
+        if is_free:
+            ET.SubElement(body, "freejoint")
+        group = {"contype": OBJECT_GROUP, "conaffinity": HAND_GROUP, "condim": "6", "priority": "1"}
+        add_shape(body, meshes, self._shape, group)
+
+
+def couplings(joints: Sequence[Joint]) -> Iterator[Coupling]:
+    """Yield the constraints that let the joints of a jaw close by the same share."""
+    first, *others = [joint for joint in joints if joint.driven and joint.opened != joint.closed]
+    for joint in others:
+        ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
+        yield Coupling(joint.name, first.name, joint.opened - ratio * first.opened, ratio)
+
+
+def drive_attributes(drive: FingerDrive) -> dict[str, str]:
+    """The actuator of a drive: a PD law about a target that moves with the commanded speed."""
+    return {
+        "name": drive.name,
+        "joint": drive.name,
+        "dyntype": "integrator",
+        "actearly": "true",
+        "biastype": "affine",
+        "gainprm": repr(drive.stiffness),
+        "biasprm": words([0.0, -drive.stiffness, -drive.damping]),
+        "forcelimited": "true",
+        "forcerange": words([-drive.limit, drive.limit]),
+    }
+
+
+def add_shape(body: ET.Element, meshes: ET.Element, shape: LinkShape, group: dict[str, str]) -> None:
+    """Add the geoms of a shape to a body, and its meshes to the assets."""
+    for corners in shape.hulls:
+        name = f"hull_{len(meshes)}"
+        ET.SubElement(meshes, "mesh", name=name, vertex=words(corners.ravel()), inertia="convex")
+        margin = {"margin": repr(HULL_MARGIN)}
+        ET.SubElement(body, "geom", placed(shape.frame) | group, type="mesh", mesh=name, **margin)
+    if shape.kind in ("box", "sphere", "cylinder"):
+        sizes = {"box": shape.high, "sphere": shape.high[:1], "cylinder": shape.high[[0, 2]]}
+        margin = {"margin": repr(HULL_MARGIN)} if shape.kind == "cylinder" else {}
+        size = words(sizes[shape.kind])
+        ET.SubElement(body, "geom", placed(shape.frame) | group, type=shape.kind, size=size, **margin)
+
+
+def placed(frame: Floats) -> dict[str, str]:
+    """The attributes of a place in the parent's frame."""
+    return {"pos": words(frame[:3, 3]), "xyaxes": words(frame[:3, :2].T.ravel())}
+
+
+def words(numbers: Iterable[float]) -> str:
+    """Numbers as MJCF has them, each to the last bit."""
+    return " ".join(repr(float(number)) for number in numbers)
