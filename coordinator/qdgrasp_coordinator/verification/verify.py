@@ -256,6 +256,9 @@ def join_counts(found: dict[str, int]) -> str:
     return ", ".join(f"{number} {name}" for name, number in found.items())
 
 
+OF_TRIALS = ("base", "trials", "finalists")  # Keys of a spec that a comparison has no use for
+
+
 def compare_engine(
     folder: RunFolder,
     engine: str,
@@ -271,7 +274,7 @@ def compare_engine(
     InputError for a run of another protocol, of several runs, or without successes.
     """
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
-    spec = run_spec({key: value for key, value in values.items() if key != "base"}, "verify")
+    spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
     with folder.journal() as journal:
         if journal.sources:
             raise InputError(
