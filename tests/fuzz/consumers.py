@@ -106,9 +106,8 @@ def seeds() -> dict[str, bytes]:
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
     number = np.arange(ROWS)
-    drawn = found.success_table(
-        rows, SHAPE, number=number, pregrasp=rows["joints"], synergy=number - 1, eta=number / ROWS
-    )
+    known_of = {"pregrasp": rows["joints"], "synergy": number - 1, "eta": number / ROWS, "trials": number}
+    drawn = found.success_table(rows, SHAPE, number=number, **known_of)
     widths = {"joints": SHAPE.joints, "contact_slots": SHAPE.contact_slots}
     sizes = {"n": ROWS, "descriptors": SHAPE.descriptors} | widths
     genes, failed = {"genes": SHAPE.genes}, {"failures": [messages.Failure(row=1, reason="it fell")]}
