@@ -81,7 +81,10 @@ def test_recorded_rows_are_the_same_again(qdgrasp: Commands, reference: Referenc
     told = done.json
     assert (told["rows"], told["same"], told["different"]) == (40, 40, [])
     assert {"overlap", "held"} <= set(told["outcomes"])
-    assert told["origins"] == [{"rows": 40, "platform": told["platform"], "differences": ""}]
+    (origin,) = told["origins"]
+    assert (origin["rows"], origin["differences"]) == (40, "")
+    without_engines = {name: value for name, value in told["platform"].items() if "mujoco" not in name}
+    assert origin["platform"] == without_engines
 
 
 def test_a_row_that_is_not_what_it_was_is_named(qdgrasp: Commands, untrue: Path) -> None:
