@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 244  # 5 of them for recorded contacts, margins and `physical`, 6 for value, kinds and trials
-MOST_LINES = 47_660
+MOST_LINES = 47_700
 MOST_TEST_FILES = 272
 MOST_TEST_LINES = 48_150
 MOST_SCRIPTS = 24

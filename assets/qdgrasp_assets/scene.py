@@ -19,9 +19,11 @@ from qdgrasp_protocol.errors import MessageError
 Vector = tuple[float, float, float]
 
 FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
-ENGINE_FORMAT = 4  # That of a scene that names an engine; others have no such field, and keep their bytes
+NEWER_FORMAT = (
+    4  # That of scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
+)
 OLD_FORMAT = 2  # That of version 0.1.0; the fields that it lacks have their defaults
-FORMATS = (OLD_FORMAT, FORMAT, ENGINE_FORMAT)
+FORMATS = (OLD_FORMAT, FORMAT, NEWER_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -208,8 +210,8 @@ def pack_scene(scene: Scene) -> Bundle:
     values = msgspec.to_builtins(scene, builtin_types=(bytes,), order="sorted")
     if scene.engine is None:
         del values["engine"]
-    else:
-        values["format"] = ENGINE_FORMAT
+    if scene.engine is not None or scene.base == "physical":
+        values["format"] = NEWER_FORMAT
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 
@@ -222,6 +224,11 @@ def unpack_scene(payload: bytes) -> Scene:
         if came not in FORMATS:
             known = " and ".join(map(str, FORMATS))
             raise MessageError(f"it is of format {came}, this version of qdgrasp reads the formats {known}")
+        if came != NEWER_FORMAT and values.get("base") == "physical":
+            raise MessageError(
+                "its trials of 'physical' are those of a version in which the hand did not come along its "
+                "approach axis; begin the run anew"
+            )
         return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None

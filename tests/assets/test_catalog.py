@@ -9,7 +9,7 @@ from tests.assets.test_stand_ins import PUBLISHED
 
 from qdgrasp_assets.catalog import build_scene, every_gripper, every_object, gripper_names, object_names
 from qdgrasp_assets.scene import pack_scene, unpack_scene
-from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.errors import AssetError, MessageError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 DIGEST = """
@@ -53,6 +53,14 @@ def test_a_bundle_that_was_packed_before_hands_had_ratings_is_read():
     for joint in values["gripper"]["joints"]:
         del joint["rated_effort"], joint["rated_velocity"]
     assert unpack_scene(msgpack.packb(values)) == made
+
+
+def test_a_bundle_whose_trials_did_not_come_along_the_approach_axis_is_refused():
+    made = scene(protocol="robust", base="physical")
+    values = msgpack.unpackb(pack_scene(made).payload)
+    assert unpack_scene(msgpack.packb(values)).base == "physical"
+    with pytest.raises(MessageError, match="begin the run anew"):
+        unpack_scene(msgpack.packb(values | {"format": 3}))
 
 
 def test_the_surface_seed_is_part_of_the_scene():

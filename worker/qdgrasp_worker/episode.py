@@ -119,7 +119,7 @@ class Episode:
     def _approached(self, trial: TrialSetup) -> TrialSetup:
         """A trial with the open hand where it stops on its way from outside to its pose.
 
-        Where it is inside the object from the first it stays outside.
+        Where it is inside the object from the first it stays there, and overlaps.
         """
         world, path = self.world, approach_path(trial.pose, self.world.approach_axis, self.world.reach)
         stop = path[0]

@@ -29,6 +29,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 RANKS_SHOWN = 10  # Grasps that are shown to a person
+ETA_DIGITS = 4  # Their decimals, at most
 RANKING_COLUMNS = (
     "rank", "eta", "eta_error", "trials", "nominal_fitness",
     "source_generation", "source_index", "source_fitness",
@@ -124,7 +125,7 @@ def write_ranking(folder: RunFolder) -> str:
     atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
     shown = [
         RANKING_COLUMNS[:11],
-        *(tuple(f"{value:.4g}" for value in line[:11]) for line in table[:RANKS_SHOWN]),
+        *(tuple(f"{round(value, ETA_DIGITS):g}" for value in line[:11]) for line in table[:RANKS_SHOWN]),
     ]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]

@@ -14,11 +14,12 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.spec import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
 
 FIRST_FIELDS = (
     *("gripper", "object", "scale", "method", "aim_for"),
-    *("told_apart_by", "grasps_per_cell", "protocol", "seed", "overlaps_mode"),
+    *("told_apart_by", "grasps_per_cell", "protocol", "engine", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """Figures that a table begins with."""
@@ -38,6 +39,8 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     """Diversity that the search looked for, `position`, `orientation` or `posture`; empty: no objective."""
     grasps_per_cell: int | None = None
     """Grasps of different kinds that fill a cell, as the spec has it."""
+    engine: str = DEFAULT_ENGINE
+    """The physics engine."""
     protocol: str
     seed: int
     overlaps_mode: str
@@ -112,6 +115,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
             aim_for=spec.aim_for or "",
             told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
             grasps_per_cell=spec.grasps_per_cell,
+            engine=spec.engine or DEFAULT_ENGINE,
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,

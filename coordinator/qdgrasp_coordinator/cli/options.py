@@ -36,8 +36,8 @@ EngineOption = Annotated[
 Trials = Annotated[
     str | None,
     typer.Option(
-        help="Trials of a success under robust: all (100), or sequential: 10, and more while it may be the "
-        "best of its cell; default all, with --aim-for eta sequential."
+        help="Trials of a success under robust: all (100), or sequential: 10, and more where it competes for "
+        "its cell; default all, sequential with --aim-for eta --protocol robust and no SPEC."
     ),
 ]
 Finalists = Annotated[

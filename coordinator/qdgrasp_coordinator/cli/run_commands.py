@@ -162,6 +162,7 @@ def run(
     if not warm_start:
         start_run(asked, place, config, job)
         return
+    RunFolder.check_free(place)
     learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
     start_run(
         msgspec.structs.replace(asked, first_weights=learned.weights), place, config, job, learned.write
@@ -390,14 +391,16 @@ def rerank_spec(
 ) -> RunSpec:
     """The spec of a run that scores grasps of another.
 
-    Its base and engine are those of the run unless given.
+    Its base and engine are those of the run unless given; trials of `paper` are Bullet's.
     """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
+    disturbed = base or ("physical" if source.spec.nominal_protocol == "physical" else "paper")
+    its_engine = source.spec.engine if disturbed == "physical" else None
     values = to_values(source.spec) | {
         "method": GIVEN,
-        "base": base or ("physical" if source.spec.nominal_protocol == "physical" else "paper"),
-        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
+        "base": disturbed,
+        "engine": engine or its_engine or DEFAULT_ENGINE,
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,
@@ -407,7 +410,7 @@ def rerank_spec(
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists")
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists", "successes", "no_new_cell")
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""

@@ -78,7 +78,8 @@ def eta_bounds(etas: Floats, counts: NDArray[np.integer], z: float = Z) -> tuple
 def eta_error(etas: Floats, counts: NDArray[np.integer]) -> Floats:
     """Return a bound of the standard error (n,) of etas (n,) over so many trials (n,).
 
-    sqrt(eta (1 - eta) / (n - 1)): no share between 0 and 1 of that mean varies more. NaN for fewer than two.
+    sqrt(eta (1 - eta) / (n - 1)): no share between 0 and 1 of that mean varies more. It is 0 where all trials
+    agree, few or many. NaN for fewer than two.
     """
     n = np.where(counts > 1, counts, np.nan)
     return np.asarray(np.sqrt(etas * (1.0 - etas) / (n - 1.0)))

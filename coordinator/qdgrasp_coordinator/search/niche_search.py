@@ -34,6 +34,7 @@ from qdgrasp_coordinator.search.success_model import LogisticRegression
 from qdgrasp_coordinator.search.value_search import (
     FIRST_QUALITY_WEIGHTS,
     FIRST_TOUCH_WEIGHTS,
+    FULL_QUALITY,
     ValueFrontier,
     ValueSearch,
 )
@@ -227,11 +228,11 @@ class NicheSearch(ValueSearch):
         new, first = np.unique(niches, return_index=True)
         is_begun = self._elites.ranks(new) < 0.0
         before = np.where(is_begun, 0.0, worth_of(self._elites.best(new)))
-        was_full = self._elites.best(new) >= 1.0
+        was_full = self._elites.best(new) >= FULL_QUALITY
         self._elites.raise_best(niches, quality)
         self._elites.offer(niches, successes, ranks)
         after, cells = self._elites.best(new), places[first]
-        self._frontier.add_gains(cells, worth_of(after) - before, cells[~was_full & (after >= 1.0)])
+        self._frontier.add_gains(cells, worth_of(after) - before, cells[~was_full & (after >= FULL_QUALITY)])
 
     def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
         """Return grasps from around the cells `targets`, of kinds that these do not hold yet."""
@@ -292,7 +293,7 @@ class NicheSearch(ValueSearch):
         cell to the contact point in units of the hand's reach; how clear the kind is; 1.
         """
         around, niches = self._elites.among(self._frontier.around(targets))
-        is_full = self._elites.best(niches) >= 1.0
+        is_full = self._elites.best(niches) >= FULL_QUALITY
         span = 1 + max(int(kinds.max(initial=0)), int(self._elites.kinds(niches).max(initial=0)))
         held = np.bincount(
             around[is_full] * span + self._elites.kinds(niches[is_full]), minlength=span * len(targets)

@@ -57,6 +57,7 @@ PRIOR_TRIALS = 5.0
 It predicted other trials of the same grasps best (docs/protocols.md, "Trials of `physical`").
 """
 BLOCK = np.concatenate([NEIGHBOURS, np.zeros((1, 3), np.int64)])  # Steps to a cell's neighbours and itself
+FULL_QUALITY = 0.9  # Quality from which a cell has nothing more to gain that would be worth a try
 QUALITY_GRAIN = 1024
 """Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
 
@@ -109,6 +110,7 @@ class EtaQualities:
         self._most = most
         self._prior_trials = prior_trials
         self._known: dict[int, list[float]] = {}  # Qualities by cell, as they were measured
+        self._sum, self._count = 0.0, 0
 
     def __call__(self, rows: Rows) -> Floats:
         """Return the qualities (n,) of the next successes that the search is told."""
@@ -119,16 +121,15 @@ class EtaQualities:
         for cell, value in zip(cell_keys(reached).tolist(), quality.tolist(), strict=True):
             self._known.setdefault(cell, []).append(value)
         block = cell_keys((reached[:, None] + BLOCK).reshape(-1, 3)).reshape(-1, len(BLOCK))
-        every = [value for values in self._known.values() for value in values]
-        run = math.fsum(every) / len(every)
+        self._sum, self._count = math.fsum([self._sum, *quality.tolist()]), self._count + len(rows)
         pairs = zip(block.tolist(), quality.tolist(), strict=True)
-        prior = np.array([self._mean_of_others(nearby, own, run) for nearby, own in pairs])
+        prior = np.array([self._mean_of_others(nearby, own) for nearby, own in pairs])
         return np.asarray((trials * quality + self._prior_trials * prior) / (trials + self._prior_trials))
 
-    def _mean_of_others(self, nearby: list[int], own: float, default: float) -> float:
-        """Return the mean quality in cells, less one that is `own`; `default` without others."""
+    def _mean_of_others(self, nearby: list[int], own: float) -> float:
+        """Return the mean quality in cells, less one that is `own`; that of the run without others."""
         values = [value for cell in nearby for value in self._known.get(cell, [])]
-        return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else default
+        return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else self._sum / self._count
 
 
 def _quantised_quality(values: Floats) -> Floats:
@@ -166,7 +167,7 @@ class ValueFrontier(Frontier):
 
     def _is_open(self, places: Places) -> NDArray[np.bool_]:
         """Return which of `places` (n,) may still gain something."""
-        is_open: NDArray[np.bool_] = self._best[places] < 1.0
+        is_open: NDArray[np.bool_] = self._best[places] < FULL_QUALITY
         return is_open
 
     def _open_cells(self, new: Places, contacts: Floats) -> None:

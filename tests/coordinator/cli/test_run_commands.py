@@ -29,7 +29,9 @@ from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5)
+SPEC = RunSpec(
+    gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5, no_new_cell=9
+)
 
 
 @pytest.fixture
@@ -71,6 +73,7 @@ def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) ->
         chosen: Rows = journal.rows(0, 3)
     spec = rerank_spec(source, chosen, None, protocol="robust", trials="sequential", finalists=2)
     check_spec(spec)
+    assert spec.no_new_cell is None
     assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
     assert (spec.stages, spec.finalists) == ((10, 30, 100), 2)

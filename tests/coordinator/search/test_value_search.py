@@ -21,6 +21,7 @@ from qdgrasp_coordinator.search.value_search import (
     FIRST_TOUCH_WEIGHTS,
     FULL_ETAS,
     FULL_MARGIN,
+    FULL_QUALITY,
     QUALITY_GRAIN,
     EtaQualities,
     ValueFrontier,
@@ -95,14 +96,14 @@ def test_cells_features_and_worth_are_those_that_one_finds_cell_by_cell(frontier
     best: dict[tuple[int, ...], float] = {}
     for _ in range(12):
         new = random.integers(-5, 6, (8, 3))
-        quality = random.choice([0.0, 0.25, 0.5, 1.0], 8)
+        quality = random.choice([0.0, 0.25, 0.5, FULL_QUALITY, 1.0], 8)
         add(frontier, new, quality)
         for cell, value in zip(map(tuple, new.tolist()), quality.tolist(), strict=True):
             best[cell] = max(best.get(cell, 0.0), value)
         edge = [tuple(cell) for cell in np.rint(frontier.centres(frontier.edge) * 100).astype(int).tolist()]
         near = {tuple(step) for cell in best for step in (*(NEIGHBOURS + cell).tolist(), cell)}
         assert len(edge) == len(set(edge))
-        assert set(edge) == {c for c in near if max(map(abs, c)) <= 5 and best.get(c, 0.0) < 1.0}
+        assert set(edge) == {c for c in near if max(map(abs, c)) <= 5 and best.get(c, 0.0) < FULL_QUALITY}
         around = [[best.get(tuple(one), -1.0) for one in (NEIGHBOURS + cell).tolist()] for cell in edge]
         features = frontier.features(frontier.edge)
         assert features[:, 2] == pytest.approx((np.array(around) >= 0).mean(axis=1))
@@ -202,3 +203,5 @@ def test_the_quality_of_few_trials_lies_nearer_to_that_of_others_nearby() -> Non
     later = EtaQualities(60.0, 5.0)
     later(rows[:2])
     assert later(rows[2:3]) == pytest.approx([5 / 15])
+    rows["fitness"] = 60
+    assert (EtaQualities(60.0, 5.0)(rows) >= FULL_QUALITY).all()  # which closes their cells

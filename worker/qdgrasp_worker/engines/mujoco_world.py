@@ -14,6 +14,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate, unit
 from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import UPRIGHT, BulletLink, Contact, Quaternion, Vector
 from qdgrasp_worker.decoder import HandPose
@@ -51,7 +52,10 @@ class Simulation:
         *,
         is_free: bool,
     ) -> None:
-        self.model: Any = mujoco.MjModel.from_xml_string(scene.text(drives, passing, is_free=is_free))
+        try:
+            self.model: Any = mujoco.MjModel.from_xml_string(scene.text(drives, passing, is_free=is_free))
+        except ValueError as error:
+            raise AssetError(f"MuJoCo cannot take this hand with this object: {error}") from None
         self.data: Any = mujoco.MjData(self.model)
         joints = [self.model.joint(joint.name) for joint in scene.joints]
         self.places = np.array([joint.qposadr[0] for joint in joints])
