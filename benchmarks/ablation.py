@@ -71,7 +71,7 @@ class WithoutPreference(TouchSearch):
     """Any successful neighbour's grasp."""
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
-        options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
+        options = self._frontier.block(targets)
         drawn = np.where(self._elites.ranks(options) < 0, -1.0, generator.random(options.shape))
         parents: Places = options[np.arange(len(targets)), drawn.argmax(axis=1)]
         return parents

@@ -234,7 +234,7 @@ class AimedSearch(ABC):
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
         """Choose for each target a success in or around it, at a wanted distance where possible."""
-        options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
+        options = self._frontier.block(targets)
         preference = self._elites.preference(options, generator)
         least, greatest = self._within
         distances = self._elites.distances(options, self._frontier.centres(targets))

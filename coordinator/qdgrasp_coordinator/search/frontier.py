@@ -81,6 +81,10 @@ class Frontier(ABC):
         around: Places = places[:, None] + self._around
         return around
 
+    def block(self, places: Places) -> Places:
+        """The 26 neighbours of cells (n,), and behind them the cells themselves: (n, 27)."""
+        return np.concatenate([self.around(places), places[:, None]], axis=1)
+
     def count_tries(self, places: Places) -> None:
         """Count a try in each of `places` (n,), which may repeat, before its result is known."""
         np.add.at(self._tries, places, 1)

@@ -208,7 +208,8 @@ class NicheSearch(ValueSearch):
     def _learn_cells(self, generation: int, rows: Rows, is_told: NDArray[np.bool_], quality: Floats) -> None:
         """Learn from what tries gained: a new kind, or a better grasp of its kind."""
         features, options = self._open.pop(generation), self._followed.pop(generation)
-        n, _ = len(features), self._wanted.pop(generation)
+        del self._wanted[generation]
+        n = len(features)
         gains = self._gains(rows[:n], quality[:n])
         (told,) = np.nonzero(is_told[:n])
         self._frontier.learn_quality(features[told], gains[told] > 0.0, quality[told])
@@ -261,7 +262,7 @@ class NicheSearch(ValueSearch):
         self, targets: Places, generator: np.random.Generator
     ) -> tuple[NDArray[np.intp], Niches]:
         """Return at most `PARENTS` niches (m,) in and around each target, with the target's row."""
-        rows, niches = self._elites.among(self._block(targets))
+        rows, niches = self._elites.among(self._frontier.block(targets))
         preference = self._elites.preference(niches, generator)
         least, greatest = self._within
         ways = self._elites.points(niches) - self._frontier.centres(targets)[rows]
@@ -273,9 +274,6 @@ class NicheSearch(ValueSearch):
         _, first, counts = np.unique(rows, return_index=True, return_counts=True)
         is_kept = np.arange(len(rows)) - np.repeat(first, counts) < PARENTS
         return rows[is_kept], niches[is_kept]
-
-    def _block(self, targets: Places) -> Places:
-        return np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
 
     def _option_features(
         self,

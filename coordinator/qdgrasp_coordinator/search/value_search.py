@@ -175,7 +175,7 @@ class ValueFrontier(Frontier):
         self.successful[new] = True
         around = self.around(new)
         np.add.at(self._neighbours, around.ravel(), 1)
-        block = np.concatenate([around, new[:, None]], axis=1)
+        block = self.block(new)
         self._keep_distances(block, contacts)
         reached = block.ravel()
         fresh = np.unique(reached[~self._is_known[reached] & self._inside[reached]])
