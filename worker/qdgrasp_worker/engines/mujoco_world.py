@@ -50,6 +50,7 @@ FREE_DOFS = 6
 TIME_STEP = 1 / 240  # Where the hand is shaken [s]
 HOLD = 0.1, 1.0
 """Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
+BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
 LEAST_FORCE = 1e-9  # A motor without force keeps its row [N or Nm]
 AT_ORIGIN = HandPose(STILL, UPRIGHT, [], NO_SYNERGY)
 mujoco.set_mju_user_warning(lambda _text: None)  # counted in `Simulation.step`; else a file is written
@@ -120,18 +121,10 @@ class Simulation:
     def step(self, steps: int) -> None:
         """Move on by some steps; a SimulationDiverged where the state is not to be trusted."""
         mujoco.mj_step(self.model, self.data, steps)
-        self._check()
+        self.check()
 
-    def begin_step(self) -> None:
-        """Make the first half of a step: all up to the references of its constraints."""
-        mujoco.mj_step1(self.model, self.data)
-
-    def end_step(self) -> None:
-        """Make the second half of a step, the forces and the motion; a SimulationDiverged as above."""
-        mujoco.mj_step2(self.model, self.data)
-        self._check()
-
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raise a SimulationDiverged where the state is not to be trusted."""
         if self.data.warning.number.any():
             raise SimulationDiverged(f"MuJoCo warned: {self.data.warning.number.tolist()}")
 
@@ -144,10 +137,10 @@ class Simulation:
         corners = np.stack([middle - half, middle + half], axis=1).tolist()
         return [((a, b, c), (x, y, z)) for (a, b, c), (x, y, z) in corners]
 
-    def hand_contacts(self) -> list[tuple[int, int, float]]:
+    def hand_contacts(self, nearest: float = NEAR) -> list[tuple[int, int, float]]:
         """Number, body of the hand and distance [m] of each contact with the object.
 
-        They are nearer than `NEAR`; the distance is 0 where forces begin.
+        They are nearer than `nearest`; the distance is 0 where forces begin.
         """
         data, model = self.data, self.model
         if not data.ncon:
@@ -156,7 +149,7 @@ class Simulation:
         distance = contact.dist - contact.includemargin
         geoms = contact.geom
         is_object = self._is_object[geoms]
-        chosen = np.flatnonzero((distance < NEAR) & is_object.any(axis=1))
+        chosen = np.flatnonzero((distance < nearest) & is_object.any(axis=1))
         links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
         return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
 
@@ -252,18 +245,22 @@ class MujocoWorld(GraspWorld):
 class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     """A world whose joints have motors as Bullet's."""
 
+    _time_step = TIME_STEP
+
     def __init__(self, scene: Scene) -> None:
         gripper = scene.gripper
         super().__init__(gripper)
-        self._scene = SceneModel(scene, TIME_STEP)
+        self._scene = SceneModel(scene, self._time_step)
         self._prepare(scene, Simulation(self._scene, self._scene.shaken()))
         joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
         rows = indices_by_name("joint", joints, {self._joint_at(row): row for row in range(len(joints))})
         self._row = dict(zip(joints, rows, strict=True))
         """Of each joint its row among the motors, which is its place among the hand's degrees of freedom."""
-        self._motors = len(joints)
-        self._gripper = gripper
-        self._target_velocity = np.zeros(self._motors)
+        n, data = len(joints), self._free.data
+        self._gripper, self._motors = gripper, n
+        self._at, self._velocity = data.qpos[:n], data.qvel[:n]
+        self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
+        self._wanted, self._slowed = np.zeros(n), np.zeros(n)
         self._sweep = self.measure_sweep(gripper, STILL, self._scene.radius)
 
     def _joint_at(self, row: int) -> str:
@@ -281,10 +278,9 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest; joints that are not commanded are braked."""
         super().reset(trial, posture)
-        n = self._motors
-        self._goals, self._position_gains, self._velocity_gains = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._most = np.full(n, np.inf)
-        self._free.model.dof_frictionloss[:n] = 1.0
+        for each in (self._goals, self._gains, self._damping, self._least, self._most):
+            each[:] = 0.0
+        self._free.model.dof_frictionloss[: self._motors] = BRAKE
 
     def close_fingers(self, synergy: int) -> None:
         """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
@@ -310,25 +306,38 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float]
     ) -> None:
         row, (position_gain, velocity_gain) = self._row[joint], gains
-        self._goals[row], self._most[row] = target, velocity
-        self._position_gains[row], self._velocity_gains[row] = position_gain / TIME_STEP, 1.0 - velocity_gain
+        self._goals[row], self._least[row], self._most[row] = target, -velocity, velocity
+        self._gains[row], self._damping[row] = position_gain / TIME_STEP, 1.0 - velocity_gain
         self._free.model.dof_frictionloss[row] = max(force, LEAST_FORCE)
 
     def step(self) -> None:
-        """Move on by 1/240 s."""
-        simulation, n, wanted = self._free, self._motors, self._target_velocity
-        simulation.begin_step()
-        data = simulation.data
-        velocity = data.qvel[:n]
-        np.subtract(self._goals, data.qpos[:n], out=wanted)
-        wanted *= self._position_gains
-        wanted += self._velocity_gains * velocity
-        np.minimum(wanted, self._most, out=wanted)
-        np.maximum(wanted, -self._most, out=wanted)
-        wanted -= velocity
-        wanted /= TIME_STEP
-        data.efc_aref[data.ne : data.ne + n] = wanted
-        simulation.end_step()
+        """Move on by 1/240 s.
+
+        A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
+        """
+        model, data, wanted, velocity = self._free.model, self._free.data, self._wanted, self._velocity
+        mujoco.mj_step1(model, data)
+        np.subtract(self._goals, self._at, wanted)
+        np.multiply(wanted, self._gains, wanted)
+        np.add(wanted, np.multiply(velocity, self._damping, self._slowed), wanted)
+        np.minimum(wanted, self._most, wanted)
+        np.maximum(wanted, self._least, wanted)
+        np.subtract(wanted, velocity, wanted)
+        data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
+        mujoco.mj_step2(model, data)
+
+    def is_touching(self) -> bool:
+        """Return whether any link of the hand touches the object; links pass through each other."""
+        return bool(self._free.data.ncon)
+
+    def contacts(self) -> list[Contact]:
+        """The contacts of the hand's links with the object, from 1 mm on."""
+        return [Contact(link, distance) for _, link, distance in self._free.hand_contacts(np.inf)]
+
+    def finger_positions(self) -> list[float]:
+        """The positions of the finger joints; a SimulationDiverged where they are not to be trusted."""
+        self._free.check()
+        return super().finger_positions()
 
     def has_lost_object(self, pose: HandPose) -> bool:
         """Return whether the hand, while it closes, can touch the object no more."""
