@@ -218,10 +218,10 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         )
     if spec.engine == DEFAULT_ENGINE:
         return msgspec.structs.replace(spec, engine=None)
-    if spec.engine and spec.nominal_protocol != "physical":
+    if spec.engine and spec.protocol == "released":
         raise InputError(
-            f"{where}: engine = '{spec.engine}' simulates the protocol 'physical', and 'robust' with base = "
-            f"'physical', and this is '{spec.protocol}'; leave engine out, or take one of these."
+            f"{where}: the protocol 'released' repeats the authors' code, which is Bullet's, and engine = "
+            f"'{spec.engine}'; leave engine out, or take the protocol 'paper'."
         )
     return spec
 

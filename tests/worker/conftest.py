@@ -13,13 +13,13 @@ from qdgrasp_worker.evaluator import Evaluator
 
 
 @cache
-def scene_of(gripper: str, target: str, protocol: str) -> Scene:
-    return build_scene(RunSpec(gripper=gripper, object=target, protocol=protocol))
+def scene_of(gripper: str, target: str, protocol: str, engine: str | None = None) -> Scene:
+    return build_scene(RunSpec(gripper=gripper, object=target, protocol=protocol, engine=engine))
 
 
 @pytest.fixture(scope="session")
-def make_scene() -> Callable[[str, str, str], Scene]:
-    """Scenes by gripper, object and protocol."""
+def make_scene() -> Callable[..., Scene]:
+    """Scenes by gripper, object and protocol, and by engine where it is not Bullet."""
     return scene_of
 
 

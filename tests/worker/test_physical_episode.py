@@ -11,7 +11,7 @@ from tests.worker.genomes import draw, elsewhere, evaluated, outcomes, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.decoder import HandPose
@@ -253,14 +253,9 @@ def test_a_scene_of_an_unknown_base_is_refused(scene):
         Evaluator(msgspec.structs.replace(scene, protocol="robust", base="other"))
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [({"protocol": "paper"}, "this is 'paper'"), ({"protocol": "robust"}, "this is 'robust'")],
-)
-def test_another_engine_than_bullet_is_refused_to_protocols_that_shake(values, words):
-    values |= {"gripper": "panda", "object": "mug", "engine": "mujoco"}
-    with pytest.raises(InputError, match=f"engine = 'mujoco' simulates the protocol 'physical'.*{words}"):
-        run_spec(values)
+def test_another_engine_than_bullet_is_refused_to_the_authors_code():
+    with pytest.raises(InputError, match=r"'released' repeats the authors' code, which is Bullet's"):
+        run_spec({"gripper": "panda", "object": "mug", "engine": "mujoco", "protocol": "released"})
 
 
 def test_bullet_named_is_bullet_not_named():
@@ -268,8 +263,6 @@ def test_bullet_named_is_bullet_not_named():
     assert run_spec(values | {"engine": "bullet"}) == run_spec(values)
 
 
-def test_a_scene_of_an_unknown_engine_or_of_one_that_cannot_shake_is_refused(scene):
+def test_a_scene_of_an_unknown_engine_is_refused(scene):
     with pytest.raises(UnknownName, match="engine"):
         Evaluator(msgspec.structs.replace(scene, engine="other"))
-    with pytest.raises(AssetError, match="does not simulate the protocol 'paper'"):
-        Evaluator(msgspec.structs.replace(scene, protocol="paper", engine="mujoco"))

@@ -95,7 +95,7 @@ def verify(
     every: Annotated[bool, typer.Option("--all", help="Evaluate every row again.")] = False,
     engine: Annotated[
         str | None,
-        typer.Option(help="Compare verdicts on successes of physical with this engine: bullet or mujoco."),
+        typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco."),
     ] = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,

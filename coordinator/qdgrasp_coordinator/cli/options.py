@@ -31,7 +31,7 @@ BaseOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option("--engine", help="Physics engine: bullet, or mujoco for physical alone; default bullet."),
+    typer.Option("--engine", help="Physics engine: bullet or mujoco (not for released); default bullet."),
 ]
 Trials = Annotated[
     str | None,

@@ -391,16 +391,15 @@ def rerank_spec(
 ) -> RunSpec:
     """The spec of a run that scores grasps of another.
 
-    Its base and engine are those of the run unless given; trials of `paper` are Bullet's.
+    Its base and engine are those of the run unless given.
     """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     disturbed = base or ("physical" if source.spec.nominal_protocol == "physical" else "paper")
-    its_engine = source.spec.engine if disturbed == "physical" else None
     values = to_values(source.spec) | {
         "method": GIVEN,
         "base": disturbed,
-        "engine": engine or its_engine or DEFAULT_ENGINE,
+        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
         "evaluations": len(poses),
         "population": len(poses),
         "generations_in_flight": 1,

@@ -1,7 +1,9 @@
 """MuJoCo's model of a scene beside Bullet's: masses, reach, links that meet, distances, forces."""
 
+import xml.etree.ElementTree as ET
 from contextlib import closing
 from math import sin
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,6 +12,7 @@ from tests.common import with_gripper
 from tests.worker.test_physical_episode import ABOVE, HANDS, LIMIT_TOLERANCE
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, Synergy, pack_scene, unpack_scene
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -17,8 +20,8 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines import bullet_world
 from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, HandBody, ObjectBody
-from qdgrasp_worker.engines.mujoco_model import SceneModel, reach_of
-from qdgrasp_worker.engines.mujoco_world import MujocoWorld, SimulationDiverged
+from qdgrasp_worker.engines.mujoco_model import SceneModel, couplings, reach_of
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, SimulationDiverged
 from qdgrasp_worker.evaluation_protocols import PHYSICAL, Physics, TrialSetup
 from qdgrasp_worker.physical_episode import PhysicalEpisode
 
@@ -35,8 +38,8 @@ def scene(make_scene) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def world(scene) -> MujocoWorld:
-    return MujocoWorld(scene, PHYSICS)
+def world(scene) -> MujocoPhysicalWorld:
+    return MujocoPhysicalWorld(scene, PHYSICS)
 
 
 @pytest.fixture
@@ -48,6 +51,14 @@ def bullet(scene):
 @pytest.fixture(params=HANDS)
 def hand_scene(request, make_scene) -> Scene:
     return make_scene(request.param, "mug", "physical")
+
+
+URDF_OF_A_LINKAGE = """<robot name="hand"><link name="palm"/><link name="one"/><link name="two"/>
+<joint name="a" type="revolute"><parent link="palm"/><child link="one"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="2" effort="1" velocity="1"/><mimic joint="a" multiplier="2" offset="0.1"/></joint>
+</robot>"""
 
 
 class UndrivenWorld(BulletPhysicalWorld):
@@ -83,7 +94,7 @@ def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
 
 
 def test_a_hand_that_closes_on_nothing_keeps_its_limits(hand_scene):
-    world = MujocoWorld(hand_scene, PHYSICS)
+    world = MujocoPhysicalWorld(hand_scene, PHYSICS)
     course = np.array(world.closing(world.opened, NO_SYNERGY))
     joints = SceneModel(hand_scene, PHYSICS.time_step).joints
     low, high = np.array([(each.lower, each.upper) for each in joints]).T
@@ -121,12 +132,24 @@ def test_a_jaw_grips_with_its_preload_and_both_fingers_go_the_same_way(world):
 
 def test_a_synergy_of_one_finger_does_not_drag_the_other(scene):
     one = with_gripper(scene, synergies=(Synergy(name="left", joints=(LEFT,)),))
-    world = MujocoWorld(one, PHYSICS)
+    world = MujocoPhysicalWorld(one, PHYSICS)
     left, right = world.closing(world.opened, 0)[-1]
     assert left < 0.01
     assert right == pytest.approx(world.opened[1], abs=1e-3)
     with pytest.raises(ValueError, match="synergy must be one of"):
         world.closing(world.opened, 1)
+
+
+def test_joints_are_coupled_where_the_urdf_says_that_they_mimic(scene):
+    robot = parse_robot(Path(), ET.fromstring(URDF_OF_A_LINKAGE))  # noqa: S314  # written above
+    one, two = (
+        msgspec.structs.replace(scene.gripper.joints[0], name=name, opened=0.0, closed=closed)
+        for name, closed in (("a", 0.5), ("b", 1.1))
+    )
+    hand = msgspec.structs.replace(scene.gripper, joints=(one, two), jaw=None)
+    assert list(couplings(robot, hand)) == [("b", "a", 0.1, 2.0)]
+    free = msgspec.structs.replace(hand, joints=(one, msgspec.structs.replace(two, driven=False)))
+    assert list(couplings(robot, free)) == []
 
 
 def test_an_object_is_pushed_by_its_weight_along_an_axis_of_the_hand(world):
@@ -153,7 +176,7 @@ def test_numbers_that_are_not_finite_are_no_result(world):
 def test_a_shape_without_an_inside_is_refused(scene):
     urdf = scene.gripper.urdf.replace("<collision", '<collision concave="yes"', 1)
     with pytest.raises(AssetError, match="convex meshes"):
-        MujocoWorld(with_gripper(scene, urdf=urdf), PHYSICS)
+        MujocoPhysicalWorld(with_gripper(scene, urdf=urdf), PHYSICS)
 
 
 def test_a_scene_without_an_engine_keeps_its_format_and_one_with_it_has_its_own():

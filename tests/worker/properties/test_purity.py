@@ -43,6 +43,7 @@ def many_ways(scene: Scene) -> Scene:
 
 CASES = {
     "paper": ("approach", lambda make: make("panda", "rubiks_cube", "paper")),
+    "mujoco": ("approach", lambda make: make("panda", "rubiks_cube", "paper", "mujoco")),
     "released": ("approach", lambda make: make("panda", "mug", "released")),
     "synergies": ("approach", lambda make: many_ways(make("panda", "tennis_ball", "released"))),
     "antipodal": ("antipodal", lambda make: make("panda", "mug", "paper")),

@@ -12,7 +12,7 @@ from tests.worker.properties.test_parity import REFERENCES, recorded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import ROBUST
 
@@ -34,11 +34,13 @@ def assert_same_without(scene, n, seed):
 
 
 @pytest.mark.parametrize(
-    ("hand", "protocol"),
-    [(hand, "paper") for hand in HANDS] + [pytest.param("barrett", "released", marks=pytest.mark.slow)],
+    ("hand", "protocol", "engine"),
+    [(hand, "paper", None) for hand in HANDS]
+    + [("panda", "paper", "mujoco"), ("barrett", "paper", "mujoco")]
+    + [pytest.param("barrett", "released", None, marks=pytest.mark.slow)],
 )
-def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, make_scene):
-    assert_same_without(make_scene(hand, "mug", protocol), QUICK[hand], seed=4)
+def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, engine, make_scene):
+    assert_same_without(make_scene(hand, "mug", protocol, engine), QUICK[hand], seed=4)
 
 
 def broad_finger(line):
@@ -72,12 +74,14 @@ def test_reference_hands_have_the_same_rows_without_them_on_thousands_of_poses(
 
 
 @pytest.mark.parametrize(("target", "n", "simulated"), [("tennis_ball", 450, 200), ("mug", 1500, 75)])
-@pytest.mark.parametrize("trial", [0, 1])
-def test_ending_a_closing_whose_object_has_left_changes_no_verdict(target, n, simulated, trial, make_scene):
-    scene = make_scene("panda", target, "robust")
+@pytest.mark.parametrize(("trial", "engine"), [(0, None), (1, None), (1, "mujoco")])
+def test_ending_a_closing_whose_object_has_left_changes_no_verdict(
+    target, n, simulated, trial, engine, make_scene
+):
+    scene = make_scene("panda", target, "robust", engine)
     poses = decoded(scene, "approach", draw(n))
     trials = [ROBUST.trial(poses[i], trial) for i in range(n)]
-    world = BulletShakenWorld(scene)
+    world = make_world(scene, ROBUST)
     patient = ShakenEpisode(world, replace(ROBUST, shakes=()), stops_early=False)
     verdicts = [patient.run(trial) for trial in trials]
     early = replace(patient, stops_early=True)

@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
+from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
@@ -115,7 +116,7 @@ def inflated_box(low: Floats, high: Floats, frame: Floats, before: float, after:
 
 
 class Coupling(NamedTuple):
-    """A joint of a jaw that a belt or gears couple to the first one: offset + ratio * leader."""
+    """A joint that a belt or gears couple to another one: offset + ratio * leader."""
 
     joint: str
     leader: str
@@ -230,7 +231,7 @@ class SceneModel:
         self.links = hand_links(self.robot, gripper)
         self.joints = [self._joint(joint) for joint in gripper.joints]
         """The joints of the hand that are commanded, in the gripper's order."""
-        self.couplings = list(couplings(gripper.joints)) if gripper.jaw else []
+        self.couplings = list(couplings(self.robot, gripper))
         target, shape = scene.object, object_shape(scene.object)
         sides = shape.high - shape.low + 2 * (sum(INFLATIONS[".obj"]) + 1) * HULL_MARGIN
         self.moments = box_moments(target.mass, sides)
@@ -328,12 +329,21 @@ class SceneModel:
         add_shape(body, meshes, self._shape, group)
 
 
-def couplings(joints: Sequence[Joint]) -> Iterator[Coupling]:
-    """Yield the constraints that let the joints of a jaw close by the same share."""
-    first, *others = [joint for joint in joints if joint.driven and joint.opened != joint.closed]
-    for joint in others:
-        ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
-        yield Coupling(joint.name, first.name, joint.opened - ratio * first.opened, ratio)
+def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:
+    """Yield the constraints of joints that close together.
+
+    The joints of a jaw close by the same share; others follow where the URDF says that they mimic.
+    """
+    driven = {joint.name: joint for joint in gripper.joints if joint.driven and joint.opened != joint.closed}
+    if gripper.jaw:
+        first, *others = driven.values()
+        for joint in others:
+            ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
+            yield Coupling(joint.name, first.name, joint.opened - ratio * first.opened, ratio)
+        return
+    for name, mimic in followers(robot).items():
+        if {name, mimic.leader} <= driven.keys():
+            yield Coupling(name, mimic.leader, mimic.offset, mimic.multiplier)
 
 
 def drive_attributes(drive: FingerDrive) -> dict[str, str]:

@@ -97,7 +97,7 @@ class Simulation:
             self.model.dof_damping[-FREE_DOFS:] = rate
 
     def couple(self, closing: Sequence[str]) -> None:
-        """Couple the joints of a jaw that close, and no others."""
+        """Couple the joints that close together, where both close, and no others."""
         for i, coupling in enumerate(self._couplings):
             self.data.eq_active[i] = {coupling.joint, coupling.leader} <= {*closing}
 
@@ -320,8 +320,8 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         np.subtract(self._goals, self._at, wanted)
         np.multiply(wanted, self._gains, wanted)
         np.add(wanted, np.multiply(velocity, self._damping, self._slowed), wanted)
-        np.minimum(wanted, self._most, wanted)
-        np.maximum(wanted, self._least, wanted)
+        np.minimum(wanted, self._most, out=wanted)
+        np.maximum(wanted, self._least, out=wanted)
         np.subtract(wanted, velocity, wanted)
         data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
         mujoco.mj_step2(model, data)
