@@ -20,7 +20,7 @@ def snapshots(*phases):
     """All snapshots of phases with so many steps each."""
     nowhere = [0.0] * 3, [0.0, 0.0, 0.0, 1.0]
     return [
-        Snapshot(phase, step, nowhere, [], nowhere, ())
+        Snapshot(phase, step, nowhere, {}, nowhere, ())
         for phase, steps in phases
         for step in range(steps + 1)
     ]

@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.replay_messages import Phase, ReplayPart
+from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import BASE
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
 from qdgrasp_worker.physical_episode import BulletPhysicalWorld
-from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World
 
@@ -73,8 +72,7 @@ class RecordingWorld(World):
     def __init__(self, scene: Scene, *settings: Physics) -> None:
         super().__init__(scene, *settings)
         links = self._bullet.links(self._hand.body)
-        self.joints = [links[joint].joint for joint in self._joints]
-        """The names of all joints that move."""
+        self._moving = [links[joint].joint for joint in self._joints]
         self._links = {BASE: "root"} | {number: link.link for number, link in enumerate(links)}
         self.snapshots: list[Snapshot] = []
         self._is_watching = True
@@ -124,9 +122,18 @@ class RecordingWorld(World):
             self._phase,
             self._step,
             self._root,
-            self._bullet.joints(hand, self._joints),
-            renderer.body_pose(self._bullet, target),
-            renderer.contact_points(self._bullet, hand, target, self._links, self.finger_links),
+            dict(zip(self._moving, self._bullet.joints(hand, self._joints), strict=True)),
+            self._bullet.pose(target),
+            tuple(
+                ContactPoint(
+                    link=self._links[contact.link],
+                    is_finger=contact.link in self.finger_links,
+                    point=contact.point,
+                    normal=(-contact.normal[0], -contact.normal[1], -contact.normal[2]),
+                    distance=contact.distance,
+                )
+                for contact in self._bullet.contact_forces(hand, target)
+            ),
         )
 
 
