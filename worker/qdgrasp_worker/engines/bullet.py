@@ -168,6 +168,11 @@ class Bullet:
             for info in infos
         ]
 
+    def root_link(self, body: int) -> str:
+        """The name of a body's root link."""
+        name: bytes = pb.getBodyInfo(body, physicsClientId=self._client)[0]
+        return name.decode()
+
     def shaped_links(self, body: int) -> list[int]:
         """The links that have a collision shape, the root link among them."""
         links = range(BASE, pb.getNumJoints(body, physicsClientId=self._client))

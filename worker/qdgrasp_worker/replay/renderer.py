@@ -31,7 +31,7 @@ class Snapshot:
 
     phase: Phase
     step: int
-    """Steps since the phase began."""
+    """Steps of 1/240 s since the phase began."""
     root: tuple[Sequence[float], Sequence[float]]
     """Position [m] and quaternion xyzw of the carrier's root link, object's CoM frame at first."""
     joints: Mapping[str, float]

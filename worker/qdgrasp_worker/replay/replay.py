@@ -35,16 +35,17 @@ from qdgrasp_protocol.replay_messages import (
 )
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
+    EpisodeRecorder,
     TimedSnapshot,
     animation,
     placed_snapshot,
-    recording_world,
     still_snapshot,
 )
 from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera, frame_of
@@ -55,16 +56,17 @@ MakeFrames = Callable[[int, int, int], Frames]  # Makes room for so many frames 
 
 
 class EpisodeReplay:
-    """One evaluation, carried out again; an AssetError if Bullet cannot load the scene."""
+    """One evaluation, carried out again; an AssetError if its engine cannot load the scene."""
 
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
         self._request = request
         protocol = scene_protocol(scene)
-        with closing(recording_world(scene, protocol)) as world:
+        with closing(make_world(scene, protocol)) as world:
+            recorder = EpisodeRecorder(world, scene.gripper)
             episode = make_episode(world, protocol, stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
-            self.snapshots = world.snapshots
+        self.snapshots = recorder.snapshots
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
     def frames(self) -> list[TimedSnapshot]:
