@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
-from qdgrasp_assets.scene import SceneGripper, vector
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
@@ -130,31 +130,30 @@ class EpisodeRecorder:
         self.snapshots.append(replace(now, touches=before[0].touches) if before else now)
 
     def _now(self) -> Snapshot:
-        root, joints, target, touches = self._world.state()
+        (root, turned), joints, (target, turned_target), touches = self._world.state()
+        places = np.array([root, target, *(touch.point for touch in touches)]) - self._origin
+        normals = np.array([touch.normal for touch in touches]).reshape(-1, 3)
+        root, target, *points = rotate(self._back, places).tolist()
+        turned, turned_target = multiply(self._back, np.array([turned, turned_target])).tolist()
         return Snapshot(
             self._phase,
             self._step,
-            self._in_object(*root),
+            (root, turned),
             joints,
-            self._in_object(*target),
+            (target, turned_target),
             tuple(
                 ContactPoint(
                     link=touch.link,
                     is_finger=touch.link in self._finger_links,
-                    point=vector(rotate(self._back, np.array(touch.point) - self._origin)),
-                    normal=vector(rotate(self._back, -np.array(touch.normal))),
+                    point=tuple(point),
+                    normal=tuple(normal),
                     distance=touch.distance,
                 )
-                for touch in touches
+                for touch, point, normal in zip(
+                    touches, points, rotate(self._back, -normals).tolist(), strict=True
+                )
             ),
         )
-
-    def _in_object(
-        self, position: Sequence[float], quaternion: Sequence[float]
-    ) -> tuple[list[float], list[float]]:
-        place: list[float] = rotate(self._back, np.array(position) - self._origin).tolist()
-        turn: list[float] = multiply(self._back, np.array(quaternion)).tolist()
-        return place, turn
 
 
 def followed(act: Callable[..., None], look: Callable[..., None]) -> Callable[..., None]:
