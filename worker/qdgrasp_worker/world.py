@@ -64,7 +64,7 @@ class Touch(NamedTuple):
 
 
 class WorldState(NamedTuple):
-    """Where all of a world is, in the world's frame: what is recorded of an evaluation to draw it."""
+    """Places of all that can move, and contacts, in the world's frame: enough to draw them."""
 
     root: tuple[Sequence[float], Sequence[float]]
     """Position [m] and quaternion xyzw of the root link of the hand's URDF."""
@@ -156,7 +156,7 @@ class GraspWorld(ABC):
 
     @abstractmethod
     def state(self) -> WorldState:
-        """Where all is now."""
+        """The places of all that can move, and the contacts, as they are now."""
 
 
 class ShakenWorld(GraspWorld):

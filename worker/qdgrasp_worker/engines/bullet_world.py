@@ -222,7 +222,7 @@ class BulletWorld(GraspWorld):
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
     def state(self) -> WorldState:
-        """Where all is now."""
+        """The places of all that can move, and the contacts, as they are now."""
         bullet, hand, target = self._bullet, self._hand, self._target.body
         positions = bullet.joints(hand.body, self._joints)
         return WorldState(

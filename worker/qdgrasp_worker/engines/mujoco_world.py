@@ -264,7 +264,10 @@ class MujocoWorld(PhysicalWorld):
         return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
 
     def state(self) -> WorldState:
-        """Where all is now: the hand's root at the origin."""
+        """The places of all that can move, and the contacts, as they are now.
+
+        The hand's root is at the origin.
+        """
         now = self._now
         return WorldState((STILL, UPRIGHT), now.joint_positions(), self.object_pose(), now.touches())
 
