@@ -24,6 +24,7 @@ HandFrame = tuple[Floats, Floats]
 STILL = [0.0, 0.0, 0.0]
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
+HAND_FRICTION = 0.5  # Lateral friction of the hand's links, Bullet's own; it multiplies it with the object's
 NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
 FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
 

@@ -35,7 +35,7 @@ SLACK = 2.0
 """Pixels by which a corner may be seen beside itself."""
 
 
-@pytest.fixture(scope="module", params=["paper", "physical", "physical in mujoco"])
+@pytest.fixture(scope="module", params=["paper", "paper in mujoco", "physical", "physical in mujoco"])
 def on_the_cube(request, make_scene) -> RecordedEvaluation:
     protocol, _, engine = request.param.partition(" in ")
     scene = make_scene("panda", "rubiks_cube", protocol)

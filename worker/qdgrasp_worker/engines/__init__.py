@@ -33,7 +33,9 @@ ENGINES = {
     "bullet": Engine(
         "pybullet", "qdgrasp_worker.engines.bullet_world", "BulletShakenWorld", "BulletPhysicalWorld"
     ),
-    "mujoco": Engine("mujoco-core", "qdgrasp_worker.engines.mujoco_world", None, "MujocoWorld"),
+    "mujoco": Engine(
+        "mujoco-core", "qdgrasp_worker.engines.mujoco_world", "MujocoShakenWorld", "MujocoPhysicalWorld"
+    ),
 }
 
 

@@ -28,6 +28,7 @@ from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     FREE_POSTURES,
+    HAND_FRICTION,
     NEAR,
     STILL,
     UPRIGHT,
@@ -42,9 +43,6 @@ from qdgrasp_worker.world import (
     indices_by_name,
 )
 
-HAND_FRICTION = (
-    0.5  # Lateral friction of the hand's links in `physical`; Bullet multiplies it with the object's
-)
 HAND_GROUP, OBJECT_GROUP = 1, 2
 """Collision groups: an object meets hands only, a hand itself if it is asked to."""
 OBJECT_URDF = """<robot name="object"><link name="object">

@@ -1,13 +1,16 @@
 """MuJoCo's model of a scene as MJCF: the hand at the world's origin, and the object.
 
 What Bullet makes of a URDF is made here too: hulls and cylinders are met `HULL_MARGIN` outside of their
-surface, and the inertia of a link is that of a box around its shapes (`box_moments`). Joints that the scene
-does not command are rigid.
+surface, and the inertia of a link is that of a box around its shapes (`box_moments`).
+
+In `physical` joints that the scene does not command are rigid, and drives are actuators. Where the hand is
+shaken each joint has dry friction as great as the force of its motor: `mujoco_world` says in each step at
+which velocity that friction ends, which makes a motor of it as Bullet has them.
 """
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -44,7 +47,9 @@ CONTACT = {"solref": f"{1 / 120!r} 1", "solimp": "0.95 0.99 0.001", "gap": repr(
 """Contacts give way within a few steps of 1/480 s."""
 LIMIT = {"solreflimit": "0.01 1", "solimplimit": "0.95 0.99 0.001"}
 BELT = {"solref": f"{1 / 120!r} 1", "solimp": "0.99 0.999 0.001"}
-HAND_GROUP, HAND_AFFINITY, OBJECT_GROUP = "1", "3", "2"  # The object meets the hand alone
+MOTOR = {"frictionloss": "1", "solimpfriction": "0.9999 0.9999 0.001"}
+"""Bullet's motor of a joint that is not commanded has a force of 1 N or Nm."""
+HAND_GROUP, OBJECT_GROUP = "1", "2"  # The object meets the hand alone
 PAIR_FRICTION = (
     "0.25 0 0"  # Of two links of the hand, sliding alone; the object's own holds for hand and object
 )
@@ -231,6 +236,8 @@ class SceneModel:
         self.moments = box_moments(target.mass, sides)
         """The object's principal moments of inertia (3,) [kg m2]."""
         self._mass, self._shape = target.mass, shape
+        self.radius = float(max(np.linalg.norm(corners, axis=1).max() for corners in shape.hulls))
+        """Largest distance of the object's corners from its centre of mass [m]."""
 
     def _joint(self, joint: Joint) -> UrdfJoint:
         found = self.robot.joint(joint.name)
@@ -238,32 +245,53 @@ class SceneModel:
             raise AssetError(f"The hand has no joint '{joint.name}' that moves.")
         return found
 
-    def text(
+    def driven(
         self, drives: Sequence[FingerDrive], passing: Iterable[tuple[str, str]], *, is_free: bool
     ) -> str:
-        """The MJCF of the scene; links of the pairs `passing` pass through each other."""
-        root = ET.Element("mujoco")
-        ET.SubElement(root, "compiler", angle="radian", autolimits="false", boundmass=repr(LEAST_MASS))
-        ET.SubElement(ET.SubElement(root, "option", OPTIONS, timestep=repr(self._time_step)), "flag", FLAGS)
-        ET.SubElement(ET.SubElement(root, "default"), "geom", CONTACT)
-        meshes, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
-        armatures = {drive.name: drive.inertia for drive in drives}
-        self._add_link(world, meshes, self.robot.root, armatures)
-        self._add_object(world, meshes, is_free=is_free)
+        """The MJCF of the scene in `physical`; links of the pairs `passing` pass through each other."""
+        root = self._scene(
+            {drive.name: {"armature": repr(drive.inertia)} for drive in drives},
+            is_free=is_free,
+            meets_itself=True,
+        )
         contact = ET.SubElement(root, "contact")
         for one, other in sorted(passing):
             ET.SubElement(contact, "exclude", body1=one, body2=other)
-        equality = ET.SubElement(root, "equality")
-        for joint, leader, offset, ratio in self.couplings:
-            polynomial = words([offset, ratio, 0.0, 0.0, 0.0])
-            ET.SubElement(equality, "joint", BELT, joint1=joint, joint2=leader, polycoef=polynomial)
         actuator = ET.SubElement(root, "actuator")
         for drive in drives:
             ET.SubElement(actuator, "general", drive_attributes(drive))
         return ET.tostring(root, encoding="unicode")
 
+    def shaken(self) -> str:
+        """The MJCF of the scene where the hand is shaken; its links pass through each other."""
+        joints = {joint.name: MOTOR for joint in self.robot.joints if joint.moves}
+        return ET.tostring(self._scene(joints, is_free=True, meets_itself=False), encoding="unicode")
+
+    def _scene(
+        self, joints: Mapping[str, Mapping[str, str]], *, is_free: bool, meets_itself: bool
+    ) -> ET.Element:
+        """MJCF of all bodies; the attributes of the joints that move are in `joints`."""
+        root = ET.Element("mujoco")
+        ET.SubElement(root, "compiler", angle="radian", autolimits="false", boundmass=repr(LEAST_MASS))
+        ET.SubElement(ET.SubElement(root, "option", OPTIONS, timestep=repr(self._time_step)), "flag", FLAGS)
+        ET.SubElement(ET.SubElement(root, "default"), "geom", CONTACT)
+        meshes, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+        group = {"contype": HAND_GROUP, "conaffinity": "3" if meets_itself else OBJECT_GROUP}
+        self._add_link(world, meshes, self.robot.root, joints, group | {"friction": PAIR_FRICTION})
+        self._add_object(world, meshes, is_free=is_free)
+        equality = ET.SubElement(root, "equality")
+        for joint, leader, offset, ratio in self.couplings:
+            polynomial = words([offset, ratio, 0.0, 0.0, 0.0])
+            ET.SubElement(equality, "joint", BELT, joint1=joint, joint2=leader, polycoef=polynomial)
+        return root
+
     def _add_link(
-        self, parent: ET.Element, meshes: ET.Element, name: str, armatures: dict[str, float]
+        self,
+        parent: ET.Element,
+        meshes: ET.Element,
+        name: str,
+        joints: Mapping[str, Mapping[str, str]],
+        group: Mapping[str, str],
     ) -> None:
         link = self.links[name]
         joint = next((joint for joint in self.robot.joints if joint.child == name), None)
@@ -271,7 +299,7 @@ class SceneModel:
         moments = np.maximum(link.moments, LEAST_MOMENT)
         inertial = {"mass": repr(max(link.mass, LEAST_MASS)), "diaginertia": words(moments)}
         ET.SubElement(body, "inertial", placed(link.inertial), **inertial)
-        if joint and joint.name in armatures:
+        if joint and joint.name in joints:
             limited = joint.lower < joint.upper
             ET.SubElement(
                 body,
@@ -282,14 +310,13 @@ class SceneModel:
                 axis=words(joint.axis),
                 limited=str(limited).lower(),
                 range=words([joint.lower, joint.upper]) if limited else "0 0",
-                armature=repr(armatures[joint.name]),
+                **joints[joint.name],
             )
         for shape in link.shapes:
-            group = {"contype": HAND_GROUP, "conaffinity": HAND_AFFINITY, "friction": PAIR_FRICTION}
             add_shape(body, meshes, shape, group)
         for below in self.robot.joints:
             if below.parent == name:
-                self._add_link(body, meshes, below.child, armatures)
+                self._add_link(body, meshes, below.child, joints, group)
 
     def _add_object(self, world: ET.Element, meshes: ET.Element, *, is_free: bool) -> None:
         body = ET.SubElement(world, "body", name=OBJECT, mocap=str(not is_free).lower())
@@ -324,18 +351,18 @@ def drive_attributes(drive: FingerDrive) -> dict[str, str]:
     }
 
 
-def add_shape(body: ET.Element, meshes: ET.Element, shape: LinkShape, group: dict[str, str]) -> None:
+def add_shape(body: ET.Element, meshes: ET.Element, shape: LinkShape, group: Mapping[str, str]) -> None:
     """Add the geoms of a shape to a body, and its meshes to the assets."""
     for corners in shape.hulls:
         name = f"hull_{len(meshes)}"
         ET.SubElement(meshes, "mesh", name=name, vertex=words(corners.ravel()), inertia="convex")
         margin = {"margin": repr(HULL_MARGIN)}
-        ET.SubElement(body, "geom", placed(shape.frame) | group, type="mesh", mesh=name, **margin)
+        ET.SubElement(body, "geom", placed(shape.frame) | {**group}, type="mesh", mesh=name, **margin)
     if shape.kind in ("box", "sphere", "cylinder"):
         sizes = {"box": shape.high, "sphere": shape.high[:1], "cylinder": shape.high[[0, 2]]}
         margin = {"margin": repr(HULL_MARGIN)} if shape.kind == "cylinder" else {}
         size = words(sizes[shape.kind])
-        ET.SubElement(body, "geom", placed(shape.frame) | group, type=shape.kind, size=size, **margin)
+        ET.SubElement(body, "geom", placed(shape.frame) | {**group}, type=shape.kind, size=size, **margin)
 
 
 def placed(frame: Floats) -> dict[str, str]:

@@ -1,42 +1,60 @@
-"""A world of `physical` in MuJoCo; the one module that imports it.
+"""Worlds of the protocols in MuJoCo; the one module that imports it.
 
-1. Two models of a scene: while the fingers close the object is fixed, afterwards it is free.
-2. MuJoCo steps by itself from one look to the next. A finger's drive is an actuator whose target moves at
-   the speed that is set at a look; where it walks to is `FingerControl`'s to say, as in Bullet.
-3. Before every evaluation all of a model's state is reset, the start of its solver too.
+The hand's root stays at the origin, and the object comes to where the hand sees it. Before every evaluation
+all of a model's state is reset, the start of its solver too.
+
+- Where the hand is shaken each joint has the motor that Bullet has: a row of dry friction with the force of
+  the motor as its limit. Between the halves of a step its reference is set to the acceleration that gives
+  the joint the commanded velocity.
+- `physical` has two models of a scene: while the fingers close the object is fixed, afterwards it is free.
+  MuJoCo steps by itself from one look to the next. A finger's drive is an actuator whose target moves at the
+  speed that is set at a look; where it walks to is `FingerControl`'s to say, as in Bullet.
 """
 
-from collections.abc import Iterable, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate, unit
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate, unit
 from qdgrasp_assets.scene import Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import OBJECT, SceneModel, reach_of
-from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
+from qdgrasp_worker.engines.mujoco_model import HULL_MARGIN, OBJECT, SceneModel, reach_of
+from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
+from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture, neighbours
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     FREE_POSTURES,
+    HAND_FRICTION,
     NEAR,
     STILL,
     UPRIGHT,
     Contact,
     GraspContact,
+    GraspWorld,
     HandFrame,
     Quaternion,
+    ShakenWorld,
     Touch,
     WorldState,
     indices_by_name,
 )
 
 FREE_DOFS = 6
+TIME_STEP = 1 / 240  # Where the hand is shaken [s]
+HOLD = 0.1, 1.0
+"""Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
+BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
+LEAST_FORCE = 1e-9  # A motor without force keeps its row [N or Nm]
+AT_ORIGIN = HandPose(STILL, UPRIGHT, [], NO_SYNERGY)
 mujoco.set_mju_user_warning(lambda _text: None)  # counted in `Simulation.step`; else a file is written
 
 
@@ -47,16 +65,9 @@ class SimulationDiverged(RuntimeError):
 class Simulation:
     """A model of a scene with its state; MuJoCo's own quaternions are wxyz."""
 
-    def __init__(
-        self,
-        scene: SceneModel,
-        drives: Sequence[FingerDrive],
-        passing: Iterable[tuple[str, str]],
-        *,
-        is_free: bool,
-    ) -> None:
+    def __init__(self, scene: SceneModel, mjcf: str, *, is_free: bool = True) -> None:
         try:
-            self.model: Any = mujoco.MjModel.from_xml_string(scene.text(drives, passing, is_free=is_free))
+            self.model: Any = mujoco.MjModel.from_xml_string(mjcf)
         except ValueError as error:
             raise AssetError(f"MuJoCo cannot take this hand with this object: {error}") from None
         self.data: Any = mujoco.MjData(self.model)
@@ -114,13 +125,26 @@ class Simulation:
     def step(self, steps: int) -> None:
         """Move on by some steps; a SimulationDiverged where the state is not to be trusted."""
         mujoco.mj_step(self.model, self.data, steps)
+        self.check()
+
+    def check(self) -> None:
+        """Raise a SimulationDiverged where the state is not to be trusted."""
         if self.data.warning.number.any():
             raise SimulationDiverged(f"MuJoCo warned: {self.data.warning.number.tolist()}")
 
-    def hand_contacts(self) -> list[tuple[int, int, float]]:
+    def hand_boxes(self) -> list[Box]:
+        """The axis-aligned box around each collision shape of the hand [m]."""
+        model, shapes = self.model, np.flatnonzero(~self._is_object)
+        turn = self.data.geom_xmat[shapes].reshape(-1, 3, 3)
+        middle = self.data.geom_xpos[shapes] + np.einsum("gij,gj->gi", turn, model.geom_aabb[shapes, :3])
+        half = np.einsum("gij,gj->gi", np.abs(turn), model.geom_aabb[shapes, 3:]) + HULL_MARGIN
+        corners = np.stack([middle - half, middle + half], axis=1).tolist()
+        return [((a, b, c), (x, y, z)) for (a, b, c), (x, y, z) in corners]
+
+    def hand_contacts(self, nearest: float = NEAR) -> list[tuple[int, int, float]]:
         """Number, body of the hand and distance [m] of each contact with the object.
 
-        They are nearer than `NEAR`; the distance is 0 where forces begin.
+        They are nearer than `nearest`; the distance is 0 where forces begin.
         """
         data, model = self.data, self.model
         if not data.ncon:
@@ -129,7 +153,7 @@ class Simulation:
         distance = contact.dist - contact.includemargin
         geoms = contact.geom
         is_object = self._is_object[geoms]
-        chosen = np.flatnonzero((distance < NEAR) & is_object.any(axis=1))
+        chosen = np.flatnonzero((distance < nearest) & is_object.any(axis=1))
         links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
         return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
 
@@ -158,32 +182,31 @@ class Simulation:
         return {(self.model.body(one).name, self.model.body(other).name) for one, other in bodies}
 
 
-class MujocoWorld(PhysicalWorld):
+class MujocoWorld(GraspWorld):
     """A hand at the world's origin and an object; an AssetError if the scene cannot be taken."""
 
-    def __init__(self, scene: Scene, physics: Physics) -> None:
+    _free: Simulation
+    """With an object that is free."""
+    _now: Simulation
+
+    def _prepare(self, scene: Scene, free: Simulation) -> None:
         gripper = scene.gripper
-        super().__init__(gripper)
-        self.physics, self.steps_at_once = physics, physics.look_every
-        model = SceneModel(scene, physics.time_step)
-        drives = finger_drives(gripper, model, physics)
-        self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
-        passing = passing_links(gripper, model, drives)
-        self._fixed = Simulation(model, drives, passing, is_free=False)
-        self._free = Simulation(model, drives, passing, is_free=True)
-        self._now = self._free
-        self._target, self._moments = scene.object, model.moments
-        bodies = {self._free.model.body(i).name: i for i in range(self._free.model.nbody)}
+        self._free = self._now = free
+        self._target = scene.object
+        bodies = {free.model.body(i).name: i for i in range(free.model.nbody)}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, bodies))
         self._link_numbers = {bodies[name]: number for number, name in enumerate(gripper.links, start=1)}
 
     def close(self) -> None:
         """Do nothing: the models are freed with the world."""
 
+    @abstractmethod
+    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+        """Friction of hand and object: sliding, spinning [m], rolling [m]."""
+
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before."""
-        physics = self.physics
-        self._friction = trial.grip * self._target.lateral_friction, physics.spinning, physics.rolling
+        self._friction = self._friction_of(trial)
         self._posture = list(posture)
         self._now = self._free
         self._now.reset(posture, self._friction)
@@ -199,6 +222,186 @@ class MujocoWorld(PhysicalWorld):
         """Put the finger joints at `posture` [rad or m], at rest."""
         self._posture = list(posture)
         self._now.data.qpos[self._now.places] = posture
+
+    def is_touching(self) -> bool:
+        """Return whether any link of the hand touches the object."""
+        return bool(self._now.hand_contacts())
+
+    def contacts(self) -> list[Contact]:
+        """The contacts of the hand's links with the object."""
+        return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
+
+    def state(self) -> WorldState:
+        """The places of all that can move, and the contacts, as they are now.
+
+        The hand's root is at the origin.
+        """
+        now = self._now
+        return WorldState((STILL, UPRIGHT), now.joint_positions(), self.object_pose(), now.touches())
+
+    def contact_forces(self) -> list[GraspContact]:
+        """The contacts of the hand with the object that bear a force, or are about to.
+
+        They were found before the last step: they go with the pose that the object had then.
+        """
+        now, found = self._now, []
+        origin = now.data.xpos[now.object].copy()
+        back = conjugate(now.data.xquat[now.object][[1, 2, 3, 0]])
+        for contact, link, _ in now.hand_contacts():
+            if link in self._link_numbers:
+                point, normal, force = now.force(contact)
+                point, normal = rotate(back, point - origin), rotate(back, normal)
+                found.append(GraspContact(self._link_numbers[link], point.tolist(), normal.tolist(), force))
+        return found
+
+    def object_pose(self) -> tuple[Vector, Quaternion]:
+        """The object's position and quaternion, in the frame of the hand's root."""
+        position, quaternion = self._free.object_pose()
+        (x, y, z), (a, b, c, w) = position.tolist(), quaternion.tolist()
+        return (x, y, z), (a, b, c, w)
+
+    def finger_positions(self) -> list[float]:
+        """The positions of the finger joints, in the gripper's order [rad or m]."""
+        positions: list[float] = self._now.data.qpos[self._now.places].tolist()
+        return positions
+
+
+class MujocoShakenWorld(MujocoWorld, ShakenWorld):
+    """A world whose joints have motors as Bullet's."""
+
+    _time_step = TIME_STEP
+
+    def __init__(self, scene: Scene) -> None:
+        gripper = scene.gripper
+        super().__init__(gripper)
+        self._scene = SceneModel(scene, self._time_step)
+        self._prepare(scene, Simulation(self._scene, self._scene.shaken()))
+        joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
+        rows = indices_by_name("joint", joints, {self._joint_at(row): row for row in range(len(joints))})
+        self._row = dict(zip(joints, rows, strict=True))
+        """Of each joint its row among the motors, which is its place among the hand's degrees of freedom."""
+        n, data = len(joints), self._free.data
+        self._gripper, self._motors = gripper, n
+        self._at, self._velocity = data.qpos[:n], data.qvel[:n]
+        self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
+        self._wanted, self._slowed = np.zeros(n), np.zeros(n)
+        self._sweep = self.measure_sweep(gripper, STILL, self._scene.radius)
+
+    def _joint_at(self, row: int) -> str:
+        model = self._free.model
+        name: str = model.joint(int(model.dof_jntid[row])).name
+        return name
+
+    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+        """Friction of hand and object, as Bullet makes it of that of both."""
+        target = self._target
+        rolling, spinning = trial.frictions or (target.rolling_friction, target.spinning_friction)
+        lateral = trial.grip * target.lateral_friction
+        return HAND_FRICTION * lateral, HAND_FRICTION * spinning, HAND_FRICTION * rolling
+
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
+        """Put hand and object in place, at rest; joints that are not commanded are braked."""
+        super().reset(trial, posture)
+        for each in (self._goals, self._gains, self._damping, self._least, self._most):
+            each[:] = 0.0
+        self._free.model.dof_frictionloss[: self._motors] = BRAKE
+
+    def close_fingers(self, synergy: int) -> None:
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
+
+        A ValueError for a synergy that the hand does not have.
+        """
+        closing = self.closing_joints(synergy)
+        for axis in self._gripper.carrier:
+            self._drive(axis.name, 0.0, axis.force, axis.max_velocity, HOLD)
+        for joint in self._gripper.joints:
+            if joint.driven:
+                target = joint.closed if joint.name in closing else joint.opened
+                self._drive(joint.name, target, joint.effort, joint.velocity, HOLD)
+        self._free.couple(closing)
+
+    def shake_to(self, target: float, shake: Shake) -> None:
+        """Command the carrier joint that `shake` moves to `target` [m or rad]."""
+        axis = next(axis for axis in self._gripper.carrier if axis.shake == shake.joint)
+        gains = shake.position_gain, shake.velocity_gain
+        self._drive(axis.name, target, axis.shake_force, axis.max_velocity, gains)
+
+    def _drive(
+        self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float]
+    ) -> None:
+        row, (position_gain, velocity_gain) = self._row[joint], gains
+        self._goals[row], self._least[row], self._most[row] = target, -velocity, velocity
+        self._gains[row], self._damping[row] = position_gain / TIME_STEP, 1.0 - velocity_gain
+        self._free.model.dof_frictionloss[row] = max(force, LEAST_FORCE)
+
+    def step(self) -> None:
+        """Move on by 1/240 s.
+
+        A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
+        """
+        model, data, wanted, velocity = self._free.model, self._free.data, self._wanted, self._velocity
+        mujoco.mj_step1(model, data)
+        np.subtract(self._goals, self._at, wanted)
+        np.multiply(wanted, self._gains, wanted)
+        np.add(wanted, np.multiply(velocity, self._damping, self._slowed), wanted)
+        np.minimum(wanted, self._most, wanted)
+        np.maximum(wanted, self._least, wanted)
+        np.subtract(wanted, velocity, wanted)
+        data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
+        mujoco.mj_step2(model, data)
+
+    def is_touching(self) -> bool:
+        """Return whether any link of the hand touches the object; links pass through each other."""
+        return bool(self._free.data.ncon)
+
+    def contacts(self) -> list[Contact]:
+        """The contacts of the hand's links with the object, from 1 mm on."""
+        return [Contact(link, distance) for _, link, distance in self._free.hand_contacts(np.inf)]
+
+    def finger_positions(self) -> list[float]:
+        """The positions of the finger joints; a SimulationDiverged where they are not to be trusted."""
+        self._free.check()
+        return super().finger_positions()
+
+    def has_lost_object(self, pose: HandPose) -> bool:
+        """Return whether the hand, while it closes, can touch the object no more."""
+        data = self._free.data
+        x, y, z = data.qpos[-7:-4].tolist()
+        u, v, w = data.qvel[-6:-3].tolist()
+        return self._sweep.is_left(AT_ORIGIN, (x, y, z), (u, v, w))
+
+    def link_boxes(self) -> list[Box]:
+        """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
+        return self._free.hand_boxes()
+
+    def hand_pose(self) -> HandFrame:
+        """The hand's base link in the object's frame, as both are now."""
+        joints = {name: float(self._free.data.qpos[row]) for name, row in self._row.items()}
+        frame = self._scene.robot.forward(joints)[self._gripper.base_link]
+        origin, turn = (np.array(part) for part in self.object_pose())
+        back = conjugate(turn)
+        turned = Rotation.from_matrix(frame[:3, :3]).as_quat()
+        return rotate(back, frame[:3, 3] - origin), multiply(back, turned)
+
+
+class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
+    """A world of `physical`."""
+
+    def __init__(self, scene: Scene, physics: Physics) -> None:
+        gripper = scene.gripper
+        super().__init__(gripper)
+        self.physics, self.steps_at_once = physics, physics.look_every
+        model = SceneModel(scene, physics.time_step)
+        drives = finger_drives(gripper, model, physics)
+        self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
+        passing = passing_links(gripper, model, drives)
+        self._fixed = Simulation(model, model.driven(drives, passing, is_free=False), is_free=False)
+        self._prepare(scene, Simulation(model, model.driven(drives, passing, is_free=True)))
+        self._moments = model.moments
+
+    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+        """Friction of hand and object, which is the object's alone."""
+        return trial.grip * self._target.lateral_friction, self.physics.spinning, self.physics.rolling
 
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
@@ -255,53 +458,11 @@ class MujocoWorld(PhysicalWorld):
         data.act[:] = self._control.targets
         data.ctrl[:] = (np.array(self._control.walk(self.finger_positions(), seconds)) - data.act) / seconds
 
-    def is_touching(self) -> bool:
-        """Return whether any link of the hand touches the object."""
-        return bool(self._now.hand_contacts())
-
-    def contacts(self) -> list[Contact]:
-        """The contacts of the hand's links with the object."""
-        return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
-
-    def state(self) -> WorldState:
-        """The places of all that can move, and the contacts, as they are now.
-
-        The hand's root is at the origin.
-        """
-        now = self._now
-        return WorldState((STILL, UPRIGHT), now.joint_positions(), self.object_pose(), now.touches())
-
-    def contact_forces(self) -> list[GraspContact]:
-        """The contacts of the hand with the object that bear a force, or are about to.
-
-        They were found before the last step: they go with the pose that the object had then.
-        """
-        now, found = self._now, []
-        origin = now.data.xpos[now.object].copy()
-        back = conjugate(now.data.xquat[now.object][[1, 2, 3, 0]])
-        for contact, link, _ in now.hand_contacts():
-            if link in self._link_numbers:
-                point, normal, force = now.force(contact)
-                point, normal = rotate(back, point - origin), rotate(back, normal)
-                found.append(GraspContact(self._link_numbers[link], point.tolist(), normal.tolist(), force))
-        return found
-
     def hand_pose(self) -> HandFrame:
         """The hand's base link in the object's frame, as both are now."""
         origin, turn = (np.array(part) for part in self.object_pose())
         back = conjugate(turn)
         return rotate(back, -origin), back
-
-    def object_pose(self) -> tuple[Vector, Quaternion]:
-        """The object's position and quaternion; the hand does not move."""
-        position, quaternion = self._free.object_pose()
-        (x, y, z), (a, b, c, w) = position.tolist(), quaternion.tolist()
-        return (x, y, z), (a, b, c, w)
-
-    def finger_positions(self) -> list[float]:
-        """The positions of the finger joints, in the gripper's order [rad or m]."""
-        positions: list[float] = self._now.data.qpos[self._now.places].tolist()
-        return positions
 
 
 def finger_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
@@ -330,7 +491,7 @@ def passing_links(
     pairs = neighbours(model.robot)
     known = model.links.keys()
     pairs |= {(one, other) for one, other in gripper.disabled_collisions if {one, other} <= known}
-    simulation = Simulation(model, drives, pairs, is_free=True)
+    simulation = Simulation(model, model.driven(drives, pairs, is_free=True))
     for i in range(FREE_POSTURES if gripper.free_joints else 1):
         simulation.reset(free_posture(gripper, i / (FREE_POSTURES - 1)), (0.0, 0.0, 0.0))
         simulation.place(np.array(AWAY_POSITION), np.array(UPRIGHT))
