@@ -62,7 +62,7 @@ class ReplayFrame(Struct, frozen=True, kw_only=True):
 
     phase: Phase
     step: int
-    """Steps since the phase began."""
+    """Steps of 1/240 s since the phase began."""
     seconds: float
     """Duration for which it is shown."""
     hand: Pose

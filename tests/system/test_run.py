@@ -3,13 +3,16 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from tests.common import wait_for
 from tests.system.commands import BUDGET, SMALL, Commands, rows_recorded
 
 from qdgrasp_coordinator.campaign.ranking import best_of_kinds, read_run_grasps
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import read_run_spec
 
 
@@ -53,8 +56,13 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protoc
     assert compared["rows"] == len(table) == qdgrasp.info("one")["successes"]
     assert compared["same_verdict"] > 0.8 * compared["rows"]
     assert sum(each["outcome_now"] == "held" for each in table) > 5
-    drawn = qdgrasp("render", "one", "--grasp", 0, "-o", "a.png")
-    assert (drawn.code, "in the engine mujoco cannot be drawn" in drawn.err) == (2, True)
+    with RunFolder.open(qdgrasp.home / "one").journal() as journal:
+        held = int(np.flatnonzero(journal.rows(0, 40)["outcome"] == Outcome.HELD)[0])
+    for name in ("still.png", "film.gif"):
+        drawn = qdgrasp.succeed("render", "one", "--grasp", held, "-o", name, "--size", "320x240")
+        assert drawn.out.startswith(f"held, row {held}: drawn in {name}")
+    with Image.open(qdgrasp.home / "film.gif") as film:
+        assert film.n_frames > 10
 
 
 def test_another_seed_gives_other_genomes(qdgrasp, reference):

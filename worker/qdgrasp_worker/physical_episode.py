@@ -54,6 +54,11 @@ class PhysicalWorld(GraspWorld):
     """Steps that `step` moves on by; divides `Physics.look_every`."""
     _control: FingerControl
 
+    @property
+    def step_seconds(self) -> float:
+        """The time that `step` moves on by [s]."""
+        return self.steps_at_once * self.physics.time_step
+
     @abstractmethod
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""

@@ -51,6 +51,32 @@ class GraspContact(NamedTuple):
     """Along the normal [N]."""
 
 
+class Touch(NamedTuple):
+    """A point where hand and object touch, or are about to, in the world's frame."""
+
+    link: str
+    """The hand's link."""
+    point: Sequence[float]
+    """x, y, z on the object [m]."""
+    normal: Sequence[float]
+    """Unit, into the object."""
+    distance: float
+    """Negative where they penetrate [m]."""
+
+
+class WorldState(NamedTuple):
+    """Places of all that can move, and contacts, in the world's frame: enough to draw them."""
+
+    root: tuple[Sequence[float], Sequence[float]]
+    """Position [m] and quaternion xyzw of the root link of the hand's URDF."""
+    joints: dict[str, float]
+    """Positions of all joints that move, by name [rad or m]."""
+    object: tuple[Sequence[float], Sequence[float]]
+    """Position [m] and quaternion xyzw of the object, by its centre of mass."""
+    touches: list[Touch]
+    """Those of the last collision detection."""
+
+
 class GraspWorld(ABC):
     """A hand and an object in a physics engine, until `close`: what every episode asks of it."""
 
@@ -100,6 +126,11 @@ class GraspWorld(ABC):
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
 
+    @property
+    @abstractmethod
+    def step_seconds(self) -> float:
+        """The time that `step` moves on by [s]."""
+
     @abstractmethod
     def step(self) -> None:
         """Move on."""
@@ -124,9 +155,18 @@ class GraspWorld(ABC):
     def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
 
+    @abstractmethod
+    def state(self) -> WorldState:
+        """The places of all that can move, and the contacts, as they are now."""
+
 
 class ShakenWorld(GraspWorld):
     """A world whose hand is on a carrier that shakes it; a step is 1/240 s."""
+
+    @property
+    def step_seconds(self) -> float:
+        """The time that `step` moves on by [s]."""
+        return 1 / 240
 
     @abstractmethod
     def shake_to(self, target: float, shake: Shake) -> None:

@@ -21,7 +21,7 @@ SKEW_DIRECTION = np.array([0.5403, 0.2919, 0.7891])
 def ray_distance(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]:
     """Return the distances (n,) [m] from points (n, 3) to the mesh along unit directions (n, 3)."""
     middle = _mesh_middle(mesh)
-    distances: NDArray[np.float32] = _ray_scene(mesh, middle).run(
+    distances: NDArray[np.float32] = ray_scene(mesh.corners - middle).run(
         (points - middle).astype(np.float32), directions.astype(np.float32), query="DISTANCE"
     )
     return distances
@@ -34,7 +34,7 @@ def inside_count(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.i
     nearer to each other than a micrometre count as one.
     """
     middle = _mesh_middle(mesh)
-    scene, normals = _ray_scene(mesh, middle), mesh.crosses
+    scene, normals = ray_scene(mesh.corners - middle), mesh.crosses
     found, left = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
     origins, ways = (points - middle).astype(np.float32), directions.astype(np.float32)
     for _ in range(MOST_HITS):
@@ -55,12 +55,13 @@ def _mesh_middle(mesh: Mesh) -> Floats:
     return middle if np.abs(middle).max() > FAR_FROM_ORIGIN else np.zeros(3)
 
 
-def _ray_scene(mesh: Mesh, middle: Floats) -> Any:
+def ray_scene(corners: Floats) -> Any:
+    """Return embree's scene of triangles (n, 3, 3) [m], for casting rays."""
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
     scene = rtcore_scene.EmbreeScene(robust=True)
-    TriangleMesh(scene, (mesh.corners - middle).astype(np.float32))
+    TriangleMesh(scene, corners.astype(np.float32))
     return scene
 
 

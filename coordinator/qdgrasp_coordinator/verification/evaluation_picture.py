@@ -188,7 +188,8 @@ def _write_gif(path: Path, images: Sequence[Image.Image], shots: Sequence[Replay
     """Write all frames in one set of colours, so that nothing flickers."""
     palette = _palette(images[:: max(1, len(images) // PALETTE_IMAGES)])
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
-    durations = [round(1000 * shot.seconds) for shot in shots]
+    ends = np.rint(100 * np.cumsum([shot.seconds for shot in shots])).astype(int)  # a GIF counts in 10 ms
+    durations = (10 * np.diff(ends, prepend=0)).tolist()
     first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0)
 
 

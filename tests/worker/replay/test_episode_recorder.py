@@ -20,7 +20,7 @@ def snapshots(*phases):
     """All snapshots of phases with so many steps each."""
     nowhere = [0.0] * 3, [0.0, 0.0, 0.0, 1.0]
     return [
-        Snapshot(phase, step, nowhere, [], nowhere, ())
+        Snapshot(phase, step, nowhere, {}, nowhere, ())
         for phase, steps in phases
         for step in range(steps + 1)
     ]
@@ -65,6 +65,17 @@ def test_a_film_is_everywhere_as_slow():
         if before.snapshot.phase == take.snapshot.phase == "shake z"
     }
     assert speeds == {(STEPS_PER_FRAME, FRAME_SECONDS)}
+
+
+def test_a_film_of_states_that_are_farther_apart_takes_as_long():
+    sparse = [snapshot for snapshot in WHOLE if snapshot.step % 4 == 0 or snapshot.step == 50]
+    films = [animation(every, "all", Outcome.SHAKEN) for every in (WHOLE, sparse)]
+    assert len(films[1]) < len(films[0])
+    for phase in ("placed", "closing", "shake z", "shake x"):
+        seconds, others = (sum(t.seconds for t in film if t.snapshot.phase == phase) for film in films)
+        assert seconds == pytest.approx(others)
+    steps = [take.snapshot.step for take in films[1] if take.snapshot.phase == "closing"]
+    assert steps == [*range(0, CLOSING, 8), CLOSING]
 
 
 @pytest.mark.parametrize(

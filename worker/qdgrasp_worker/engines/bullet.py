@@ -1,8 +1,8 @@
 """Thin typed access to PyBullet, without a decision of its own.
 
-Evaluations reach PyBullet through this module alone; `replay.renderer` imports it too, for contacts in full
-and for pictures. Poses are of a body's root link; contacts are those of the last collision detection.
-Lengths are metres, quaternions xyzw. Arguments are plain lists: arrays take PyBullet twice as long to read.
+The one module that imports PyBullet. Poses are of a body's root link; contacts are those of the last
+collision detection. Lengths are metres, quaternions xyzw. Arguments are plain lists: arrays take PyBullet
+twice as long to read.
 """
 
 import ctypes
@@ -167,6 +167,11 @@ class Bullet:
             )
             for info in infos
         ]
+
+    def root_link(self, body: int) -> str:
+        """The name of a body's root link."""
+        name: bytes = pb.getBodyInfo(body, physicsClientId=self._client)[0]
+        return name.decode()
 
     def shaped_links(self, body: int) -> list[int]:
         """The links that have a collision shape, the root link among them."""

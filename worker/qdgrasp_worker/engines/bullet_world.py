@@ -38,6 +38,8 @@ from qdgrasp_worker.world import (
     HandFrame,
     Quaternion,
     ShakenWorld,
+    Touch,
+    WorldState,
     indices_by_name,
 )
 
@@ -67,9 +69,11 @@ class HandBody:
         bullet.collide(self.body, HAND_GROUP, OBJECT_GROUP | (HAND_GROUP if meets_itself else 0))
         links = bullet.links(self.body)
         moving = {link.joint: index for index, link in enumerate(links) if link.moves}
+        self.joint_names = {index: name for name, index in moving.items()}
         self.carrier = indices_by_name("carrier joint", (joint.name for joint in gripper.carrier), moving)
         self.fingers = indices_by_name("joint", (joint.name for joint in gripper.joints), moving)
         named = {link.link: index for index, link in enumerate(links)}
+        self.link_names = {BASE: bullet.root_link(self.body)} | {index: name for name, index in named.items()}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, named))
         self.base_link = named[gripper.base_link]
         self.link_numbers = {named[name]: number for number, name in enumerate(gripper.links, start=1)}
@@ -214,6 +218,20 @@ class BulletWorld(GraspWorld):
     def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
         return self._bullet.joints(self._hand.body, self._hand.fingers)
+
+    def state(self) -> WorldState:
+        """The places of all that can move, and the contacts, as they are now."""
+        bullet, hand, target = self._bullet, self._hand, self._target.body
+        positions = bullet.joints(hand.body, self._joints)
+        return WorldState(
+            bullet.pose(hand.body),
+            {hand.joint_names[joint]: place for joint, place in zip(self._joints, positions, strict=True)},
+            bullet.pose(target),
+            [
+                Touch(hand.link_names[contact.link], contact.point, contact.normal, contact.distance)
+                for contact in bullet.contact_forces(hand.body, target)
+            ],
+        )
 
 
 class BulletShakenWorld(BulletWorld, ShakenWorld):

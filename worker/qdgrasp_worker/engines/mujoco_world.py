@@ -43,6 +43,8 @@ from qdgrasp_worker.world import (
     HandFrame,
     Quaternion,
     ShakenWorld,
+    Touch,
+    WorldState,
     indices_by_name,
 )
 
@@ -80,6 +82,8 @@ class Simulation:
         self._is_object = self.model.geom_bodyid == self.object
         self._of_object = np.flatnonzero(self._is_object)
         self._force = np.zeros(6)
+        moving = [self.model.joint(i) for i in range(self.model.njnt)]
+        self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
 
     def reset(self, posture: Sequence[float], friction: Sequence[float]) -> None:
         """Reset all; the fingers are at `posture`.
@@ -160,6 +164,18 @@ class Simulation:
         normal = found.frame[:3] * (-1.0 if self._is_object[found.geom[0]] else 1.0)
         return found.pos + normal * found.dist / 2, normal, float(self._force[0])
 
+    def touches(self) -> list[Touch]:
+        """The contacts of the hand with the object; distances are those of `hand_contacts`."""
+        found = []
+        for contact, link, distance in self.hand_contacts():
+            point, normal, _ = self.force(contact)
+            found.append(Touch(self.model.body(link).name, point.tolist(), normal.tolist(), distance))
+        return found
+
+    def joint_positions(self) -> dict[str, float]:
+        """Positions of the joints of the hand that move, by name [rad or m]."""
+        return {name: float(self.data.qpos[place]) for name, place in self._joint_places.items()}
+
     def touching_links(self) -> set[tuple[str, str]]:
         """The pairs of the hand's links between which there is a contact."""
         bodies = self.model.geom_bodyid[self.data.contact.geom].tolist()
@@ -214,6 +230,14 @@ class MujocoWorld(GraspWorld):
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object."""
         return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
+
+    def state(self) -> WorldState:
+        """The places of all that can move, and the contacts, as they are now.
+
+        The hand's root is at the origin.
+        """
+        now = self._now
+        return WorldState((STILL, UPRIGHT), now.joint_positions(), self.object_pose(), now.touches())
 
     def contact_forces(self) -> list[GraspContact]:
         """The contacts of the hand with the object that bear a force, or are about to.

@@ -1,21 +1,23 @@
 """Records the snapshots of an evaluation, and chooses which are shown, and for how long."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.replay_messages import Phase, ReplayPart
-from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.engines.bullet import BASE
-from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, BulletShakenWorld, BulletWorld
-from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
-from qdgrasp_worker.replay import renderer
-from qdgrasp_worker.replay.renderer import Snapshot
+import numpy as np
 
-STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
-FRAME_SECONDS = 0.08  # Seconds for which a frame is shown: 3.2 times slower than simulated
+from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayPart
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup
+from qdgrasp_worker.replay.renderer import Snapshot
+from qdgrasp_worker.world import GraspWorld
+
+STEPS_PER_SECOND = 240  # Time is counted in steps of 1/240 s, in any engine
+STEPS_PER_FRAME = 6  # Least number of them from one frame to the next
+FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
     "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes"),
@@ -44,117 +46,121 @@ def placed_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
 def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
     """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
 
-    Every so many steps one, and the last of each phase.
+    The first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or as soon after
+    as there is one. Each is shown until the next one happened.
     """
     chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
     if not chosen:
         raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
-    shown = []
+    frames = list[Snapshot]()
     for snapshot, following in zip(chosen, [*chosen[1:], None], strict=True):
+        is_first = not frames or frames[-1].phase != snapshot.phase
         is_last = following is None or following.phase != snapshot.phase
-        rests = following is None or (is_last and snapshot.phase in PARTS["closing"])
-        if is_last or snapshot.step % STEPS_PER_FRAME == 0:
-            shown.append(TimedSnapshot(snapshot, REST_SECONDS if rests else FRAME_SECONDS))
+        if is_first or is_last or snapshot.step - frames[-1].step >= STEPS_PER_FRAME:
+            frames.append(snapshot)
+    shown = []
+    for frame, next_frame in zip(frames, [*frames[1:], None], strict=True):
+        seconds = FRAME_SECONDS
+        if next_frame and next_frame.phase == frame.phase:
+            seconds *= (next_frame.step - frame.step) / STEPS_PER_FRAME
+        elif next_frame is None or frame.phase in PARTS["closing"]:
+            seconds = REST_SECONDS
+        shown.append(TimedSnapshot(frame, seconds))
     return shown
 
 
 PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
-class RecordingWorld(BulletWorld):
-    """A world that records its last evaluation."""
+class EpisodeRecorder:
+    """Records the last evaluation in a world of any engine.
 
-    _is_watching = False  # while the world is made its hand closes on nothing
-    _phase: Phase = "placed"
-    _step = 0
-    _parts, _parts_of_step = 0, 1
+    It wraps all that an episode has the world do, and looks at the world after each. Snapshots are in the
+    frame of the object's centre of mass as the object lies at first.
+    """
 
-    def __init__(self, scene: Scene, *settings: Physics) -> None:
-        super().__init__(scene, *settings)
-        links = self._bullet.links(self._hand.body)
-        self.joints = [links[joint].joint for joint in self._joints]
-        """The names of all joints that move."""
-        self._links = {BASE: "root"} | {number: link.link for number, link in enumerate(links)}
+    def __init__(self, world: GraspWorld, gripper: SceneGripper) -> None:
         self.snapshots: list[Snapshot] = []
-        self._is_watching = True
+        self._world, self._finger_links = world, frozenset(gripper.finger_links)
+        self._phase: Phase = "placed"
+        self._step = self._taken = 0
+        looks: dict[str, Callable[..., None]] = {
+            "reset": self._placed,
+            "set_fingers": self._fingers_set,
+            "close_fingers": self._closing,
+            "step": self._stepped,
+            "shake_to": self._shaken,
+            "release": lambda: self._begin("settling"),
+            "begin_pushes": lambda: self._begin("pushes"),
+        }
+        for verb, look in looks.items():
+            if hasattr(world, verb):
+                setattr(world, verb, followed(getattr(world, verb), look))
 
-    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Put hand and object in place, and forget what was remembered."""
-        super().reset(trial, posture)
-        self._root = trial.pose.position, trial.pose.quaternion
-        if self._is_watching:
-            self.snapshots.clear()
-            self._begin("placed")
+    def _placed(self, trial: TrialSetup, posture: Sequence[float]) -> None:
+        """Forget what was recorded; the object lies where it does at first."""
+        position, quaternion = (np.array(part) for part in self._world.state().object)
+        self._origin, self._back = position, conjugate(quaternion)
+        self.snapshots.clear()
+        self._begin("placed")
 
-    def set_fingers(self, posture: Sequence[float]) -> None:
-        """Put the finger joints at `posture`; the contacts are still those of the look before."""
-        super().set_fingers(posture)
+    def _fingers_set(self, posture: Sequence[float]) -> None:
+        """The contacts are still those of the look before."""
         placed = self.snapshots.pop()
         self.snapshots.append(replace(self._now(), touches=placed.touches))
 
-    def close_fingers(self, synergy: int) -> None:
-        """Command the fingers to close."""
-        super().close_fingers(synergy)  # type: ignore[safe-super]
-        if self._is_watching:
-            self._begin("closing")
+    def _closing(self, synergy: int) -> None:
+        self._begin("closing")
 
-    def step(self) -> None:
-        """Move on by a step."""
-        super().step()
-        if self._is_watching:
-            self._parts += 1
-            if self._parts % self._parts_of_step == 0:
-                self._step += 1
-                self.snapshots.append(self._now())
-
-    def _begin(self, phase: Phase) -> None:
-        self._phase, self._step, self._parts = phase, 0, 0
-        self.snapshots.append(self._now())
-
-    def _now(self) -> Snapshot:
-        hand, target = self._hand.body, self._target.body
-        return Snapshot(
-            self._phase,
-            self._step,
-            self._root,
-            self._bullet.joints(hand, self._joints),
-            renderer.body_pose(self._bullet, target),
-            renderer.contact_points(self._bullet, hand, target, self._links, self.finger_links),
-        )
-
-
-class RecordingShakenWorld(RecordingWorld, BulletShakenWorld):
-    """A world whose hand is shaken, and which records its last evaluation."""
-
-    def shake_to(self, target: float, shake: Shake) -> None:
-        """Command the carrier to a target of a shake."""
-        super().shake_to(target, shake)
+    def _shaken(self, target: float, shake: Shake) -> None:
         if self._phase != PHASE_BY_SHAKE[shake.joint]:
             self._begin(PHASE_BY_SHAKE[shake.joint])
 
+    def _stepped(self) -> None:
+        self._taken += 1
+        steps = self._taken * self._world.step_seconds * STEPS_PER_SECOND
+        if abs(steps - round(steps)) < 1e-6:  # one of two where steps are half as long
+            self._step = round(steps)
+            self.snapshots.append(self._now())
 
-class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
-    """A world of `physical` that records its last evaluation."""
+    def _begin(self, phase: Phase) -> None:
+        """Begin a phase, in which nothing has moved yet: an engine may have forgotten its contacts."""
+        self._phase, self._step, self._taken = phase, 0, 0
+        before, now = self.snapshots[-1:], self._now()
+        self.snapshots.append(replace(now, touches=before[0].touches) if before else now)
 
-    _parts_of_step = 2  # its steps are half as long
+    def _now(self) -> Snapshot:
+        (root, turned), joints, (target, turned_target), touches = self._world.state()
+        places = np.array([root, target, *(touch.point for touch in touches)]) - self._origin
+        normals = np.array([touch.normal for touch in touches]).reshape(-1, 3)
+        root, target, *points = rotate(self._back, places).tolist()
+        turned, turned_target = multiply(self._back, np.array([turned, turned_target])).tolist()
+        return Snapshot(
+            self._phase,
+            self._step,
+            (root, turned),
+            joints,
+            (target, turned_target),
+            tuple(
+                ContactPoint(
+                    link=touch.link,
+                    is_finger=touch.link in self._finger_links,
+                    point=tuple(point),
+                    normal=tuple(normal),
+                    distance=touch.distance,
+                )
+                for touch, point, normal in zip(
+                    touches, points, rotate(self._back, -normals).tolist(), strict=True
+                )
+            ),
+        )
 
-    def release(self) -> None:
-        """Let the object go."""
-        super().release()
-        self._begin("settling")
 
-    def begin_pushes(self) -> None:
-        """Let all targets stay."""
-        super().begin_pushes()
-        self._begin("pushes")
+def followed(act: Callable[..., None], look: Callable[..., None]) -> Callable[..., None]:
+    """Return what does `act` and then `look`, both with the same arguments."""
 
+    def act_and_look(*arguments: object) -> None:
+        act(*arguments)
+        look(*arguments)
 
-def recording_world(
-    scene: Scene, protocol: EvaluationProtocol
-) -> RecordingShakenWorld | RecordingPhysicalWorld:
-    """A world that records episodes; an AssetError if Bullet cannot load the scene."""
-    if scene.engine is not None:
-        raise InputError(f"An evaluation in the engine {scene.engine} cannot be drawn; one in Bullet can.")
-    return (
-        RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingShakenWorld(scene)
-    )
+    return act_and_look

@@ -1,24 +1,28 @@
-"""Renders snapshots of an evaluation with PyBullet, and places the camera.
+"""Renders snapshots of an evaluation by casting rays, and places the camera.
 
-Besides `bullet` the only module that imports PyBullet. It reads contacts in full where an evaluation
-happens, without a say in it; and it draws what is remembered of one in a world of its own, with PyBullet's
-renderer for machines without a screen. The camera, in OpenGL's matrices, is placed so that all of an
-evaluation is in the picture.
+Needs no physics engine. The hand is drawn as its collision shapes, which are simulated. Each body has a ray
+tracing scene of its own, in its own frame, that is built once: for a picture the camera is moved into that
+frame, and sends a ray through each pixel near which the body can be. The nearest body is seen.
 """
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import product
-from typing import Self
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from qdgrasp_assets.geometry.mesh import read_obj
+from qdgrasp_assets.geometry.proximity import ray_scene
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import Scene, SceneObject
+from qdgrasp_assets.grippers.collision_shapes import shapes
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayCamera
-from qdgrasp_worker.engines.bullet import BASE, Bullet, quiet
-from qdgrasp_worker.engines.bullet_world import HandBody, load_body
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,12 @@ class Snapshot:
 
     phase: Phase
     step: int
-    """Steps since the phase began."""
-    root: tuple[list[float], list[float]]
+    """Steps of 1/240 s since the phase began."""
+    root: tuple[Sequence[float], Sequence[float]]
     """Position [m] and quaternion xyzw of the carrier's root link, object's CoM frame at first."""
-    joints: list[float]
-    """Positions of all joints that move [rad or m], in the order of `RecordingWorld.joints`."""
-    object: tuple[list[float], list[float]]
+    joints: Mapping[str, float]
+    """Positions of all joints that move, by name [rad or m]."""
+    object: tuple[Sequence[float], Sequence[float]]
     """Position [m] and quaternion xyzw of the object, of the same frame."""
     touches: tuple[ContactPoint, ...]
     """The contacts of the last look at them."""
@@ -55,6 +59,10 @@ class CameraMatrices:
     """(4, 4): from the world to the camera, which looks along its -z."""
     projection: Floats
     """(4, 4): from the camera to clip coordinates."""
+    near: float
+    """Depth before which nothing is drawn [m]."""
+    far: float
+    """Depth behind which nothing is drawn [m]."""
 
     def camera(self, width: int, height: int) -> ReplayCamera:
         """The camera in the form of a replay's answer, for drawing over its pictures."""
@@ -80,7 +88,8 @@ def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) 
     distance = away - float(back.min())
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = axes, -np.array([*middle, away])
-    return CameraMatrices(azimuth, elevation, view, _projection(aspect, NEAR * distance, FAR * distance))
+    near, far = NEAR * distance, FAR * distance
+    return CameraMatrices(azimuth, elevation, view, _projection(aspect, near, far), near, far)
 
 
 def _camera_axes(azimuth: float, elevation: float) -> Floats:
@@ -103,49 +112,48 @@ def _projection(aspect: float, near: float, far: float) -> Floats:
     )
 
 
-with quiet():
-    import pybullet as pb
-
-CLAY, STEEL, BLUE = (0.93, 0.84, 0.70, 1.0), (0.66, 0.70, 0.75, 1.0), (0.21, 0.48, 0.76, 1.0)
+CLAY, STEEL, BLUE = (0.93, 0.84, 0.70), (0.66, 0.70, 0.75), (0.21, 0.48, 0.76)
 """The object, the hand, and those of its links whose touch makes a success."""
-LIGHT_SETTINGS = {"lightAmbientCoeff": 0.58, "lightDiffuseCoeff": 0.46, "lightSpecularCoeff": 0.03}
-LIGHT_DIRECTION = (-0.5, 1.0, 1.0)
-"""Direction to the light in the camera's axes: over the viewer's left shoulder."""
-OBJECT_URDF = """<robot name="object"><link name="object">
-<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
-<collision><geometry><mesh filename="shape.obj"/></geometry></collision>
-</link></robot>
-"""
-"""The renderer draws the shape that collides where there is no other."""
-LINK_BITS = 24  # Where in a number of the renderer's mask the link begins; below it is the body
-NO_LINK = -2  # No link: neither a number nor the root
+AMBIENT, DIFFUSE = 0.60, 0.46  # Light on every surface, and on one that faces the lamp besides
+LIGHT_DIRECTION = (-1 / 3, 2 / 3, 2 / 3)
+"""Unit direction to the lamp in the camera's axes: over the viewer's left shoulder."""
+NOTHING, NO_LINK = -1, -1  # No triangle, no link of the hand
+RAYS_AT_ONCE = 1 << 18  # Rays that are cast at a time: a few tens of bytes each
 
 
-def body_pose(bullet: Bullet, body: int) -> tuple[list[float], list[float]]:
-    """Position [m] and quaternion xyzw of a body's root link, by its centre of mass."""
-    position, quaternion = pb.getBasePositionAndOrientation(body, physicsClientId=bullet._client)
-    return list(position), list(quaternion)
+@dataclass(frozen=True)
+class DrawnBody:
+    """A rigid body with what rays meet of it, in its own frame."""
 
+    triangles: Floats
+    """(f, 3, 3) [m]."""
+    colour: tuple[float, float, float]
+    """Red, green and blue, 0 to 1."""
+    rays: Any = field(init=False, repr=False)
+    normals: Floats = field(init=False, repr=False)
+    """(f, 3), unit; zeros for triangles without area."""
+    corners: Floats = field(init=False, repr=False)
+    """(8, 3): corners of the box around it [m]."""
 
-def contact_points(
-    bullet: Bullet, hand: int, target: int, links: Mapping[int, str], fingers: Collection[int]
-) -> tuple[ContactPoint, ...]:
-    """The contacts of a hand with an object, of the last collision detection.
+    def __post_init__(self) -> None:
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        crosses = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+        sides = zip(self.triangles.min(axis=(0, 1)), self.triangles.max(axis=(0, 1)), strict=True)
+        object.__setattr__(self, "rays", ray_scene(self.triangles))
+        object.__setattr__(self, "normals", crosses / np.where(lengths > 0, lengths, 1.0))
+        object.__setattr__(self, "corners", np.array(list(product(*sides))))
 
-    `links` are the names of the hand's links by number, `fingers` the numbers of those whose touch makes a
-    success.
-    """
-    found = pb.getContactPoints(hand, target, physicsClientId=bullet._client)
-    return tuple(
-        ContactPoint(
-            link=links[contact[3]],
-            is_finger=contact[3] in fingers,
-            point=contact[6],
-            normal=contact[7],
-            distance=contact[8],
-        )
-        for contact in found
-    )
+    def shaded(self, eye: Floats, light: Floats) -> NDArray[np.uint8]:
+        """The colours (f, 3) of the triangles, on the sides that are seen from `eye` (3,) [m].
+
+        `light` (3,) is the unit direction to the lamp.
+        """
+        is_turned = np.einsum("fi,fi->f", self.normals, eye - self.triangles[:, 0]) < 0
+        towards = np.einsum("fi,i->f", self.normals, light) * np.where(is_turned, -1.0, 1.0)
+        shares = np.multiply.outer(AMBIENT + DIFFUSE * np.maximum(towards, 0.0), self.colour)
+        colours: NDArray[np.uint8] = np.minimum(255.0 * shares, 255.0).astype(np.uint8)
+        return colours
 
 
 @dataclass(frozen=True)
@@ -153,95 +161,116 @@ class SegmentationMask:
     """The body and link at each pixel of a picture."""
 
     links: NDArray[np.int64]
-    """(rows, columns): the hand's link seen there, -1 its root; `NO_LINK` off the hand."""
+    """(rows, columns): the hand's link seen there, its place in `Renderer.links`; `NO_LINK` off the hand."""
     is_object: NDArray[np.bool_]
     """(rows, columns): where the object is seen."""
 
 
 class Renderer:
-    """Pictures of a scene; a context manager that leaves it.
-
-    The object is drawn as its convex `parts`, or as its surface.
-    """
+    """Pictures of a scene; the object is drawn as its convex `parts`, or as its surface."""
 
     def __init__(self, scene: Scene, *, parts: bool = False) -> None:
-        self._bullet = Bullet()
-        self._hand = HandBody(self._bullet, scene.gripper)
-        self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
-        shape = scene.object.collision if parts else surface_obj(scene.object)
-        self._target = load_body(self._bullet, OBJECT_URDF, {"shape.obj": shape}, fixed=False)
-        for link in self._hand.shaped_links:
-            self._colour(self._hand.body, link, BLUE if link in self.fingers else STEEL)
-        self._colour(self._target, BASE, CLAY)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bullet.close()
-
-    @property
-    def fingers(self) -> frozenset[int]:
-        """The links whose touch makes a success."""
-        return self._hand.finger_links
+        gripper = scene.gripper
+        self._robot = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        found: dict[str, list[Floats]] = {}
+        for shape in shapes(self._robot, gripper.meshes):
+            found.setdefault(shape.link, []).append(shape.vertices[shape.faces])
+        self.links = tuple(found)
+        """The links of the hand that have a shape."""
+        self.fingers = frozenset(self.links.index(link) for link in gripper.finger_links if link in found)
+        """Those whose touch makes a success, by their place in `links`."""
+        self._bodies = [
+            DrawnBody(np.concatenate(triangles), BLUE if i in self.fingers else STEEL)
+            for i, triangles in enumerate(found.values())
+        ]
+        drawn = scene.object.triangles.astype(np.float64)
+        if parts:
+            read = read_obj(scene.object.collision.decode())
+            drawn = read.vertices[np.concatenate(read.groups)]
+        self._bodies.append(DrawnBody(drawn, CLAY))
+        self._first = np.cumsum([0, *(len(body.triangles) for body in self._bodies)])
 
     def place(self, snapshot: Snapshot) -> None:
         """Put hand and object where they were."""
-        self._bullet.place(self._hand.body, *snapshot.root)
-        self._bullet.set_joints(self._hand.body, self._joints, snapshot.joints)
-        self._bullet.place(self._target, *snapshot.object)
+        frames = self._robot.forward(snapshot.joints, frame_of(snapshot.root))
+        self._frames = [*(frames[link] for link in self.links), frame_of(snapshot.object)]
 
     def corners(self) -> Floats:
         """(n, 3) [m]: corners of boxes that hold all bodies; the object's eight stand last."""
-        self._bullet.detect()
-        boxes = [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
-        lows, highs = np.moveaxis(np.array([*boxes, self._bullet.box(self._target, BASE)]), 1, 0)
-        is_high = np.indices((2, 2, 2)).reshape(3, 8).T == 1
-        corners: Floats = np.where(is_high, highs[:, None], lows[:, None]).reshape(-1, 3)
-        return corners
+        placed = zip(self._bodies, self._frames, strict=True)
+        return np.concatenate([body.corners @ frame[:3, :3].T + frame[:3, 3] for body, frame in placed])
 
     def draw(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw what is there: (rows, columns, 3)."""
-        colours, _ = self._see(camera, width, height, pb.ER_NO_SEGMENTATION_MASK)
-        image: NDArray[np.uint8] = colours.astype(np.uint8).reshape(height, width, 4)[:, :, :3]
-        return image
+        """Draw what is there on white: (rows, columns, 3)."""
+        light = camera.view[:3, :3].T @ LIGHT_DIRECTION
+        colours = [
+            body.shaded(_in_body(frame, camera)[:3, 3], frame[:3, :3].T @ light)
+            for body, frame in zip(self._bodies, self._frames, strict=True)
+        ]
+        table = np.concatenate([*colours, np.full((1, 3), 255, dtype=np.uint8)])  # NOTHING is its last
+        return np.take(table, self._see(camera, width, height), axis=0)
 
     def segment(self, camera: CameraMatrices, width: int, height: int) -> SegmentationMask:
         """Return the body and link at each pixel of the present picture."""
-        _, mask = self._see(camera, width, height, pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX)
-        numbers = mask.astype(np.int64).reshape(height, width)
-        bodies, links = numbers & ((1 << LINK_BITS) - 1), (numbers >> LINK_BITS) - 1
-        is_there = numbers >= 0
-        is_hand = is_there & (bodies == self._hand.body)
-        return SegmentationMask(np.where(is_hand, links, NO_LINK), is_there & (bodies == self._target))
+        seen = self._see(camera, width, height)
+        bodies = np.searchsorted(self._first, seen, side="right") - 1
+        is_object = bodies == len(self.links)
+        return SegmentationMask(np.where(is_object, NO_LINK, bodies), is_object)
 
-    def _see(
-        self, camera: CameraMatrices, width: int, height: int, flags: int
-    ) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
-        _, _, colours, _, mask = pb.getCameraImage(
-            width,
-            height,
-            viewMatrix=camera.view.T.ravel().tolist(),
-            projectionMatrix=camera.projection.T.ravel().tolist(),
-            lightDirection=(camera.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
-            shadow=False,
-            flags=flags,
-            renderer=pb.ER_TINY_RENDERER,
-            physicsClientId=self._bullet._client,
-            **LIGHT_SETTINGS,
-        )
-        return np.asarray(colours), np.asarray(mask)
+    def _see(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.int32]:
+        """The triangle at each pixel (rows, columns), counted through all bodies, or `NOTHING`."""
+        seen = np.full((height, width), NOTHING, dtype=np.int32)
+        depth = np.full((height, width), camera.far - camera.near, dtype=np.float32)
+        slopes = 1 / np.diagonal(camera.projection)[:2]
+        x = (slopes[0] * ((2 * np.arange(width) + 1) / width - 1)).astype(np.float32)
+        y = (slopes[1] * (1 - (2 * np.arange(height) + 1) / height)).astype(np.float32)
+        for body, frame, first in zip(self._bodies, self._frames, self._first, strict=False):
+            rows, columns = window(camera, frame, body.corners, width, height)
+            step = RAYS_AT_ONCE // max(1, columns.stop - columns.start)
+            right, up, back, eye = _in_body(frame, camera)[:3].T.astype(np.float32)
+            across = x[columns, None] * right
+            for top in range(rows.start, rows.stop, step):
+                part = slice(top, min(top + step, rows.stop)), columns
+                # a unit of a ray is one metre of depth, so that depths of different bodies compare
+                ways = (across + (y[part[0], None] * up - back)[:, None]).reshape(-1, 3)
+                found = body.rays.run(eye + np.float32(camera.near) * ways, ways, output=1)
+                shape = depth[part].shape
+                far, faces = found["tfar"].reshape(shape), found["primID"].reshape(shape)
+                nearer = (faces >= 0) & (far < depth[part])
+                depth[part][nearer] = far[nearer]
+                seen[part][nearer] = faces[nearer] + first
+        return seen
 
-    def _colour(self, body: int, link: int, colour: tuple[float, ...]) -> None:
-        pb.changeVisualShape(body, link, rgbaColor=colour, physicsClientId=self._bullet._client)
+
+def _in_body(frame: Floats, camera: CameraMatrices) -> Floats:
+    """Return the camera in a body's frame, (4, 4): columns right, up, back, eye."""
+    return np.asarray(np.linalg.inv(camera.view @ frame), dtype=np.float64)
 
 
-def surface_obj(target: SceneObject) -> bytes:
-    """An object's surface as an OBJ file; triangles share no corners, so that edges stay sharp."""
-    corners = target.triangles.reshape(-1, 3).tolist()
-    vertices = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
-    faces = [f"f {first} {first + 1} {first + 2}" for first in range(1, len(corners), 3)]
-    return "\n".join(["o surface", *vertices, *faces, ""]).encode()
+def window(
+    camera: CameraMatrices, frame: Floats, corners: Floats, width: int, height: int
+) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture in which a box is seen.
+
+    `corners` (8, 3) [m] are in its own frame, which stands at `frame` (4, 4). Where it reaches up to the
+    camera that is the whole picture.
+    """
+    whole = np.column_stack([corners, np.ones(len(corners))])
+    clip = whole @ (camera.projection @ camera.view @ frame).T
+    if clip[:, 3].min() <= camera.near:
+        return slice(0, height), slice(0, width)
+    middle, half = np.array([height, width]) / 2, np.array([-height, width]) / 2
+    pixels = middle + half * (clip[:, :2] / clip[:, 3:])[:, ::-1]
+    low = np.clip(np.floor(pixels.min(axis=0)), 0, [height, width]).astype(int).tolist()
+    high = np.clip(np.ceil(pixels.max(axis=0)), 0, [height, width]).astype(int).tolist()
+    return slice(low[0], high[0]), slice(low[1], high[1])
+
+
+def frame_of(pose: tuple[Sequence[float], Sequence[float]]) -> Floats:
+    """The frame (4, 4) of a position [m] and a quaternion xyzw."""
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = Rotation.from_quat(pose[1]).as_matrix(), pose[0]
+    return frame
 
 
 AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The sides that are tried [deg]

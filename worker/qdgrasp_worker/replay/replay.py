@@ -7,8 +7,9 @@ end where an evaluation would know by then that it misses.
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from itertools import product
 from pathlib import Path
 
 import msgspec
@@ -34,19 +35,20 @@ from qdgrasp_protocol.replay_messages import (
 )
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
+    EpisodeRecorder,
     TimedSnapshot,
     animation,
     placed_snapshot,
-    recording_world,
     still_snapshot,
 )
-from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
+from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera, frame_of
 
 OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
 Frames = NDArray[np.uint8]  # (n, rows, columns, 3)
@@ -54,17 +56,17 @@ MakeFrames = Callable[[int, int, int], Frames]  # Makes room for so many frames 
 
 
 class EpisodeReplay:
-    """One evaluation, carried out again; an AssetError if Bullet cannot load the scene."""
+    """One evaluation, carried out again; an AssetError if its engine cannot load the scene."""
 
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
         self._request = request
         protocol = scene_protocol(scene)
-        with closing(recording_world(scene, protocol)) as world:
+        with closing(make_world(scene, protocol)) as world:
+            recorder = EpisodeRecorder(world, scene.gripper)
             episode = make_episode(world, protocol, stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
-            self.snapshots = world.snapshots
-            self._joints = world.joints
+        self.snapshots = recorder.snapshots
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
     def frames(self) -> list[TimedSnapshot]:
@@ -78,15 +80,15 @@ class EpisodeReplay:
         """Draw into frames that `make` makes room for; an InputError as of `frames`."""
         request, shown = self._request, self.frames()
         width, height = request.width, request.height
-        with Renderer(self._scene, parts=request.parts) as renderer:
-            grasp = shown[0].snapshot if request.pregrasp else still_snapshot(self.snapshots)
-            view = request.view or best_view(renderer, grasp)
-            corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
-            camera = fit_camera(corners, *view, width / height)
-            frames = make(len(shown), height, width)
-            for frame, timed in zip(frames, shown, strict=True):
-                renderer.place(timed.snapshot)
-                frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
+        renderer = Renderer(self._scene, parts=request.parts)
+        grasp = shown[0].snapshot if request.pregrasp else still_snapshot(self.snapshots)
+        view = request.view or best_view(renderer, grasp)
+        corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
+        camera = fit_camera(corners, *view, width / height)
+        frames = make(len(shown), height, width)
+        for frame, timed in zip(frames, shown, strict=True):
+            renderer.place(timed.snapshot)
+            frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
         found = self.verdict
         links, points = contact_columns(found.contacts, self._scene.contact_slots)
         return ReplayAnswer(
@@ -104,11 +106,7 @@ class EpisodeReplay:
 
     def hand(self, snapshot: Snapshot) -> replay_messages.Pose:
         """The pose of the hand's base link."""
-        root = np.eye(4)
-        root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
-        root[:3, 3] = snapshot.root[0]
-        positions = dict(zip(self._joints, snapshot.joints, strict=True))
-        frame = self._robot.forward(positions, root)[self._scene.gripper.base_link]
+        frame = self._robot.forward(snapshot.joints, frame_of(snapshot.root))[self._scene.gripper.base_link]
         return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
 
     def _frame(self, timed: TimedSnapshot) -> ReplayFrame:
@@ -132,14 +130,13 @@ def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The means of squares of `OVERSAMPLING` by `OVERSAMPLING` pixels."""
-    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
-    squares = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3)
-    total = squares.sum(axis=(1, 3), dtype=np.uint16)
-    means: NDArray[np.uint8] = ((total + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
-    return means
+    places = product(range(OVERSAMPLING), repeat=2)
+    parts = [image[row::OVERSAMPLING, column::OVERSAMPLING].astype(np.uint16) for row, column in places]
+    total: NDArray[np.uint16] = np.add.reduce(parts)
+    return ((total + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
 
 
-def make_pose(position: list[float], quaternion: list[float]) -> replay_messages.Pose:
+def make_pose(position: Sequence[float], quaternion: Sequence[float]) -> replay_messages.Pose:
     """A position [m] and a quaternion xyzw as one."""
     (x, y, z), (qx, qy, qz, qw) = position, quaternion
     return x, y, z, qx, qy, qz, qw
