@@ -9,7 +9,7 @@ IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
 .PHONY: help demo test test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
-	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
+	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
@@ -25,7 +25,7 @@ help:
 	@echo "make clean   remove the environment, the site and the caches of the tools"
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -m docs.demo
+	@$(BIN)/python -m docs.demo $(addprefix --engine ,$(ENGINE))
 
 test: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
