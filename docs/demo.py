@@ -25,7 +25,8 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 def demo(out: Path = Path("runs/demo"), engine: str = DEFAULT_ENGINE) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    start_run(full_spec(RUN_DEFAULTS | SPEC | {"engine": engine}), out, LocalJobConfig(options.cores()), begun=mark)
+    spec = full_spec(RUN_DEFAULTS | SPEC | {"engine": engine})
+    start_run(spec, out, LocalJobConfig(options.cores()), begun=mark)
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:
