@@ -46,6 +46,7 @@ from qdgrasp_worker.world import (
     Touch,
     WorldState,
     indices_by_name,
+    seen_from,
 )
 
 FREE_DOFS = 6
@@ -244,15 +245,10 @@ class MujocoWorld(GraspWorld):
 
         They were found before the last step: they go with the pose that the object had then.
         """
-        now, found = self._now, []
-        origin = now.data.xpos[now.object].copy()
-        back = conjugate(now.data.xquat[now.object][[1, 2, 3, 0]])
-        for contact, link, _ in now.hand_contacts():
-            if link in self._link_numbers:
-                point, normal, force = now.force(contact)
-                point, normal = rotate(back, point - origin), rotate(back, normal)
-                found.append(GraspContact(self._link_numbers[link], point.tolist(), normal.tolist(), force))
-        return found
+        now, numbers = self._now, self._link_numbers
+        seen = [(contact, numbers[link]) for contact, link, _ in now.hand_contacts() if link in numbers]
+        found = [(number, *now.force(contact)) for contact, number in seen]
+        return seen_from(now.data.xpos[now.object], now.data.xquat[now.object][[1, 2, 3, 0]], found)
 
     def object_pose(self) -> tuple[Vector, Quaternion]:
         """The object's position and quaternion, in the frame of the hand's root."""
