@@ -19,7 +19,7 @@ EVALUATION = (Evaluator, unpack_scene, pack)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"d009526fd34a120038c4d5f10293fd839050b8df1ecb88180dfd5e015fb5b841": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"1acfecadc9ee0083dc8887cba4ee340130c4e0ae592dab1ef4e501b567d18efd": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
