@@ -9,7 +9,9 @@ there is.
 """
 
 import re
+import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -65,7 +67,29 @@ DiversityName = Literal["position", "orientation", "posture"]
 
 DEFAULT_METHOD = "aimed"
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
+ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core"}
+LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
+
+
+class MissingEngine(InputError):
+    """Bullet is to simulate where PyBullet is not installed."""
+
+    def __init__(self) -> None:
+        python = ".".join(map(str, sys.version_info[:2]))
+        is_late = sys.version_info[:2] > LAST_WHEEL
+        super().__init__(
+            f"PyBullet is not installed{f', and it has no wheel for Python {python}' if is_late else ''}: add "
+            f"--engine mujoco (protocol physical), or {'build' if is_late else 'install'} it with "
+            f"`pip install pybullet`{', which takes a C++ compiler and ten minutes' if is_late else ''}."
+        )
+
+
+def check_engine(engine: str | None) -> None:
+    """Raise `MissingEngine` if this is Bullet (None), and PyBullet is not installed here."""
+    if engine in (None, DEFAULT_ENGINE) and find_spec(ENGINE_PACKAGES[DEFAULT_ENGINE]) is None:
+        raise MissingEngine
+
 
 Weights = tuple[float, ...]
 
