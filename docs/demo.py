@@ -14,6 +14,7 @@ from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.spec import has_bullet
 
 SPEC = {"gripper": "panda", "object": "mug", "evaluations": 3000}
 MARKER = ".qdgrasp-demo"
@@ -24,7 +25,8 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 def demo(out: Path = Path("runs/demo")) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    start_run(full_spec(RUN_DEFAULTS | SPEC), out, LocalJobConfig(options.cores()), begun=mark)
+    engine = {} if has_bullet() else {"engine": "mujoco"}
+    start_run(full_spec(RUN_DEFAULTS | SPEC | engine), out, LocalJobConfig(options.cores()), begun=mark)
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:

@@ -76,18 +76,23 @@ class MissingEngine(InputError):
     """Bullet is to simulate where PyBullet is not installed."""
 
     def __init__(self) -> None:
-        python = ".".join(map(str, sys.version_info[:2]))
-        is_late = sys.version_info[:2] > LAST_WHEEL
+        why, how = "", "install it with `pip install pybullet`"
+        if (python := sys.version_info[:2]) > LAST_WHEEL:
+            why = f", and it has no wheel for Python {python[0]}.{python[1]}"
+            how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
         super().__init__(
-            f"PyBullet is not installed{f', and it has no wheel for Python {python}' if is_late else ''}: add "
-            f"--engine mujoco (protocol physical), or {'build' if is_late else 'install'} it with "
-            f"`pip install pybullet`{', which takes a C++ compiler and ten minutes' if is_late else ''}."
+            f"PyBullet is not installed{why}: add --engine mujoco (protocol physical), or {how}."
         )
+
+
+def has_bullet() -> bool:
+    """Return whether PyBullet is installed here."""
+    return find_spec("pybullet") is not None
 
 
 def check_engine(engine: str | None) -> None:
     """Raise `MissingEngine` if this is Bullet (None), and PyBullet is not installed here."""
-    if engine in (None, DEFAULT_ENGINE) and find_spec(ENGINE_PACKAGES[DEFAULT_ENGINE]) is None:
+    if engine in (None, DEFAULT_ENGINE) and not has_bullet():
         raise MissingEngine
 
 

@@ -159,6 +159,7 @@ def bench(
     scale: options.Scale = None,
     units: options.Units = None,
     protocol: options.ProtocolOption = None,
+    engine: options.EngineOption = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
     ] = None,
@@ -175,9 +176,15 @@ def bench(
     Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
     """
     values = options.given(
-        gripper=gripper, mass=mass, scale=scale_of(units, scale), protocol=protocol, method=BENCH_METHOD
+        gripper=gripper,
+        mass=mass,
+        scale=scale_of(units, scale),
+        protocol=protocol,
+        engine=engine,
+        method=BENCH_METHOD,
     )
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
+    check_engine(specs[0].engine)
     count, here = options.worker_count(workers), node_info()
     found = [_measure_scene(spec, count, seconds) for spec in specs]
     figures = NodeFigures(
