@@ -13,7 +13,7 @@ import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import msgspec
 import tomli_w
@@ -83,6 +83,10 @@ class MissingEngine(InputError):
         super().__init__(
             f"PyBullet is not installed{why}: add --engine mujoco (protocol physical), or {how}."
         )
+
+    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+        """Come out of another process as it is."""
+        return type(self), ()
 
 
 def has_bullet() -> bool:

@@ -194,7 +194,7 @@ def _dump(tree: ast.AST) -> str:
     """A tree as text, as Python 3.11 gives it: later ones have a field for types' parameters."""
     for node in ast.walk(tree):
         if getattr(node, "type_params", None) == []:
-            del node.type_params  # type: ignore[attr-defined]
+            vars(node).pop("type_params")
     return ast.dump(tree, **EMPTY)
 
 
