@@ -9,8 +9,8 @@ PYTHON ?= $(or $(call first_python,== (3, 11)),$(call first_python,> (3, 11)))
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 # Half a minute of what does without PyBullet: the physics in MuJoCo, decoding, records, and a run to its end.
-WITHOUT_BULLET := tests/protocol tests/worker/engines tests/worker/priors tests/worker/test_*.py \
-  tests/coordinator/storage tests/system/test_without_bullet.py
+WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage tests/system/test_without_bullet.py \
+  $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start syntax_digest))
 
 .PHONY: help demo test test-mujoco test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
