@@ -53,7 +53,7 @@ class MissingRequirement(InputError):
 
 
 def doctor() -> None:
-    """Check what a run needs on this machine: Python, packages, engines, bus, simulator, disk and assets.
+    """Check what a run needs on this machine: Python, packages, bus, simulator, disk and assets.
 
     Example: qdgrasp doctor
     """
