@@ -20,7 +20,7 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import MAX_POPULATION
+from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, check_engine
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
@@ -85,6 +85,11 @@ class Place:
                 "Place(workers=0) has nobody who evaluates: start workers, or name a router that has some "
                 "with connect='tcp/HOST:PORT'."
             )
+
+    def check_engine(self, spec: RunSpec) -> None:
+        """Raise MissingEngine if workers are started here that lack the engine of a run."""
+        if self.hands:
+            check_engine(spec.engine)
 
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.

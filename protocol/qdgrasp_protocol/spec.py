@@ -9,9 +9,11 @@ there is.
 """
 
 import re
+import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import msgspec
 import tomli_w
@@ -65,7 +67,38 @@ DiversityName = Literal["position", "orientation", "posture"]
 
 DEFAULT_METHOD = "aimed"
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
+ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core"}
+LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
+
+
+class MissingEngine(InputError):
+    """Bullet is to simulate where PyBullet is not installed."""
+
+    def __init__(self) -> None:
+        why, how = "", "install it with `pip install pybullet`"
+        if (python := sys.version_info[:2]) > LAST_WHEEL:
+            why = f", and it has no wheel for Python {python[0]}.{python[1]}"
+            how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
+        super().__init__(
+            f"PyBullet is not installed{why}: add --engine mujoco (protocol physical), or {how}."
+        )
+
+    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+        """Come out of another process as it is."""
+        return type(self), ()
+
+
+def has_bullet() -> bool:
+    """Return whether PyBullet is installed here."""
+    return find_spec("pybullet") is not None
+
+
+def check_engine(engine: str | None) -> None:
+    """Raise `MissingEngine` if this is Bullet (None), and PyBullet is not installed here."""
+    if engine in (None, DEFAULT_ENGINE) and not has_bullet():
+        raise MissingEngine
+
 
 Weights = tuple[float, ...]
 

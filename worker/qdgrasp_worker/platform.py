@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec, has_bullet, run_spec
 from qdgrasp_worker.engines import ENGINES, Engine
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.syntax_digest import Key, syntax_digest
@@ -42,18 +42,27 @@ PROBES = 16
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
 """Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
+PHYSICAL_PROBES = slice(4, None)
+"""The probes that engines beside Bullet simulate under `physical`; two of the first ones tell no more."""
 
 
 def platform() -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digest of the probes' results.
+    """Versions, the digest of the evaluation's code, and the digests of the probes' results.
 
-    Entries of engines beside Bullet concern the rows of these alone: `mujoco` and `mujoco_code`.
+    Entries of an engine concern its rows alone: `pybullet` and `probes`, which are absent where PyBullet is
+    not installed; `mujoco`, `mujoco_code` and `mujoco_probes`.
     """
-    versions = {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")}
-    found = versions | {"machine": machine.machine(), "code": code_digest(), "probes": probe_digest()}
+    found = {name: version(name) for name in ("qdgrasp", "numpy", "scipy")}
+    found |= {"machine": machine.machine(), "code": code_digest()}
+    if has_bullet():
+        found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
     for name, engine in ENGINES.items():
         if name != DEFAULT_ENGINE:
-            found |= {name: version(engine.package), f"{name}_code": syntax_digest(*worlds(engine))}
+            found |= {
+                name: version(engine.package),
+                f"{name}_code": syntax_digest(*worlds(engine)),
+                f"{name}_probes": physical_probe_digest(name),
+            }
     return found
 
 
@@ -72,7 +81,23 @@ def probe_digest() -> str:
     """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes."""
     genomes, trials = np.tile(probes(), (2, 1)), np.repeat(np.array([0, 1], dtype=np.uint16), PROBES)
     with Evaluator(probe_scene()) as evaluator:
-        rows = evaluator.evaluate("approach", genomes, trials).rows
+        return result_digest(evaluator, genomes, trials)
+
+
+def physical_probe_digest(engine: str) -> str:
+    """sha256 over the result bytes of probes under `physical` in an engine; some grasps hold.
+
+    Nothing is spared the engine: the filters that do that take longer to make than it takes.
+    """
+    asked = {"gripper": "panda", "object": "tennis_ball", "protocol": "physical", "engine": engine}
+    genomes = probes()[PHYSICAL_PROBES]
+    with Evaluator(build_scene(run_spec(asked, "probes")), shortcuts=False) as evaluator:
+        return result_digest(evaluator, genomes, np.zeros(len(genomes), dtype=np.uint16))
+
+
+def result_digest(evaluator: Evaluator, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> str:
+    """sha256 over the result bytes of genomes (n, 7) of the prior approach in their trials (n,)."""
+    rows = evaluator.evaluate("approach", genomes, trials).rows
     return hashlib.sha256(b"".join(pack(rows, RESULT).values())).hexdigest()
 
 

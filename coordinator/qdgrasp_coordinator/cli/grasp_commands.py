@@ -18,7 +18,7 @@ from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.spec import RunSpec, check_engine, run_spec
 from qdgrasp_protocol.text import counted
 
 if TYPE_CHECKING:
@@ -197,6 +197,7 @@ def evaluate(
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
     spec = run_spec(values, "evaluate")
+    check_engine(spec.engine)
     hand_poses = read_poses(poses)
     config = LocalJobConfig(options.worker_count(workers), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:

@@ -178,6 +178,7 @@ def start_run(
 ) -> None:
     """Begin a run in a new folder and carry it out; `begun` is called in between."""
     RunFolder.check_free(out)
+    config.check_engines([spec])
     with progress_display(out.name, spec.evaluations) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         bundle = run_plan.prepare_scene(spec).bundle
@@ -244,6 +245,7 @@ def resume(
         return
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,
@@ -336,6 +338,7 @@ def rerank(
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
+    config.check_engines([spec])
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
         scene, bundle = run_plan.prepare_scene(spec)

@@ -4,7 +4,7 @@ The same processes, commands and messages as on many machines; there is no secon
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from qdgrasp_protocol.errors import EndpointError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
+from qdgrasp_protocol.spec import RunSpec, check_engine
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
@@ -59,6 +60,11 @@ class LocalJobConfig:
     """Seconds that a full disk is waited for."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
+
+    def check_engines(self, specs: Iterable[RunSpec]) -> None:
+        """Raise `MissingEngine` where workers are to start here, and lack the engine of a run."""
+        for spec in specs if self.workers else ():
+            check_engine(spec.engine)
 
 
 class Supervisor:

@@ -26,7 +26,15 @@ from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE,
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
+    ENGINE_PACKAGES,
+    RunSpec,
+    differences,
+    read_run_spec,
+    run_spec,
+    to_toml,
+)
 from qdgrasp_protocol.text import first_few
 
 
@@ -38,8 +46,14 @@ class PreparedScene(NamedTuple):
 
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
-ENGINE_ENTRIES = {"mujoco": ("mujoco", "mujoco_code")}
-"""Entries of a platform that concern the rows of an engine alone; the platform of others lacks them."""
+ENGINE_ENTRIES = {
+    "bullet": ("pybullet", "probes"),
+    "mujoco": ("mujoco", "mujoco_code", "mujoco_probes"),
+}
+"""Entries of a platform that concern the rows of an engine alone, first its version.
+
+The platform of rows of another engine lacks them, and so does that of a machine without the engine.
+"""
 ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
 
 
@@ -48,6 +62,17 @@ class PlatformDiffers(Refused):
 
     def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
         super().__init__(f"its platform differs: {platform_differences(job, worker)}.")
+
+
+class LacksEngine(Refused):
+    """A worker does not have the engine of a run that is carried out."""
+
+    def __init__(self, run: str, engine: str | None) -> None:
+        package = ENGINE_PACKAGES[engine or DEFAULT_ENGINE]
+        super().__init__(
+            f"run '{run}' is simulated in {package}, which is not installed there; install it, or start the "
+            "worker where it is."
+        )
 
 
 def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
@@ -76,8 +101,24 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
 
 def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
     """The part of a platform that concerns the rows of an engine; None: Bullet."""
-    others = ENGINE_NAMES.difference(ENGINE_ENTRIES.get(engine or "", ()))
+    others = ENGINE_NAMES.difference(ENGINE_ENTRIES[engine or DEFAULT_ENGINE])
     return {name: value for name, value in platform.items() if name not in others}
+
+
+def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
+    """Entries of an engine that a platform lacks, on which its rows were made; None: Bullet.
+
+    They were recorded before these entries were, or have no engine, but an evaluator of one's own.
+    """
+    entries = ENGINE_ENTRIES[engine or DEFAULT_ENGINE]
+    return [name for name in entries if name not in platform] if entries[0] in platform else []
+
+
+def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
+    """Return whether a worker's platform has engines, and not this one; None: Bullet."""
+    return (
+        not ENGINE_NAMES.isdisjoint(platform) and ENGINE_ENTRIES[engine or DEFAULT_ENGINE][0] not in platform
+    )
 
 
 def journal_digest(journal: Journal) -> str:

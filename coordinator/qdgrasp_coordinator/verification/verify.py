@@ -43,7 +43,7 @@ from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import run_spec, to_values
+from qdgrasp_protocol.spec import check_engine, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]
@@ -187,6 +187,8 @@ def verify_rows(
 
     Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
     """
+    for selection in selections:
+        check_engine(selection.found_by.spec.engine)
     found = ReevaluationQueue(selections)
     run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
@@ -220,13 +222,19 @@ def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
     """Yield the platforms that rows were made on, those of most rows first."""
-    counts: Counter[tuple[tuple[str, str], ...]] = Counter()
+    counts: Counter[tuple[str | None, tuple[tuple[str, str], ...]]] = Counter()
     for selection in selections:
-        counts[tuple(sorted(selection.found_by.platform.items()))] += len(selection.numbers)
-    for items, rows in counts.most_common():
+        engine = selection.found_by.spec.engine
+        platform = run_folder.platform_of(engine, selection.found_by.platform)
+        counts[engine, tuple(sorted(platform.items()))] += len(selection.numbers)
+    for (simulated_in, items), rows in counts.most_common():
         platform = dict(items)
-        differences = run_folder.platform_differences(platform, now)
-        yield PlatformShare(rows=rows, platform=platform, differences=differences)
+        yield PlatformShare(
+            rows=rows,
+            platform=platform,
+            differences=run_folder.platform_differences(platform, now),
+            not_recorded=run_folder.missing_entries(simulated_in, platform),
+        )
 
 
 class EngineComparison(Struct, frozen=True, kw_only=True):
@@ -275,6 +283,7 @@ def compare_engine(
     """
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
+    check_engine(spec.engine)
     with folder.journal() as journal:
         if journal.sources:
             raise InputError(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, UnknownName
-from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, check_engine
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld
@@ -40,7 +40,11 @@ ENGINES = {
 
 
 def make_world(scene: Scene, protocol: EvaluationProtocol) -> ShakenWorld | PhysicalWorld:
-    """A world for episodes of a protocol; an AssetError if its engine cannot load the scene."""
+    """A world for episodes of a protocol.
+
+    MissingEngine if its engine is not installed; AssetError if that cannot load the scene.
+    """
+    check_engine(scene.engine)
     name = scene.engine or DEFAULT_ENGINE
     if name not in ENGINES:
         raise UnknownName("engine", name, ENGINES)
