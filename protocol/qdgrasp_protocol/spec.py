@@ -50,6 +50,9 @@ BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
 EngineName = Literal["bullet", "mujoco"]
 """The physics engines (docs/engines.md)."""
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
+"""An engine, or two: what holds in the first is tried in the second."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -115,8 +118,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
-    engine: EngineName | None = None
-    """The physics engine; None: Bullet, in which every protocol is simulated."""
+    engine: EngineChoice | None = None
+    """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -163,8 +166,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     @property
     def protocol_words(self) -> str:
-        """The protocol, and its engine where that is not Bullet."""
-        return f"{self.protocol} in {self.engine}" if self.engine else self.protocol
+        """The protocol, and its engine or engines where that is not Bullet alone."""
+        engines = " then ".join(engine_names(self.engine))
+        return f"{self.protocol} in {engines}" if self.engine else self.protocol
 
     @property
     def disturbances(self) -> int:
@@ -177,6 +181,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         most = trial_count(self.protocol)
         few = SEQUENTIAL_STAGES if self.trials == "sequential" else ()
         return (*few, most) if most else ()
+
+
+def engine_names(engine: str | None) -> tuple[str, ...]:
+    """The engines that a spec or scene names, in the order in which a grasp is tried in them."""
+    return tuple((engine or DEFAULT_ENGINE).split(","))
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:

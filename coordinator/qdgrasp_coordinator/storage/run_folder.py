@@ -26,7 +26,7 @@ from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE,
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec, differences, engine_names, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
 
@@ -75,8 +75,8 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
 
 
 def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
-    """The part of a platform that concerns the rows of an engine; None: Bullet."""
-    others = ENGINE_NAMES.difference(ENGINE_ENTRIES.get(engine or "", ()))
+    """The part of a platform that concerns the rows of an engine, or of two; None: Bullet."""
+    others = ENGINE_NAMES.difference(*(ENGINE_ENTRIES.get(name, ()) for name in engine_names(engine)))
     return {name: value for name, value in platform.items() if name not in others}
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, UnknownName
-from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld
@@ -37,9 +37,12 @@ ENGINES = {
 }
 
 
-def make_world(scene: Scene, protocol: EvaluationProtocol) -> ShakenWorld | PhysicalWorld:
-    """A world for episodes of a protocol; an AssetError if its engine cannot load the scene."""
-    name = scene.engine or DEFAULT_ENGINE
+def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> ShakenWorld | PhysicalWorld:
+    """A world of an engine for episodes of a protocol; an AssetError if it cannot load the scene.
+
+    The engine is the one of that name, or the first one of the scene.
+    """
+    name = name or engine_names(scene.engine)[0]
     if name not in ENGINES:
         raise UnknownName("engine", name, ENGINES)
     engine = ENGINES[name]

@@ -8,6 +8,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, engine_names
 from qdgrasp_worker.engines.bullet import BASE
 from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, BulletShakenWorld, BulletWorld
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
@@ -152,9 +153,9 @@ class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
 def recording_world(
     scene: Scene, protocol: EvaluationProtocol
 ) -> RecordingShakenWorld | RecordingPhysicalWorld:
-    """A world that records episodes; an AssetError if Bullet cannot load the scene."""
-    if scene.engine is not None:
-        raise InputError(f"An evaluation in the engine {scene.engine} cannot be drawn; one in Bullet can.")
+    """A world of the first engine that records episodes; an AssetError if it cannot load the scene."""
+    if (engine := engine_names(scene.engine)[0]) != DEFAULT_ENGINE:
+        raise InputError(f"An evaluation in the engine {engine} cannot be drawn; one in Bullet can.")
     return (
         RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingShakenWorld(scene)
     )
