@@ -1,9 +1,10 @@
 """Verdicts of another engine on successes of a run: `engine-NAME.csv` in its folder (docs/engines.md).
 
-`qdgrasp verify --engine NAME` writes the table; `holding_in_both` and `held_shares` read all of a run.
+`qdgrasp verify --engine NAME` writes the table; the others here read it.
 """
 
 import csv
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -121,22 +122,14 @@ def verdicts(table: EngineTable, numbers: NDArray[np.integer], outcomes: NDArray
     return found
 
 
-def is_judged_in_both(folder: RunFolder) -> bool:
-    """Return whether it is known of any grasps of a run whether they hold in two engines."""
-    return len(engine_names(folder.spec.engine)) > 1 or bool(other_tables(folder))
-
-
-def holding_in_both(
-    folder: RunFolder, numbers: NDArray[np.integer], outcomes: NDArray[np.integer]
+def holding_in_all(
+    tables: Mapping[str, EngineTable], numbers: NDArray[np.integer], outcomes: NDArray[np.integer]
 ) -> NDArray[np.bool_]:
-    """(n,): True for rows, by number and recorded outcome, that hold in the run's engine and in another."""
+    """(n,): True for rows, by number and recorded outcome, that hold as recorded and by all tables."""
     holds = np.asarray(outcomes == Outcome.HELD)
-    if len(engine_names(folder.spec.engine)) > 1:
-        return holds
-    tables = other_tables(folder)
     for table in tables.values():
         holds &= verdicts(table, numbers, outcomes)["outcome"] == Outcome.HELD
-    return holds & bool(tables)
+    return holds
 
 
 def held_shares(folder: RunFolder) -> dict[str, HeldShare]:

@@ -287,7 +287,8 @@ IN_MUJOCO = {"mujoco": "4.0.1", "mujoco_code": "ef" * 32}
 
 def test_what_concerns_an_engine_is_recorded_with_its_rows_alone() -> None:
     assert platform_of(None, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM
-    assert platform_of("mujoco", JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | IN_MUJOCO
+    for named in ("mujoco", "bullet,mujoco", "mujoco,bullet"):
+        assert platform_of(named, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | IN_MUJOCO
 
 
 def test_an_engine_is_compared_where_rows_of_it_are_recorded() -> None:
