@@ -184,7 +184,7 @@ def verdict_in_all(
     protocol: EvaluationProtocol,
     trial: TrialSetup,
 ) -> EpisodeResult:
-    """The result of a trial whose verdict in the first engine is known, in worlds of `others` too.
+    """The result of a trial in all engines, whose verdict in the first one is known.
 
     What holds is tried in the next world; outcome and fitness are those of the last one that it was tried in,
     where an overlap or a miss counts as no disturbance survived. All else is of the first engine.

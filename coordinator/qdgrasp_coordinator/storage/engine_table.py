@@ -1,6 +1,6 @@
-"""Verdicts of another engine on successes of a run: `engine-NAME.csv` in its folder (docs/engines.md).
+"""Tables of the verdicts of another engine on a run's successes (docs/engines.md).
 
-`qdgrasp verify --engine NAME` writes the table; the others here read it.
+`qdgrasp verify --engine NAME` writes `engine-NAME.csv` into the run's folder.
 """
 
 import csv
@@ -34,7 +34,7 @@ Verdicts = NDArray[np.void]  # (n,) of `VERDICT`
 
 
 class HeldShare(Struct, frozen=True):
-    """How many of a run's grasps that hold do so in another engine too."""
+    """Share of the grasps that hold which do so in another engine too."""
 
     held: int
     """Of the grasps in its table that hold as recorded: those that hold there."""
@@ -55,7 +55,10 @@ def table_path(folder: RunFolder, engine: str) -> Path:
 def write_table(
     folder: RunFolder, engine: str, numbers: NDArray[np.int64], recorded: Rows, now: Rows
 ) -> Path:
-    """Write both verdicts of rows by number (n,), and keep those of other rows that the table has."""
+    """Write both verdicts of rows by number (n,).
+
+    What the table has of other rows stays.
+    """
     made = np.zeros(len(numbers), TABLE)
     made["row"] = numbers
     for name in ("outcome", "fitness"):
@@ -74,7 +77,10 @@ def write_table(
 
 
 def read_table(path: Path) -> EngineTable:
-    """Read a table, once while it does not change; InputError if it is none."""
+    """Read a table; raises InputError for another file.
+
+    While its file does not change it is the same one.
+    """
     try:
         there = path.stat()
         return _read(path, there.st_mtime_ns, there.st_size)
@@ -125,7 +131,10 @@ def verdicts(table: EngineTable, numbers: NDArray[np.integer], outcomes: NDArray
 def holding_in_all(
     tables: Mapping[str, EngineTable], numbers: NDArray[np.integer], outcomes: NDArray[np.integer]
 ) -> NDArray[np.bool_]:
-    """(n,): True for rows, by number and recorded outcome, that hold as recorded and by all tables."""
+    """(n,): True for rows that hold as recorded and by all tables.
+
+    Rows are given by number and recorded outcome (n,).
+    """
     holds = np.asarray(outcomes == Outcome.HELD)
     for table in tables.values():
         holds &= verdicts(table, numbers, outcomes)["outcome"] == Outcome.HELD

@@ -268,7 +268,7 @@ def compare_engine(
     display: ProgressDisplay,
     stop: Stop,
 ) -> EngineComparison | None:
-    """Simulate successes of a run in another engine, and write them into the table in its folder.
+    """Simulate successes of a run in another engine, and write the table in its folder.
 
     Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
     InputError for a run of another protocol, of several runs, or without successes, and for two engines.

@@ -96,7 +96,11 @@ def test_a_replay_in_two_engines_shows_the_first_one_and_judges_in_both(make_sce
     assert_same(row, EpisodeReplay(scene, request(row)))
     slippery = msgspec.structs.replace(scene.object, lateral_friction=0.005)
     other = msgspec.structs.replace(scene, object=slippery)
-    monkeypatch.setattr(replay, "make_world", lambda _, *named: make_world(other, *named))
+    monkeypatch.setattr(
+        replay,
+        "make_world",
+        lambda first, protocol, name="": make_world(other if name else first, protocol, name),
+    )
     judged = EpisodeReplay(scene, request(row))
     assert judged.verdict.outcome is Outcome.DROPPED
     assert judged.verdict.joints == pytest.approx(row["joints"].tolist())

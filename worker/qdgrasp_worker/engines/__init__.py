@@ -38,9 +38,10 @@ ENGINES = {
 
 
 def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> ShakenWorld | PhysicalWorld:
-    """A world of an engine for episodes of a protocol; an AssetError if it cannot load the scene.
+    """A world of an engine for episodes of a protocol.
 
-    The engine is the one of that name, or the first one of the scene.
+    The engine is the one of that name, or the first one of the scene. An AssetError if it cannot load the
+    scene.
     """
     name = name or engine_names(scene.engine)[0]
     if name not in ENGINES:

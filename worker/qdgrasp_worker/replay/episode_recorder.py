@@ -153,7 +153,7 @@ class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
 def recording_world(
     scene: Scene, protocol: EvaluationProtocol
 ) -> RecordingShakenWorld | RecordingPhysicalWorld:
-    """A world of the first engine that records episodes; an AssetError if it cannot load the scene."""
+    """A world that records episodes; an AssetError if the first engine cannot load the scene."""
     if (engine := engine_names(scene.engine)[0]) != DEFAULT_ENGINE:
         raise InputError(f"An evaluation in the engine {engine} cannot be drawn; one in Bullet can.")
     return (

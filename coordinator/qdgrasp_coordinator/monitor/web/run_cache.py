@@ -141,7 +141,10 @@ class JournalReading:
 
 
 def same_tables(some: dict[str, EngineTable], others: dict[str, EngineTable]) -> bool:
-    """Return whether tables are the very same ones, as `read_table` gives them while they do not change."""
+    """Return whether tables are the very same ones.
+
+    `read_table` gives the same table as long as its file does not change.
+    """
     return some.keys() == others.keys() and all(table is others[name] for name, table in some.items())
 
 
@@ -218,7 +221,10 @@ class RunCache:
         return reading.with_margins(rows, found["number"][: len(known)], known)
 
     def _read_successes(self, before: JournalReading | None) -> JournalReading:
-        """Read the successes since then; all where the journal or a table is another, or it fell back."""
+        """Read the successes since then.
+
+        All of them where the journal or a table is another, or the journal fell back.
+        """
         tables = self._records.engine_tables(self._job, self._run)
         pages = self._pages(before.voxels.next if before else 0)
         if before:
