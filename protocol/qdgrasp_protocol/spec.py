@@ -52,6 +52,9 @@ BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
 EngineName = Literal["bullet", "mujoco"]
 """The physics engines (docs/engines.md)."""
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
+"""An engine, or two: what holds in the first is tried in the second."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -89,14 +92,19 @@ class MissingEngine(InputError):
         return type(self), ()
 
 
+def engine_names(engine: str | None) -> tuple[str, ...]:
+    """The engines that a spec or scene names, in the order in which a grasp is tried in them."""
+    return tuple((engine or DEFAULT_ENGINE).split(","))
+
+
 def has_bullet() -> bool:
     """Return whether PyBullet is installed here."""
     return find_spec("pybullet") is not None
 
 
 def check_engine(engine: str | None) -> None:
-    """Raise `MissingEngine` if this is Bullet (None), and PyBullet is not installed here."""
-    if engine in (None, DEFAULT_ENGINE) and not has_bullet():
+    """Raise `MissingEngine` if Bullet (None) is among these, and PyBullet is not installed here."""
+    if DEFAULT_ENGINE in engine_names(engine) and not has_bullet():
         raise MissingEngine
 
 
@@ -148,8 +156,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
-    engine: EngineName | None = None
-    """The physics engine; None: Bullet, in which every protocol is simulated."""
+    engine: EngineChoice | None = None
+    """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -196,8 +204,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     @property
     def protocol_words(self) -> str:
-        """The protocol, and its engine where that is not Bullet."""
-        return f"{self.protocol} in {self.engine}" if self.engine else self.protocol
+        """The protocol, and its engine or engines where that is not Bullet alone."""
+        engines = " then ".join(engine_names(self.engine))
+        return f"{self.protocol} in {engines}" if self.engine else self.protocol
 
     @property
     def disturbances(self) -> int:

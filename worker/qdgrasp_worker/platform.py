@@ -32,7 +32,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"0fb417aab55b5bd5e593944af09da9a62bc8705e24c47e204e7fc826905d9c94": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"ad549a7a730db0aca5006c4d1cfcc5f56717c8f7dc0aab8329e72d12418dea57": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

@@ -53,6 +53,7 @@ def export(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
+    holds_in: options.HoldsIn = None,
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
@@ -83,6 +84,7 @@ def export(
             top=top,
             diverse=diverse,
             limits=GraspLimits(max_penetration, max_motion, min_margin, min_links),
+            holds_in=holds_in,
             frame=frame,
             negatives=negatives,
             force=force,

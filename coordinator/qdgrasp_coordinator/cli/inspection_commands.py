@@ -108,7 +108,8 @@ def verify(
     how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
 
     With --engine the commanded poses of successes of a run are simulated in another engine, and both verdicts
-    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0.
+    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0. The table
+    keeps what it has of other successes.
 
     Example: qdgrasp verify runs/demo --sample 500
     """

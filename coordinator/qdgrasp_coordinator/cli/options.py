@@ -31,7 +31,11 @@ BaseOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option("--engine", help="Physics engine: bullet or mujoco (not for released); default bullet."),
+    typer.Option(
+        "--engine",
+        help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
+        "released has bullet alone; default bullet.",
+    ),
 ]
 Trials = Annotated[
     str | None,
@@ -87,6 +91,13 @@ MinMargin = Annotated[
 ]
 MinLinks = Annotated[
     int | None, typer.Option(min=0, metavar="N", help="Finger links that touch after closing, at least.")
+]
+HoldsIn = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ENGINE",
+        help="Only grasps that hold in this engine too, by `verify --engine` (bullet, mujoco).",
+    ),
 ]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

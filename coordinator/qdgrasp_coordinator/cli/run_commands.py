@@ -262,7 +262,12 @@ def rerank(
         str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="Physics engine: bullet or mujoco; default: as in the run.")
+        str | None,
+        typer.Option(
+            "--engine",
+            "--engines",
+            help="Physics engine: bullet, mujoco, or both, as in bullet,mujoco; default: as in the run.",
+        ),
     ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
@@ -320,7 +325,11 @@ def rerank(
     among the --top best have a hundred trials. The folder is that of a run:
     `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
 
+    With two engines a trial is passed that holds in both.
+
     Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
+
+    Example: qdgrasp rerank runs/demo --engines bullet,mujoco --base physical
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)

@@ -80,6 +80,7 @@ def export_run(
     top: int | None = None,
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
+    holds_in: str | None = None,
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
@@ -88,10 +89,10 @@ def export_run(
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
     The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
-    `diverse` and `limits` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or "com". At
-    most `negatives` failures are written behind the grasps; None: as many as is usual in the format. `tell`
-    is called with each step that begins. Raises InputError if there is no such format or frame, there is
-    nothing to write, or it cannot be read or written.
+    `diverse`, `limits` and `holds_in` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or
+    "com". At most `negatives` failures are written behind the grasps; None: as many as is usual in the
+    format. `tell` is called with each step that begins. Raises InputError if there is no such format or
+    frame, there is nothing to write, or it cannot be read or written.
     """
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
@@ -104,9 +105,9 @@ def export_run(
     tell(f"reading {folder.path}")
     every = read_run(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
     tell(f"choosing from {counted(len(every), 'evaluation')}")
-    chosen = select_grasps(every, min_fitness, top, diverse, limits)
+    chosen = select_grasps(every, min_fitness, top, diverse, limits, holds_in)
     if not len(chosen):
-        raise InputError(_no_grasps(folder, every, min_fitness, limits))
+        raise InputError(_no_grasps(folder, every, min_fitness, limits, holds_in))
     failures = _failures(every, chosen, wanted)
     written = join_grasps([chosen, failures])
     tell(f"writing {counted(len(written), 'evaluation')} to {out}")
@@ -116,6 +117,10 @@ def export_run(
     beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
     grasps_written = f"{counted(len(chosen), 'grasp')}{beside} written to {out}"
     note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
+    if holds_in is not None:
+        good = select_grasps(every, min_fitness)
+        unknown = counted(int((good.verdicts_in(holds_in) < 0).sum()), "grasp")
+        note += f" Left out: {unknown} whose verdict in {holds_in} is not known."
     return f"{grasps_written}, poses in the object's {object_frame} frame.{note}"
 
 
@@ -127,7 +132,9 @@ def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
     return every[places if most else places[:0]]
 
 
-def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int, limits: GraspLimits) -> str:
+def _no_grasps(
+    folder: RunFolder, every: Grasps, min_fitness: int, limits: GraspLimits, holds_in: str | None
+) -> str:
     successes = every[every.is_success]
     if not len(successes):
         with folder.journal() as journal:
@@ -136,6 +143,12 @@ def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int, limits: Grasp
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
     if best >= min_fitness:
         good = every[every.is_success & (every.fitness >= min_fitness)]
+        if holds_in is not None:
+            found = good.verdicts_in(holds_in)
+            here = f"of {counted(len(good), 'grasp')} {int((found == Outcome.HELD).sum())} hold in {holds_in}"
+            good = good[found == Outcome.HELD]
+            if not len(good):
+                return f"{folder.path} has no such grasp: {here}, {int((found < 0).sum())} are not known."
         return f"{folder.path} has no grasp within these limits: {limits.reason(good.rows, good.scene)}."
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "

@@ -27,10 +27,10 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import (
-    DEFAULT_ENGINE,
     ENGINE_PACKAGES,
     RunSpec,
     differences,
+    engine_names,
     read_run_spec,
     run_spec,
     to_toml,
@@ -100,25 +100,24 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
 
 
 def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
-    """The part of a platform that concerns the rows of an engine; None: Bullet."""
-    others = ENGINE_NAMES.difference(ENGINE_ENTRIES[engine or DEFAULT_ENGINE])
+    """The part of a platform that concerns the rows of an engine, or of two; None: Bullet."""
+    others = ENGINE_NAMES.difference(*(ENGINE_ENTRIES[name] for name in engine_names(engine)))
     return {name: value for name, value in platform.items() if name not in others}
 
 
 def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
-    """Entries of an engine that a platform lacks, on which its rows were made; None: Bullet.
+    """Entries of its engines that a platform lacks, on which rows were made; None: Bullet.
 
     They were recorded before these entries were, or have no engine, but an evaluator of one's own.
     """
-    entries = ENGINE_ENTRIES[engine or DEFAULT_ENGINE]
-    return [name for name in entries if name not in platform] if entries[0] in platform else []
+    entries = [ENGINE_ENTRIES[name] for name in engine_names(engine)]
+    return [name for own in entries if own[0] in platform for name in own if name not in platform]
 
 
 def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
-    """Return whether a worker's platform has engines, and not this one; None: Bullet."""
-    return (
-        not ENGINE_NAMES.isdisjoint(platform) and ENGINE_ENTRIES[engine or DEFAULT_ENGINE][0] not in platform
-    )
+    """Return whether a worker's platform has engines, and not this one or these; None: Bullet."""
+    wanted = {ENGINE_ENTRIES[name][0] for name in engine_names(engine)}
+    return not ENGINE_NAMES.isdisjoint(platform) and not wanted <= platform.keys()
 
 
 def journal_digest(journal: Journal) -> str:

@@ -30,8 +30,8 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
 from qdgrasp_coordinator.verification.comparison import (
     DifferentRow,
@@ -43,7 +43,7 @@ from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import check_engine, run_spec, to_values
+from qdgrasp_protocol.spec import check_engine, engine_names, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]
@@ -276,11 +276,13 @@ def compare_engine(
     display: ProgressDisplay,
     stop: Stop,
 ) -> EngineComparison | None:
-    """Simulate successes of a run in another engine, and write a table into its folder.
+    """Simulate successes of a run in another engine, and write the table in its folder.
 
     Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
-    InputError for a run of another protocol, of several runs, or without successes.
+    InputError for a run of another protocol, of several runs, or without successes, and for two engines.
     """
+    if len(engine_names(engine)) > 1:
+        raise InputError(f"verify compares with one engine, and '{engine}' names two; name one of them.")
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
     check_engine(spec.engine)
@@ -305,8 +307,7 @@ def compare_engine(
     run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
     if stop.is_set:
         return None
-    table = OutFile(folder.path / f"engine-{engine}.csv", force=True)
-    table.write(engine_table(places, rows[places], memory.rows).encode())
+    table = write_table(folder, engine, places, rows[places], memory.rows)
     pairs = Counter(zip(rows["outcome"][places].tolist(), memory.rows["outcome"].tolist(), strict=True))
     outcomes: dict[str, dict[str, int]] = {}
     for (recorded, now), number in sorted(pairs.items(), reverse=True):
@@ -314,16 +315,5 @@ def compare_engine(
     robust = [each["outcome"] >= Outcome.HELD for each in (rows[places], memory.rows)]
     same = int((robust[0] == robust[1]).sum())
     return EngineComparison(
-        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table.path)
+        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table)
     )
-
-
-def engine_table(numbers: NDArray[np.int64], recorded: Rows, now: Rows) -> str:
-    """CSV of both verdicts of each row, by its number in the journal."""
-    lines = ["row,outcome,fitness,outcome_now,fitness_now"]
-    for number, one, other in zip(numbers.tolist(), recorded, now, strict=True):
-        verdicts = (
-            f"{Outcome(each['outcome']).name.lower()},{int(each['fitness'])}" for each in (one, other)
-        )
-        lines.append(",".join([str(number), *verdicts]))
-    return "\n".join(lines) + "\n"

@@ -293,11 +293,13 @@ def test_what_concerns_an_engine_is_recorded_with_its_rows_alone() -> None:
     both = OF_ALL | IN_BULLET | IN_MUJOCO
     assert platform_of(None, both) == OF_ALL | IN_BULLET
     assert platform_of("mujoco", both) == OF_ALL | IN_MUJOCO
+    assert platform_of("bullet,mujoco", both) == platform_of("mujoco,bullet", both) == both
 
 
 def test_a_worker_lacks_an_engine_where_it_names_others() -> None:
     assert lacks_engine(None, OF_ALL | IN_MUJOCO)
     assert lacks_engine("mujoco", OF_ALL | IN_BULLET)
+    assert lacks_engine("bullet,mujoco", OF_ALL | IN_MUJOCO)
     assert not lacks_engine(None, OF_ALL | IN_BULLET | IN_MUJOCO)
     assert not lacks_engine(None, OF_ALL), "that of an evaluator of one's own"
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, UnknownName
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, check_engine
+from qdgrasp_protocol.spec import check_engine, engine_names
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld
@@ -39,13 +39,14 @@ ENGINES = {
 }
 
 
-def make_world(scene: Scene, protocol: EvaluationProtocol) -> ShakenWorld | PhysicalWorld:
-    """A world for episodes of a protocol.
+def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> ShakenWorld | PhysicalWorld:
+    """A world of an engine for episodes of a protocol.
 
-    MissingEngine if its engine is not installed; AssetError if that cannot load the scene.
+    The engine is the one of that name, or the first one of the scene. MissingEngine if it is not installed;
+    AssetError if it cannot load the scene.
     """
-    check_engine(scene.engine)
-    name = scene.engine or DEFAULT_ENGINE
+    name = name or engine_names(scene.engine)[0]
+    check_engine(name)
     if name not in ENGINES:
         raise UnknownName("engine", name, ENGINES)
     engine = ENGINES[name]
