@@ -68,7 +68,7 @@ class LacksEngine(Refused):
     """A worker does not have the engine of a run that is carried out."""
 
     def __init__(self, run: str, engine: str | None) -> None:
-        package = ENGINE_PACKAGES[engine or DEFAULT_ENGINE]
+        package = " and ".join(ENGINE_PACKAGES[name] for name in engine_names(engine))
         super().__init__(
             f"run '{run}' is simulated in {package}, which is not installed there; install it, or start the "
             "worker where it is."
