@@ -134,13 +134,19 @@ class Evaluator(BatchEvaluator):
         refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
         shortlists, features = self._candidate_screen(grasps, trials, wanted)
-        found = [
-            reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
-        ]
-        findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, GenomeResult)}
+        found = self._find_all(grasps, shortlists, trials.tolist(), np.flatnonzero(wanted).tolist())
+        findings = {i: finding for i, finding in found.items() if isinstance(finding, GenomeResult)}
         fill_rows(rows, grasps, features, findings)
-        failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
-        return Evaluation(rows, failures)
+        reasons = {i: reason for i, reason in enumerate(refused) if reason} | {
+            i: finding for i, finding in found.items() if isinstance(finding, str)
+        }
+        return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
+
+    def _find_all(
+        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
+    ) -> dict[int, GenomeResult | str]:
+        """Return the results of these rows of a batch, or the reasons of failures."""
+        return {row: self._find(grasps, shortlists[row], trials[row]) for row in rows}
 
     def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
         """Return the result of a genome, or the reason of a failure, after which the world is new."""

@@ -65,8 +65,8 @@ class Simulation:
         self.object = int(self.model.body(OBJECT).id)
         self._is_free = is_free
         self._couplings = scene.couplings
-        self._is_object = self.model.geom_bodyid == self.object
-        self._of_object = np.flatnonzero(self._is_object)
+        self.is_object = self.model.geom_bodyid == self.object
+        self.of_object = np.flatnonzero(self.is_object)
         self._force = np.zeros(6)
 
     def reset(self, posture: Sequence[float], friction: Sequence[float]) -> None:
@@ -75,7 +75,7 @@ class Simulation:
         `friction` is that of hand and object: sliding, spinning, rolling.
         """
         mujoco.mj_resetData(self.model, self.data)
-        self.model.geom_friction[self._of_object] = friction
+        self.model.geom_friction[self.of_object] = friction
         self.damp(0.0)
         self.data.qpos[self.places] = posture
 
@@ -86,8 +86,11 @@ class Simulation:
 
     def couple(self, closing: Sequence[str]) -> None:
         """Couple the joints of a jaw that close, and no others."""
-        for i, coupling in enumerate(self._couplings):
-            self.data.eq_active[i] = {coupling.joint, coupling.leader} <= {*closing}
+        self.data.eq_active[:] = self.coupled(closing)
+
+    def coupled(self, closing: Sequence[str]) -> list[bool]:
+        """Return which of the couplings hold while these joints close."""
+        return [{coupling.joint, coupling.leader} <= {*closing} for coupling in self._couplings]
 
     def place(self, position: Floats, quaternion: Floats) -> None:
         """Put the object at a position (3,) [m] and quaternion (4,)."""
@@ -123,7 +126,7 @@ class Simulation:
         contact = data.contact
         distance = contact.dist - contact.includemargin
         geoms = contact.geom
-        is_object = self._is_object[geoms]
+        is_object = self.is_object[geoms]
         chosen = np.flatnonzero((distance < NEAR) & is_object.any(axis=1))
         links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
         return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
@@ -132,7 +135,7 @@ class Simulation:
         """Point (3,) on the object, unit normal (3,) into it, and force along it [N]; world frame."""
         found = self.data.contact[contact]
         mujoco.mj_contactForce(self.model, self.data, contact, self._force)
-        normal = found.frame[:3] * (-1.0 if self._is_object[found.geom[0]] else 1.0)
+        normal = found.frame[:3] * (-1.0 if self.is_object[found.geom[0]] else 1.0)
         return found.pos + normal * found.dist / 2, normal, float(self._force[0])
 
     def touching_links(self) -> set[tuple[str, str]]:
@@ -152,34 +155,41 @@ class MujocoWorld(PhysicalWorld):
         self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
         self._names = {label: list(joints) for label, joints in closing_joints(gripper).items()}
         model = SceneModel(scene, physics.time_step)
-        drives = finger_drives(gripper, model, physics)
-        self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
-        passing = passing_links(gripper, model, drives)
-        self._fixed = Simulation(model, drives, passing, is_free=False)
-        self._free = Simulation(model, drives, passing, is_free=True)
-        self._now = self._free
-        self._target, self._moments = scene.object, model.moments
-        bodies = {self._free.model.body(i).name: i for i in range(self._free.model.nbody)}
+        self.drives, self.is_coupled = finger_drives(gripper, model, physics), gripper.jaw is not None
+        self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
+        passing = passing_links(gripper, model, self.drives)
+        self.fixed = Simulation(model, self.drives, passing, is_free=False)
+        self.free = Simulation(model, self.drives, passing, is_free=True)
+        self._now = self.free
+        mass, self._lateral_friction = scene.object.mass, scene.object.lateral_friction
+        self.damping = physics.damping * np.array([*[mass] * 3, *model.moments])
+        """(6,): forces by which a released object's velocity is damped [N s/m, Nm s/rad]."""
+        self.push_force = mass * physics.weight
+        """Of each push [N]."""
+        bodies = {self.free.model.body(i).name: i for i in range(self.free.model.nbody)}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, bodies))
-        self._link_numbers = {bodies[name]: number for number, name in enumerate(gripper.links, start=1)}
+        self.link_numbers = {bodies[name]: number for number, name in enumerate(gripper.links, start=1)}
 
     def close(self) -> None:
         """Do nothing: the models are freed with the world."""
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before."""
-        physics = self.physics
-        self._friction = trial.grip * self._target.lateral_friction, physics.spinning, physics.rolling
+        self._friction = self.friction(trial)
         self._posture = list(posture)
-        self._now = self._free
+        self._now = self.free
         self._now.reset(posture, self._friction)
         self.place_hand(trial.pose)
+
+    def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
+        """The friction of hand and object in a trial: sliding, spinning, rolling."""
+        return trial.grip * self._lateral_friction, self.physics.spinning, self.physics.rolling
 
     def place_hand(self, pose: HandPose) -> None:
         """Put the hand's base link at a pose: the object comes to where the hand sees it."""
         back = conjugate(unit(np.array(pose.quaternion)))
-        self._free.place(rotate(back, -np.array(pose.position)), back)
-        self._free.detect()
+        self.free.place(rotate(back, -np.array(pose.position)), back)
+        self.free.detect()
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
@@ -190,21 +200,21 @@ class MujocoWorld(PhysicalWorld):
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
         self._closing = self.closing_joints(synergy)
         self._control.start(self._posture, self._closing)
-        place = self._free.object_pose()
-        self._now = self._fixed
+        place = self.free.object_pose()
+        self._now = self.fixed
         self._now.reset(self._posture, self._friction)
         self._now.place(*place)
         self._now.couple(self._closing)
 
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""
-        free, fixed = self._free, self._fixed
+        free, fixed = self.free, self.fixed
         place = free.object_pose()
         free.reset(fixed.data.qpos[fixed.places], self._friction)
         free.data.qvel[free.dofs] = fixed.data.qvel[fixed.dofs]
         free.place(*place)
         free.couple(self._closing)
-        free.damp(self.physics.damping * np.array([*[self._target.mass] * 3, *self._moments]))
+        free.damp(self.damping)
         self._now = free
         if not self._control.is_coupled:
             self._control.stop()
@@ -216,8 +226,7 @@ class MujocoWorld(PhysicalWorld):
 
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next steps, along a direction in hand frame."""
-        force = self._target.mass * self.physics.weight
-        self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, force)
+        self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, self.push_force)
 
     def step(self) -> None:
         """Move on to the next look, with the targets of the fingers on their way."""
@@ -258,10 +267,10 @@ class MujocoWorld(PhysicalWorld):
         origin = now.data.xpos[now.object].copy()
         back = conjugate(now.data.xquat[now.object][[1, 2, 3, 0]])
         for contact, link, _ in now.hand_contacts():
-            if link in self._link_numbers:
+            if link in self.link_numbers:
                 point, normal, force = now.force(contact)
                 point, normal = rotate(back, point - origin), rotate(back, normal)
-                found.append(GraspContact(self._link_numbers[link], point.tolist(), normal.tolist(), force))
+                found.append(GraspContact(self.link_numbers[link], point.tolist(), normal.tolist(), force))
         return found
 
     def hand_pose(self) -> HandFrame:
@@ -272,7 +281,7 @@ class MujocoWorld(PhysicalWorld):
 
     def object_pose(self) -> tuple[Vector, Quaternion]:
         """The object's position and quaternion; the hand does not move."""
-        position, quaternion = self._free.object_pose()
+        position, quaternion = self.free.object_pose()
         (x, y, z), (a, b, c, w) = position.tolist(), quaternion.tolist()
         return (x, y, z), (a, b, c, w)
 
