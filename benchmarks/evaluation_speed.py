@@ -26,12 +26,12 @@ from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.candidate_ranking import PoseFeatures
 from qdgrasp_worker.decoder import Decoder
-from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import Shake
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
 from qdgrasp_worker.filters.contact_filter import ContactFilter
 from qdgrasp_worker.filters.overlap_filter import OverlapFilter
-from qdgrasp_worker.world import World
 
 REST = "rest"
 """What is in no stage: rows, lists and the loop."""
@@ -39,7 +39,7 @@ STEPS = ", steps"
 """Behind a stage's name: the simulator's own steps within it."""
 
 
-def _shake(_: Episode, shake: Shake, *rest: object) -> str:
+def _shake(_: ShakenEpisode, shake: Shake, *rest: object) -> str:
     return f"shake {shake.joint}"
 
 
@@ -48,9 +48,9 @@ STAGES: list[tuple[type, str, str | Callable[..., str]]] = [
     (OverlapFilter, "__call__", "overlap filter"),
     (PoseFeatures, "features", "features"),
     (ContactFilter, "misses", "never-touch filter"),
-    (Episode, "overlaps", "place, overlap"),
-    (Episode, "_close", "closing"),
-    (Episode, "_holds_through", _shake),
+    (ShakenEpisode, "overlaps", "place, overlap"),
+    (ShakenEpisode, "_close", "closing"),
+    (ShakenEpisode, "_holds_through", _shake),
 ]
 """The method of a class, and the stage that is spent in it, or what tells it from the arguments."""
 ORDER = (
@@ -82,7 +82,9 @@ class Profile:
         with ExitStack() as patches:
             for owner, name, stage in STAGES:
                 patches.enter_context(patch.object(owner, name, self._within(getattr(owner, name), stage)))
-            patches.enter_context(patch.object(World, "step", self._stepping(World.step)))
+            patches.enter_context(
+                patch.object(BulletShakenWorld, "step", self._stepping(BulletShakenWorld.step))
+            )
             with self._ledger.within(REST):
                 yield
 
@@ -111,9 +113,9 @@ class Profile:
 
         return watched
 
-    def _stepping(self, step: Callable[[World], None]) -> Callable[[World], None]:
+    def _stepping(self, step: Callable[[BulletShakenWorld], None]) -> Callable[[BulletShakenWorld], None]:
         @wraps(step)
-        def watched(world: World) -> None:
+        def watched(world: BulletShakenWorld) -> None:
             self._steps += 1
             self._ledger.enter(self._ledger.inmost + STEPS)
             step(world)

@@ -24,8 +24,8 @@ from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.world import World
 
 HANDS = {
     "panda": "ref_panda_2f",
@@ -213,13 +213,13 @@ def _measured(evaluator: Evaluator, prior: str, genomes: NDArray[np.float32]) ->
 def counted_steps() -> Iterator[list[None]]:
     """As many items as the simulator makes steps in this block."""
     steps: list[None] = []
-    step = World.step
+    step = BulletShakenWorld.step
 
-    def counted(world: World) -> None:
+    def counted(world: BulletShakenWorld) -> None:
         steps.append(None)
         step(world)
 
-    with patch.object(World, "step", counted):
+    with patch.object(BulletShakenWorld, "step", counted):
         yield steps
 
 

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Motor, pb
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
+from qdgrasp_worker.engines.bullet import Bullet, Motor, pb
+from qdgrasp_worker.engines.bullet_world import HandBody, ObjectBody, finger_motor
 from qdgrasp_worker.episode import outcome_of
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, PROTOCOLS, TARGET_STEPS, Shake
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.world import HandBody, ObjectBody, closing_joints, finger_motor
+from qdgrasp_worker.world import STILL, UPRIGHT, closing_joints
 
 
 class Naive:

@@ -29,11 +29,12 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import Decoder, HandPose
-from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, BulletShakenWorld
+from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PAPER, PHYSICAL, Physics, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld, angle_between
-from qdgrasp_worker.world import World
+from qdgrasp_worker.physical_episode import PhysicalEpisode, angle_between
+from qdgrasp_worker.world import GraspWorld
 
 HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow", "ref_bh280", "ref_allegro")
 OBJECTS = ("ycb_rubiks_cube", "ycb_mug", "ycb_bowl")
@@ -57,7 +58,7 @@ class Judged:
     """Position and quaternion of the object after closing."""
 
 
-class CountingWorld(PhysicalWorld):
+class CountingWorld(BulletPhysicalWorld):
     """Counts its steps."""
 
     count = 0
@@ -79,7 +80,7 @@ class SeenEpisode(PhysicalEpisode):
         return super()._closed_grasp(pose, fingers)
 
 
-def judge(world: World, episode: Episode, pose: HandPose) -> Judged:
+def judge(world: GraspWorld, episode: ShakenEpisode | SeenEpisode, pose: HandPose) -> Judged:
     """Evaluate a pose."""
     places = episode.places if isinstance(episode, SeenEpisode) else []
     places.clear()
@@ -105,8 +106,8 @@ def poses_of(scene: Scene, seed: int) -> Iterator[HandPose]:
 def touched_poses(scene: Scene, n: int, seed: int) -> list[HandPose]:
     """The first poses that touch in `paper`."""
     found: list[HandPose] = []
-    with closing(World(scene)) as world:
-        episode = Episode(world, PAPER)
+    with closing(BulletShakenWorld(scene)) as world:
+        episode = ShakenEpisode(world, PAPER)
         for pose in poses_of(scene, seed):
             if episode.run(TrialSetup(pose)).outcome.is_touched:
                 found.append(pose)
@@ -126,8 +127,8 @@ def side_by_side(
     paper_scene: Scene, scene: Scene, physics: Physics, poses: Sequence[HandPose]
 ) -> tuple[list[Judged], list[Judged]]:
     """Both protocols in turns."""
-    with closing(World(paper_scene)) as first, closing(CountingWorld(scene, physics)) as second:
-        paper = Episode(first, PAPER)
+    with closing(BulletShakenWorld(paper_scene)) as first, closing(CountingWorld(scene, physics)) as second:
+        paper = ShakenEpisode(first, PAPER)
         physical = SeenEpisode(second, replace(PHYSICAL, physics=physics))
         pairs = [(judge(first, paper, pose), judge(second, physical, pose)) for pose in poses]
     return [one for one, _ in pairs], [other for _, other in pairs]

@@ -31,12 +31,11 @@ from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_worker.decoder import Decoder, HandPose
-from qdgrasp_worker.episode import APPROACH_STEP, Episode, approach_path
+from qdgrasp_worker.episode import APPROACH_STEP, approach_path
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.physical_episode import PhysicalEpisode
-from qdgrasp_worker.world import World
+from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
 
 HAND = "panda"
 EVALUATIONS = {"ycb_rubiks_cube": 800, "ycb_mug": 800, "ycb_power_drill": 600}
@@ -162,7 +161,9 @@ def evaluated(evaluator: Evaluator, genomes: NDArray[np.float32], numbers: Itera
     return {**found, "seconds": np.array(seconds)}
 
 
-def clear_places(world: World, episode: Episode, trial: TrialSetup) -> tuple[list[HandPose], list[bool]]:
+def clear_places(
+    world: PhysicalWorld, episode: PhysicalEpisode, trial: TrialSetup
+) -> tuple[list[HandPose], list[bool]]:
     """The path of a trial, and where on it the hand is clear."""
     path = approach_path(trial.pose, world.approach_axis, world.reach)
     world.reset(replace(trial, pose=path[0]), trial.pose.joints)
@@ -181,7 +182,7 @@ def met_trials(scene: Scene, genomes: NDArray[np.float32]) -> Arrays:
     protocol, poses = scene_protocol(scene), Decoder(scene, GIVEN, ObjectSurface(scene))(genomes)
     walking, simulating = 0.0, dict.fromkeys(ARRIVALS, 0.0)
     with closing(Evaluator(scene)) as evaluator:
-        episode = PhysicalEpisode(evaluator._world, protocol, evaluator._contact_filter)  # type: ignore[arg-type]
+        episode = PhysicalEpisode(evaluator._world, protocol, evaluator._contact_filter)
         for i, number in np.ndindex(shape):
             trial = protocol.trial(poses[i], number + 1)
             started = time.process_time()

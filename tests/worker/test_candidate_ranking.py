@@ -10,9 +10,9 @@ from tests.worker.genomes import CANDIDATES, RANKED_BY, above, decoded, encoded,
 from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE, layout
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.candidate_ranking import RANKINGS, PoseFeatures
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.world import World
 
 N = 40
 POSE = ("outcome", "fitness", "base_to_object", "joints", "contacts", "penetration")
@@ -191,7 +191,7 @@ def test_genes_far_beyond_their_intervals_are_dead_ends(evaluator, prior, scene)
 @pytest.fixture(scope="module")
 def grip(scene):
     """The grip features of the Panda over the cube, by how it is moved."""
-    with closing(World(scene)) as world:
+    with closing(BulletShakenWorld(scene)) as world:
         features = PoseFeatures(scene, ObjectSolid(scene), world.closing)
 
         def find(*moves):

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
-from qdgrasp_worker.bullet import Contact
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
     PAPER,
@@ -18,6 +17,7 @@ from qdgrasp_worker.evaluation_protocols import (
     TARGET_STEPS,
     TrialSetup,
 )
+from qdgrasp_worker.world import Contact
 
 PALM, FINGER, OTHER_FINGER = 5, 6, 7
 POSE = HandPose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
@@ -81,7 +81,7 @@ def during(first: int, last: int, *contacts: Contact) -> Callable[[int], list[Co
 
 
 def run(world: WrittenWorld, protocol=PAPER) -> EpisodeResult:
-    return Episode(world, protocol).run(TrialSetup(POSE, FRICTIONS))
+    return ShakenEpisode(world, protocol).run(TrialSetup(POSE, FRICTIONS))
 
 
 GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))

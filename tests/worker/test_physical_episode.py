@@ -14,8 +14,9 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
-from qdgrasp_worker.bullet import Bullet
 from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.engines.bullet import Bullet
+from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld
 from qdgrasp_worker.episode import APPROACH_STEP, EpisodeResult, approach_path
 from qdgrasp_worker.evaluation_protocols import (
     PAPER,
@@ -26,7 +27,6 @@ from qdgrasp_worker.evaluation_protocols import (
     TrialSetup,
 )
 from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
-from qdgrasp_worker.physical_episode import BulletPhysicalWorld
 
 SIDE = radians(27.0)  # The direction of one of the cube's sides
 HALF_TURN = (SIDE + radians(90.0)) / 2

@@ -10,9 +10,9 @@ from tests.worker.genomes import above, decoded, draw, side_of
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.object_geometry import SurfaceSample
 from qdgrasp_worker.swept_volume import SweptVolumes
-from qdgrasp_worker.world import World
 
 TIP = np.array([0.0, 0.0, 0.1])
 """Between the tips of the Panda's fingers, hand frame [m]."""
@@ -25,7 +25,7 @@ def hand_scene(request, make_scene):
 
 @pytest.fixture(scope="module")
 def volumes(hand_scene):
-    world = World(hand_scene)
+    world = BulletShakenWorld(hand_scene)
     yield SweptVolumes(hand_scene.gripper, world.closing)
     world.close()
 
@@ -95,7 +95,7 @@ def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_pa
     hand_scene = make_scene("panda", "rubiks_cube", "paper")
     grasps = decoded(hand_scene, "given", np.array([[0, 0, 0, 0, 0, 0, 1]], dtype=np.float32))
     assert grasps.synergies.tolist() == [NO_SYNERGY]
-    world = World(hand_scene)
+    world = BulletShakenWorld(hand_scene)
     share = partial(shares, SweptVolumes(hand_scene.gripper, world.closing), grasps)
     line = TIP + np.linspace(-0.035, 0.035, 50)[:, None] * (0.0, 1.0, 0.0)
     [(within, opposed)] = share(line)
@@ -152,7 +152,7 @@ def test_the_pandas_fingers_meet_opposite_faces_of_a_cube_between_them(make_scen
     hand_scene = make_scene("panda", "rubiks_cube", "paper")
     poses = [above(hand_scene), above(hand_scene, along=0.006), above(hand_scene, height=3.0)]
     grasps = decoded(hand_scene, "given", np.array(poses, np.float32))
-    with closing(World(hand_scene)) as world:
+    with closing(BulletShakenWorld(hand_scene)) as world:
         volumes = SweptVolumes(hand_scene.gripper, world.closing)
         contacts = volumes.first_contacts(SurfaceSample(hand_scene), grasps, np.arange(3))
     face = side_of(hand_scene)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from qdgrasp_worker.bullet import quiet
+from qdgrasp_worker.engines.bullet import quiet
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS
 from qdgrasp_worker.platform import EVALUATION

@@ -13,10 +13,10 @@ from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.engines.bullet import quiet
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS, TrialSetup
-from qdgrasp_worker.world import World
 
 FAR = TrialSetup(HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY))
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
@@ -29,7 +29,7 @@ TABLE = {
 
 @pytest.fixture
 def world(cube):
-    world = World(cube)
+    world = BulletShakenWorld(cube)
     yield world
     world.close()
 
@@ -58,7 +58,7 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
     if gripper.startswith("ref_"):
         request.getfixturevalue("asset_path")
     scene = make_scene(gripper, "rubiks_cube", "paper")
-    world = World(scene)
+    world = BulletShakenWorld(scene)
     world.reset(FAR, world.opened)
     close_hand(world)
     for shake in SHAKES:
@@ -92,7 +92,7 @@ def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
 
 def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
     synergies = (Synergy(name="left", joints=(LEFT,)), Synergy(name="right", joints=(RIGHT,)))
-    world = World(with_gripper(cube, synergies=synergies))
+    world = BulletShakenWorld(with_gripper(cube, synergies=synergies))
     for synergy, expected in ((0, [0.0, 0.04]), (1, [0.04, 0.0]), (NO_SYNERGY, [0.0, 0.0])):
         world.reset(FAR, world.opened)
         close_hand(world, synergy)
@@ -102,7 +102,7 @@ def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
 
 def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
     joints = tuple(msgspec.structs.replace(joint, driven=joint.name == LEFT) for joint in cube.gripper.joints)
-    world = World(with_gripper(cube, joints=joints))
+    world = BulletShakenWorld(with_gripper(cube, joints=joints))
     world.reset(FAR, [0.04, 0.013])
     close_hand(world)
     np.testing.assert_allclose(world.finger_positions(), [0.0, 0.013], atol=1e-4)
@@ -133,7 +133,7 @@ def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
 
 def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    World(cube).close()
+    BulletShakenWorld(cube).close()
     assert list(tmp_path.iterdir()) == []
     seen = capfd.readouterr()
     assert (seen.out, seen.err) == ("", "")
@@ -151,14 +151,14 @@ def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, mon
 )
 def test_a_hand_that_cannot_be_loaded_is_an_asset_error(change, message, cube, capfd):
     with pytest.raises(AssetError, match=message):
-        World(with_gripper(cube, **change))
+        BulletShakenWorld(with_gripper(cube, **change))
     assert capfd.readouterr().out == ""
 
 
 def test_a_joint_that_is_not_there_is_an_asset_error(cube):
     joints = (msgspec.structs.replace(cube.gripper.joints[0], name="thumb"),)
     with pytest.raises(AssetError, match=r"no joint 'thumb'. It has: panda_finger_joint1"):
-        World(with_gripper(cube, joints=joints))
+        BulletShakenWorld(with_gripper(cube, joints=joints))
 
 
 def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):

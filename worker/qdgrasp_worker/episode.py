@@ -1,15 +1,16 @@
 """Episodes: place one pose, look for overlap, close the hand, look for touch, shake."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import rotate
+from qdgrasp_assets.scene import Vector
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.bullet import Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
@@ -19,7 +20,7 @@ from qdgrasp_worker.evaluation_protocols import (
     TrialSetup,
 )
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
-from qdgrasp_worker.world import GraspContact, HandFrame, World
+from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
 APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
@@ -72,16 +73,17 @@ def approach_path(pose: HandPose, axis: Vector, way: float) -> list[HandPose]:
     return [*(replace(pose, position=place) for place in places.astype(np.float32).tolist()), pose]
 
 
+AnyWorld = TypeVar("AnyWorld", bound=GraspWorld)
+
+
 @dataclass(frozen=True)
-class Episode:
+class Episode(ABC, Generic[AnyWorld]):
     """Simulates poses in a world under a protocol."""
 
-    world: World
+    world: AnyWorld
     protocol: EvaluationProtocol
     contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
     """Finds poses that need no closing; it changes no verdict."""
-    stops_early: bool = True
-    """Closing ends when the object has left; it changes no verdict."""
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""
@@ -102,9 +104,17 @@ class Episode:
         return closed._replace(outcome=outcome_of(survived, self.disturbances), fitness=survived)
 
     @property
+    @abstractmethod
     def disturbances(self) -> int:
         """Number of disturbances that a grasp meets."""
-        return len(self.protocol.shakes)
+
+    @abstractmethod
+    def _close(self, pose: HandPose) -> bool:
+        """Close the hand; whether a finger touched the object before the last step."""
+
+    @abstractmethod
+    def _survived(self) -> int:
+        """Disturb the grasp; how many of the disturbances the hand holds the object through."""
 
     def overlaps(self, trial: TrialSetup) -> bool:
         """Place the open hand; whether any link of it is inside the object."""
@@ -135,17 +145,6 @@ class Episode:
         """Return whether any link of the hand is inside the object."""
         return any(contact.distance < 0.0 for contact in self.world.contacts())
 
-    def _close(self, pose: HandPose) -> bool:
-        """Close the hand; whether a finger touched the object before the last step."""
-        self.world.close_fingers(pose.synergy)
-        touched = False
-        for step in range(CLOSING_STEPS):
-            if self.stops_early and step % LOST_CHECK_EVERY == 0 and self.world.has_lost_object(pose):
-                break
-            touched = touched or bool(self._touching_fingers())
-            self.world.step()
-        return touched
-
     def _closed_grasp(self, pose: HandPose, fingers: int) -> EpisodeResult:
         """Read the world as it is after closing, before any disturbance."""
         return EpisodeResult(
@@ -162,6 +161,30 @@ class Episode:
 
     def _penetration(self) -> float:
         return max([0.0, *(-contact.distance for contact in self.world.contacts())])
+
+
+@dataclass(frozen=True)
+class ShakenEpisode(Episode[ShakenWorld]):
+    """Simulates poses in a world whose hand is shaken."""
+
+    stops_early: bool = True
+    """Closing ends when the object has left; it changes no verdict."""
+
+    @property
+    def disturbances(self) -> int:
+        """Number of shakes that a grasp meets."""
+        return len(self.protocol.shakes)
+
+    def _close(self, pose: HandPose) -> bool:
+        """Close the hand; whether a finger touched the object before the last step."""
+        self.world.close_fingers(pose.synergy)
+        touched = False
+        for step in range(CLOSING_STEPS):
+            if self.stops_early and step % LOST_CHECK_EVERY == 0 and self.world.has_lost_object(pose):
+                break
+            touched = touched or bool(self._touching_fingers())
+            self.world.step()
+        return touched
 
     def _survived(self) -> int:
         """Shake the hand; how many of the shakes the object stays in touch with it."""

@@ -8,7 +8,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -17,16 +16,16 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.engines import make_world
+from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.physical_episode import BulletPhysicalWorld, PhysicalEpisode, PhysicalWorld
-from qdgrasp_worker.world import GraspContact, World
+from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
+from qdgrasp_worker.world import GraspContact, ShakenWorld
 
 REASON_LENGTH = 200
 
@@ -178,34 +177,17 @@ class Evaluator(BatchEvaluator):
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
-ENGINES = {"mujoco": ("mujoco-core", "qdgrasp_worker.engines.mujoco_world", "MujocoWorld")}
-"""Package of each engine beside Bullet, module and class of its world; imported where a scene names it."""
-
-
-def make_world(scene: Scene, protocol: EvaluationProtocol) -> World | PhysicalWorld:
-    """A world for episodes of a protocol; an AssetError if its engine cannot load the scene."""
-    if scene.engine is None:
-        return BulletPhysicalWorld(scene, protocol.physics) if protocol.physics else World(scene)
-    if scene.engine not in ENGINES:
-        raise UnknownName("engine", scene.engine, ENGINES)
-    if protocol.physics is None:
-        raise AssetError(f"The engine {scene.engine} does not simulate the protocol '{protocol.name}'.")
-    _, module, name = ENGINES[scene.engine]
-    world: PhysicalWorld = getattr(import_module(module), name)(scene, protocol.physics)
-    return world
-
-
 def make_episode(
-    world: World | PhysicalWorld,
+    world: ShakenWorld | PhysicalWorld,
     protocol: EvaluationProtocol,
     contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER,
     *,
     stops_early: bool = True,
-) -> Episode:
+) -> ShakenEpisode | PhysicalEpisode:
     """The episodes of a protocol in a world that `make_world` made."""
     if isinstance(world, PhysicalWorld):
         return PhysicalEpisode(world, protocol, contact_filter)
-    return Episode(world, protocol, contact_filter, stops_early)
+    return ShakenEpisode(world, protocol, contact_filter, stops_early)
 
 
 def row_refusals(

@@ -6,7 +6,6 @@ from math import inf
 from typing import NamedTuple
 
 from qdgrasp_assets.scene import Joint
-from qdgrasp_worker.bullet import BulletLink
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING
 
 SLIDING_EFFORT = 70.0  # Force of a sliding joint whose drive is not known, at most: Franka hand [N]
@@ -38,15 +37,27 @@ class FingerDrive:
     rest_speed: float
 
     @classmethod
-    def of(cls, joint: Joint, link: BulletLink, reach: float, *, in_jaw: bool, haste: float) -> "FingerDrive":
-        """The drive of a joint that reaches `reach` [m] to the farthest point that it moves."""
-        gains = SLIDING if link.slides else TURNING
-        known = SLIDING_EFFORT if link.slides else FINGERTIP_FORCE * reach
+    def of(
+        cls,
+        joint: Joint,
+        reach: float,
+        *,
+        slides: bool,
+        limits: tuple[float, float],
+        in_jaw: bool,
+        haste: float,
+    ) -> "FingerDrive":
+        """The drive of a joint that reaches `reach` [m] to the farthest point that it moves.
+
+        `limits` are the lower and the upper one that the URDF has; there are none where they are reversed.
+        """
+        gains = SLIDING if slides else TURNING
+        known = SLIDING_EFFORT if slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
         stiffness = limit / gains.lag
         # Bullet stops joints at limits in order, against any preload, and knows none that are reversed.
-        lower, upper = sorted((link.lower, link.upper))
-        is_reversed = link.lower > link.upper
+        lower, upper = sorted(limits)
+        is_reversed = limits[0] > limits[1]
         return cls(
             name=joint.name,
             opened=joint.opened,

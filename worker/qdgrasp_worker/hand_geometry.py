@@ -12,7 +12,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.collision_shapes import is_all_convex, link_convex_parts
-from qdgrasp_assets.grippers.urdf import UrdfJoint, parse_robot
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_robot
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.filters.voxels import Hull, convex_hulls
 
@@ -113,3 +113,18 @@ class FreeJointLinks:
         for mount in self._mounts:
             frames[mount.link] = frames[mount.on] @ mount.frame @ mount.joint.motion(posture[mount.place])
         return frames
+
+
+def neighbours(robot: Urdf) -> set[tuple[str, str]]:
+    """Pairs of links between which there is no joint that moves, or one."""
+    heads = {robot.root: robot.root}  # of each link the first one that is fixed to it
+    carriers = {robot.root: robot.root}  # of each of these the one that carries it
+    for joint in robot.joints_beyond(robot.root):
+        heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
+        carriers.setdefault(heads[joint.child], heads[joint.parent])
+    return {
+        (one, other)
+        for one, head in heads.items()
+        for other, with_head in heads.items()
+        if one < other and (head == with_head or carriers[head] == with_head or carriers[with_head] == head)
+    }

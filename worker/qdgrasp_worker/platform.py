@@ -2,6 +2,7 @@
 
 import hashlib
 import platform as machine
+from collections.abc import Callable
 from importlib.metadata import version
 
 import msgspec
@@ -11,15 +12,27 @@ from numpy.typing import NDArray
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluator import ENGINES, Evaluator
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
+from qdgrasp_worker.engines import ENGINES, Engine
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.syntax_digest import Key, syntax_digest
 
-EVALUATION = (Evaluator, unpack_scene, pack)
+
+def worlds(engine: Engine) -> list[Key]:
+    """The worlds of an engine."""
+    return [Key(engine.module, name) for name in engine.worlds]
+
+
+EVALUATION: tuple[Callable[..., object] | Key, ...] = (
+    Evaluator,
+    unpack_scene,
+    pack,
+    *worlds(ENGINES[DEFAULT_ENGINE]),
+)
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"d009526fd34a120038c4d5f10293fd839050b8df1ecb88180dfd5e015fb5b841": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"4dfe98764c1605582a1cfdda1391cc690be5f4ade4de9324c945d2ed62380e22": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
@@ -38,8 +51,9 @@ def platform() -> dict[str, str]:
     """
     versions = {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")}
     found = versions | {"machine": machine.machine(), "code": code_digest(), "probes": probe_digest()}
-    for engine, (package, module, name) in ENGINES.items():
-        found |= {engine: version(package), f"{engine}_code": syntax_digest(Key(module, name))}
+    for name, engine in ENGINES.items():
+        if name != DEFAULT_ENGINE:
+            found |= {name: version(engine.package), f"{name}_code": syntax_digest(*worlds(engine))}
     return found
 
 

@@ -14,14 +14,13 @@ from qdgrasp_assets.scene import Scene, Synergy, pack_scene, unpack_scene
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker import physical_episode
-from qdgrasp_worker.bullet import BASE
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import SceneModel, neighbours, reach_of
+from qdgrasp_worker.engines import bullet_world
+from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, HandBody, ObjectBody
+from qdgrasp_worker.engines.mujoco_model import SceneModel, reach_of
 from qdgrasp_worker.engines.mujoco_world import MujocoWorld, SimulationDiverged
 from qdgrasp_worker.evaluation_protocols import PHYSICAL, Physics, TrialSetup
-from qdgrasp_worker.physical_episode import BulletPhysicalWorld, PhysicalEpisode
-from qdgrasp_worker.world import HandBody, ObjectBody
+from qdgrasp_worker.physical_episode import PhysicalEpisode
 
 PHYSICS = PHYSICAL.physics or Physics()
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
@@ -71,18 +70,15 @@ def test_masses_and_moments_are_those_of_bullet(hand_scene):
         assert model.moments == pytest.approx(bullet.inertia(target.body)[1], rel=1e-4)
 
 
-def test_neighbours_and_reach_are_those_of_bullet(hand_scene):
+def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
     model = SceneModel(hand_scene, PHYSICS.time_step)
     opened = {joint.name: joint.opened for joint in hand_scene.gripper.joints}
     with closing(BulletPhysicalWorld(hand_scene, PHYSICS)) as world:
         bullet, hand = world._bullet, world._hand
         links = bullet.links(hand.body)
-        names = {BASE: model.robot.root} | {index: link.link for index, link in enumerate(links)}
-        pairs = {(names[one], names[other]) for one, other in physical_episode.neighbours(links)}
-        assert {tuple(sorted(pair)) for pair in pairs} == neighbours(model.robot)
         world._place_away(hand_scene.gripper, world.opened)
         for index, joint in zip(hand.fingers, model.joints, strict=True):
-            expected = physical_episode.reach_of(bullet, hand, index, links)
+            expected = bullet_world.reach_of(bullet, hand, index, links)
             assert reach_of(model.robot, model.links, opened, joint) == pytest.approx(expected, abs=2e-3)
 
 

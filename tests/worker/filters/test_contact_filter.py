@@ -14,7 +14,8 @@ from tests.worker.genomes import HANDS, REFERENCE, decoded
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.filters.contact_filter import (
     MAX_VOXELS,
@@ -28,7 +29,6 @@ from qdgrasp_worker.filters.contact_filter import (
 from qdgrasp_worker.filters.voxels import convex_hulls
 from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.world import World
 
 RADIUS = 0.05
 SWEEP = SweptBox.around([((1, 2, 3), (1.1, 2.1, 3.1)), ((0.9, 2, 3), (1, 2.2, 3.3))], [1, 2, 3], RADIUS)
@@ -140,8 +140,11 @@ def drawn_off(scene, n, seed):
 
 def judged(scene, n, seed):
     """The filter's verdicts on poses, and their outcomes in Bullet without it: (n,) each."""
-    world = World(scene)
-    reach, episode = reach_of(scene, world), Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
+    world = BulletShakenWorld(scene)
+    reach, episode = (
+        reach_of(scene, world),
+        ShakenEpisode(world, PROTOCOLS[scene.protocol], stops_early=False),
+    )
     poses = list(drawn_off(scene, n, seed))
     misses = np.array([reach.misses(pose) for pose in poses])
     outcomes = np.array(
@@ -176,7 +179,11 @@ def test_no_pose_of_thousands_is_said_to_miss_falsely(hand, target, named_scene)
 @pytest.mark.parametrize("hand", HANDS)
 def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, make_scene):
     scene = make_scene(hand, "mug", "paper")
-    world, skeleton, random = World(scene), HandKinematics(scene.gripper), np.random.default_rng(3)
+    world, skeleton, random = (
+        BulletShakenWorld(scene),
+        HandKinematics(scene.gripper),
+        np.random.default_rng(3),
+    )
     reach = reach_of(scene, world)
     assert reach.is_known
     labels = range(len(scene.gripper.synergies)) if scene.gripper.synergies else [-1]
@@ -210,7 +217,7 @@ def away(zone, frame, points):
 @pytest.mark.parametrize("most", [MAX_VOXELS, 30_000])
 def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
     monkeypatch.setattr("qdgrasp_worker.filters.contact_filter.MAX_VOXELS", most)
-    world = World(cube)
+    world = BulletShakenWorld(cube)
     reach, skeleton = reach_of(cube, world), HandKinematics(cube.gripper)
     [zone] = reach._measure(-1).values()
     frames = skeleton.frames(interpolate_course(np.array(world.closing(world.opened, -1))))

@@ -7,12 +7,12 @@ import pytest
 from tests.worker.genomes import HANDS, REFERENCE, decoded, draw, evaluated, results
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.filters.overlap_filter import OverlapFilter
 from qdgrasp_worker.filters.voxels import convex_hulls
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.world import World
 
 SCENES = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]
 
@@ -22,7 +22,7 @@ def tools(scene, prior, n, seed):
     protocol = PROTOCOLS[scene.protocol]
     grasps = decoded(scene, prior, draw(n, len(layout(scene, prior)), seed))
     overlap = OverlapFilter(scene.gripper, ObjectSolid(scene), follows_free_joints=protocol.free_joints_first)
-    return grasps, overlap, Episode(World(scene), protocol)
+    return grasps, overlap, ShakenEpisode(BulletShakenWorld(scene), protocol)
 
 
 def compare(scene, prior, n, seed):

@@ -13,19 +13,19 @@ from tests.worker.genomes import decoded, draw
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
-from qdgrasp_worker import world
-from qdgrasp_worker.bullet import STILL, UPRIGHT
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.engines import bullet_world
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PAPER, ROBUST, TrialSetup
-from qdgrasp_worker.world import AWAY_POSITION, World
+from qdgrasp_worker.world import AWAY_POSITION, STILL, UPRIGHT
 
 POSES = 120
 AGREEMENT = 0.95
 MESH = '<mesh filename="parts.obj"/>'
 
 
-class TurnedWorld(World):
+class TurnedWorld(BulletShakenWorld):
     """A world whose object lies turned about its centre of mass, differently in each episode."""
 
     def __init__(self, scene: Scene, turns: Iterator[list[float]]) -> None:
@@ -46,18 +46,18 @@ def poses_of(scene, genomes) -> list[HandPose]:
     return list(decoded(scene, "approach", genomes))
 
 
-def outcomes(world: World, poses: list[HandPose]) -> list[Outcome]:
+def outcomes(world: BulletShakenWorld, poses: list[HandPose]) -> list[Outcome]:
     """The outcomes of the poses; the world is closed."""
-    found = [Episode(world, PAPER).run(TrialSetup(pose)).outcome for pose in poses]
+    found = [ShakenEpisode(world, PAPER).run(TrialSetup(pose)).outcome for pose in poses]
     world.close()
     return found
 
 
 def touching(scene, poses: list[HandPose]) -> tuple[list[HandPose], list[Outcome]]:
     """The first POSES poses that touch the object, half of them successes, with their outcomes."""
-    world, successes, brushes = World(scene), [], []
+    world, successes, brushes = BulletShakenWorld(scene), [], []
     for pose in poses:
-        outcome = Episode(world, PAPER).run(TrialSetup(pose)).outcome
+        outcome = ShakenEpisode(world, PAPER).run(TrialSetup(pose)).outcome
         if outcome.is_touched:
             (successes if outcome.is_success else brushes).append((pose, outcome))
         if min(len(successes), len(brushes)) >= POSES // 2:
@@ -104,7 +104,7 @@ def mirrored(scene: Scene) -> Scene:
 @pytest.mark.slow
 def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube):
     poses, verdicts = touching(cube, poses_of(cube, draw(2000, near=400)))
-    found = outcomes(World(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
+    found = outcomes(BulletShakenWorld(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
     assert agreement(found, verdicts) >= AGREEMENT
 
 
@@ -115,7 +115,7 @@ def ball(make_scene):
     radius = np.linalg.norm(scene.object.triangles, axis=-1).max()
     sphere = f'<sphere radius="{radius}"/>'
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world, "OBJECT_URDF", world.OBJECT_URDF.replace(MESH, sphere))
+        patch.setattr(bullet_world, "OBJECT_URDF", bullet_world.OBJECT_URDF.replace(MESH, sphere))
         yield scene
 
 
@@ -142,7 +142,7 @@ def test_a_grasp_on_a_sphere_keeps_its_verdict_when_hand_and_sphere_turn_togethe
     # axes of the world (docs/decisions/0006-evaluation-semantics.md).
     poses, verdicts = on_ball
     turned = [turned_pose(pose, turn) for pose, turn in zip(poses, turns, strict=True)]
-    assert agreement(outcomes(World(ball), turned), verdicts) >= AGREEMENT
+    assert agreement(outcomes(BulletShakenWorld(ball), turned), verdicts) >= AGREEMENT
 
 
 def turned_pose(pose: HandPose, turn: Rotation) -> HandPose:
@@ -156,13 +156,13 @@ def turned_pose(pose: HandPose, turn: Rotation) -> HandPose:
 @pytest.mark.parametrize("trial", [0, 1, 100])
 def test_an_object_that_no_finger_reaches_ends_where_it_began_to_the_bit(gripper, trial, make_scene):
     scene = make_scene(gripper, "mug", "robust")
-    world = World(scene)
+    world = BulletShakenWorld(scene)
     directions = Rotation.random(12, random_state=5)
     for direction, turn in zip(directions, Rotation.random(12, random_state=6), strict=True):
         position = direction.apply([0.0, 0.0, 0.6]).astype(np.float32).tolist()
         pose = HandPose(position, turn.as_quat().astype(np.float32).tolist(), world.opened, NO_SYNERGY)
         for stops_early in (True, False):
-            episode = Episode(world, ROBUST, stops_early=stops_early)
+            episode = ShakenEpisode(world, ROBUST, stops_early=stops_early)
             assert episode.run(ROBUST.trial(pose, trial)).outcome == Outcome.MISSED
             place = pybullet.getBasePositionAndOrientation(world._target.body, world._bullet._client)
             assert place == (tuple(STILL), tuple(UPRIGHT))

@@ -12,9 +12,9 @@ from tests.worker.properties.test_parity import REFERENCES, recorded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import ROBUST
-from qdgrasp_worker.world import World
 
 QUICK = {"panda": 200, "robotiq_2f": 300, "barrett": 40, "allegro": 40, "shadow": 40}
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
@@ -77,8 +77,8 @@ def test_ending_a_closing_whose_object_has_left_changes_no_verdict(target, n, si
     scene = make_scene("panda", target, "robust")
     poses = decoded(scene, "approach", draw(n))
     trials = [ROBUST.trial(poses[i], trial) for i in range(n)]
-    world = World(scene)
-    patient = Episode(world, replace(ROBUST, shakes=()), stops_early=False)
+    world = BulletShakenWorld(scene)
+    patient = ShakenEpisode(world, replace(ROBUST, shakes=()), stops_early=False)
     verdicts = [patient.run(trial) for trial in trials]
     early = replace(patient, stops_early=True)
     assert [early.run(trial) for trial in trials] == verdicts

@@ -21,7 +21,7 @@ from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.world import World
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 
 NU, DISTANCE = 3, 4
 """Genes of the prior contact: how far from the normal a hand looks, and from how far away."""
@@ -69,7 +69,7 @@ def grasps(scene: Scene, n: int) -> int:
 
 def closing_course(scene: Scene) -> np.ndarray:
     """The joints (n, j) of a scene's hand while it closes on nothing [rad or m]."""
-    with closing(World(scene)) as world:
+    with closing(BulletShakenWorld(scene)) as world:
         return np.array(world.closing(world.opened, NO_SYNERGY))
 
 

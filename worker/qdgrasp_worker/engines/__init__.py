@@ -1,1 +1,57 @@
-"""Worlds of physics engines beside Bullet; each is imported when a scene names its engine."""
+"""Physics engines: a table of their worlds, each imported when a scene names its engine."""
+
+from importlib import import_module
+from typing import NamedTuple
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
+from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.world import ShakenWorld
+
+
+class Engine(NamedTuple):
+    """A physics engine."""
+
+    package: str
+    """The package that it comes with."""
+    module: str
+    """The module of its worlds."""
+    shaken_world: str | None
+    """Class of the world of `paper`, `released` and `robust`."""
+    physical_world: str
+    """Class of the world of `physical`."""
+
+    @property
+    def worlds(self) -> list[str]:
+        """The classes of its worlds."""
+        return [name for name in (self.shaken_world, self.physical_world) if name]
+
+
+ENGINES = {
+    "bullet": Engine(
+        "pybullet", "qdgrasp_worker.engines.bullet_world", "BulletShakenWorld", "BulletPhysicalWorld"
+    ),
+    "mujoco": Engine("mujoco-core", "qdgrasp_worker.engines.mujoco_world", None, "MujocoWorld"),
+}
+
+
+def make_world(scene: Scene, protocol: EvaluationProtocol) -> ShakenWorld | PhysicalWorld:
+    """A world for episodes of a protocol; an AssetError if its engine cannot load the scene."""
+    name = scene.engine or DEFAULT_ENGINE
+    if name not in ENGINES:
+        raise UnknownName("engine", name, ENGINES)
+    engine = ENGINES[name]
+    if protocol.physics:
+        physical: PhysicalWorld = _named(engine, engine.physical_world)(scene, protocol.physics)
+        return physical
+    if engine.shaken_world is None:
+        raise AssetError(f"The engine {name} does not simulate the protocol '{protocol.name}'.")
+    shaken: ShakenWorld = _named(engine, engine.shaken_world)(scene)
+    return shaken
+
+
+def _named(engine: Engine, world: str) -> type:
+    found: type = getattr(import_module(engine.module), world)
+    return found

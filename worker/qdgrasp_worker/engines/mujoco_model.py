@@ -207,21 +207,6 @@ def reach_of(robot: Urdf, links: dict[str, HandLink], opened: dict[str, float], 
     return max((math.hypot(*corner) for corner in farthest), default=0.0)
 
 
-def neighbours(robot: Urdf) -> set[tuple[str, str]]:
-    """Pairs of links between which there is no joint that moves, or one."""
-    heads = {robot.root: robot.root}  # of each link the first one that is fixed to it
-    carriers = {robot.root: robot.root}  # of each of these the one that carries it
-    for joint in robot.joints_beyond(robot.root):
-        heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
-        carriers.setdefault(heads[joint.child], heads[joint.parent])
-    return {
-        (one, other)
-        for one, head in heads.items()
-        for other, with_head in heads.items()
-        if one < other and (head == with_head or carriers[head] == with_head or carriers[with_head] == head)
-    }
-
-
 def object_shape(target: SceneObject) -> LinkShape:
     """The shape of an object, CoM frame."""
     return mesh_shape(".obj", np.eye(4), list(obj_group_corners(target.collision.decode())))

@@ -13,23 +13,23 @@ import mujoco
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate, unit
-from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_assets.scene import Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.bullet import UPRIGHT, BulletLink, Contact, Quaternion, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import OBJECT, SceneModel, neighbours, reach_of
+from qdgrasp_worker.engines.mujoco_model import OBJECT, SceneModel, reach_of
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.hand_geometry import free_posture
+from qdgrasp_worker.hand_geometry import free_posture, neighbours
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     FREE_POSTURES,
     NEAR,
+    UPRIGHT,
+    Contact,
     GraspContact,
     HandFrame,
-    closing_joints,
+    Quaternion,
     indices_by_name,
 )
 
@@ -149,11 +149,8 @@ class MujocoWorld(PhysicalWorld):
 
     def __init__(self, scene: Scene, physics: Physics) -> None:
         gripper = scene.gripper
+        super().__init__(gripper)
         self.physics, self.steps_at_once = physics, physics.look_every
-        self.opened = [joint.opened for joint in gripper.joints]
-        self.approach_axis, self.reach = gripper.approach_axis, gripper.reach
-        self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
-        self._names = {label: list(joints) for label, joints in closing_joints(gripper).items()}
         model = SceneModel(scene, physics.time_step)
         self.drives, self.is_coupled = finger_drives(gripper, model, physics), gripper.jaw is not None
         self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
@@ -297,8 +294,9 @@ def finger_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) ->
     return [
         FingerDrive.of(
             joint,
-            BulletLink(found.name, found.child, True, found.kind == "prismatic", found.lower, found.upper),
             reach_of(model.robot, model.links, opened, found),
+            slides=found.kind == "prismatic",
+            limits=(found.lower, found.upper),
             in_jaw=gripper.jaw is not None,
             haste=physics.haste,
         )

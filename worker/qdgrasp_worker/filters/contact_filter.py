@@ -35,13 +35,13 @@ from scipy.ndimage import distance_transform_edt
 
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_worker.bullet import Box, Vector
+from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid
 from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
+Box = tuple[Vector, Vector]  # Low and high corner
 SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees them ahead, together [m]
 
 

@@ -8,12 +8,11 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.bullet import BASE
+from qdgrasp_worker.engines.bullet import BASE
+from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, BulletShakenWorld, BulletWorld
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, Physics, Shake, TrialSetup
-from qdgrasp_worker.physical_episode import BulletPhysicalWorld
 from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
-from qdgrasp_worker.world import World
 
 STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame is shown: 3.2 times slower than simulated
@@ -62,7 +61,7 @@ def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome)
 PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
-class RecordingWorld(World):
+class RecordingWorld(BulletWorld):
     """A world that records its last evaluation."""
 
     _is_watching = False  # while the world is made its hand closes on nothing
@@ -95,15 +94,9 @@ class RecordingWorld(World):
 
     def close_fingers(self, synergy: int) -> None:
         """Command the fingers to close."""
-        super().close_fingers(synergy)
+        super().close_fingers(synergy)  # type: ignore[safe-super]
         if self._is_watching:
             self._begin("closing")
-
-    def shake_to(self, target: float, shake: Shake) -> None:
-        """Command the carrier to a target of a shake."""
-        super().shake_to(target, shake)
-        if self._phase != PHASE_BY_SHAKE[shake.joint]:
-            self._begin(PHASE_BY_SHAKE[shake.joint])
 
     def step(self) -> None:
         """Move on by a step."""
@@ -130,6 +123,16 @@ class RecordingWorld(World):
         )
 
 
+class RecordingShakenWorld(RecordingWorld, BulletShakenWorld):
+    """A world whose hand is shaken, and which records its last evaluation."""
+
+    def shake_to(self, target: float, shake: Shake) -> None:
+        """Command the carrier to a target of a shake."""
+        super().shake_to(target, shake)
+        if self._phase != PHASE_BY_SHAKE[shake.joint]:
+            self._begin(PHASE_BY_SHAKE[shake.joint])
+
+
 class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
     """A world of `physical` that records its last evaluation."""
 
@@ -146,8 +149,12 @@ class RecordingPhysicalWorld(RecordingWorld, BulletPhysicalWorld):
         self._begin("pushes")
 
 
-def recording_world(scene: Scene, protocol: EvaluationProtocol) -> RecordingWorld:
+def recording_world(
+    scene: Scene, protocol: EvaluationProtocol
+) -> RecordingShakenWorld | RecordingPhysicalWorld:
     """A world that records episodes; an AssetError if Bullet cannot load the scene."""
     if scene.engine is not None:
         raise InputError(f"An evaluation in the engine {scene.engine} cannot be drawn; one in Bullet can.")
-    return RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingWorld(scene)
+    return (
+        RecordingPhysicalWorld(scene, protocol.physics) if protocol.physics else RecordingShakenWorld(scene)
+    )

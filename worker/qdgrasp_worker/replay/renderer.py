@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayCamera
-from qdgrasp_worker.bullet import BASE, Bullet, quiet
-from qdgrasp_worker.world import HandBody, load_body
+from qdgrasp_worker.engines.bullet import BASE, Bullet, quiet
+from qdgrasp_worker.engines.bullet_world import HandBody, load_body
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from qdgrasp_assets.scene import Vector
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_worker.filters.contact_filter import Box
+from qdgrasp_worker.world import STILL, Contact, Quaternion
 
 
 @contextmanager
@@ -48,11 +51,6 @@ with quiet():
     import pybullet as pb
 
 VERSION = version("pybullet")
-STILL = [0.0, 0.0, 0.0]
-UPRIGHT = [0.0, 0.0, 0.0, 1.0]
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-Box = tuple[Vector, Vector]  # Low and high corner
 BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
 """Bullet's default share of a shape's size at which it begins to see contacts, and forgets them."""
@@ -85,15 +83,6 @@ class BulletLink(NamedTuple):
     upper: float = 0.0
     parent: int = BASE
     """The index of the link that carries it."""
-
-
-class Contact(NamedTuple):
-    """A point where two bodies touch, or are about to."""
-
-    link: int
-    """The first body's link."""
-    distance: float
-    """Negative where they penetrate [m]."""
 
 
 class ContactForce(NamedTuple):
