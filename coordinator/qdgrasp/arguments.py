@@ -83,7 +83,7 @@ class SceneArguments(TypedDict, total=False):
     base: BaseName
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineName | None
-    """The physics engine, "bullet" or, of "physical" alone, "mujoco"; "bullet"."""
+    """The physics engine, "bullet" or, of "physical" alone, "mujoco" or "mujoco-warp"; "bullet"."""
     surface_seed: int
     """Seed of the surface points; 0."""
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_coordinator.local.session import LocalSession
+from qdgrasp_coordinator.local.supervisor import check_device
 from qdgrasp_coordinator.metrics.scores import nominal_scores
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
@@ -106,6 +107,7 @@ class Evaluations:
     ) -> None:
         check_place(place)
         self.spec = spec_from_arguments(scenery)
+        check_device([self.spec.engine], place.hands)
         self._prepared = prepare_scene(self.spec)
         self.scene = self._prepared.scene
         """The gripper and the object as they are simulated."""

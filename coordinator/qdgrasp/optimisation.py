@@ -19,6 +19,7 @@ from qdgrasp.arguments import (
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp.runs import Run
 from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
+from qdgrasp_coordinator.local.supervisor import check_device
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import CUSTOM
@@ -152,6 +153,7 @@ def optimise(
         seed=seed,
         generations_in_flight=generations_in_flight,
     )
+    check_device([spec.engine], place.hands)
     is_there = _is_there(path, spec, resume=resume)
     prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
     searches = SearchFactory(make, layout_of(prepared.scene, prior))

@@ -48,7 +48,7 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
-EngineName = Literal["bullet", "mujoco"]
+EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
 """The physics engines (docs/engines.md)."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
@@ -65,6 +65,8 @@ DiversityName = Literal["position", "orientation", "posture"]
 
 DEFAULT_METHOD = "aimed"
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
+DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
+DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
 Weights = tuple[float, ...]

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,10 +17,12 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import DEVICE_ENGINE
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.engines import make_world
+from qdgrasp_worker.engines import DEVICE_MODULE, Device, make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
@@ -269,6 +272,19 @@ def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspCo
             own = [each for each in kept if contacts[each].link == contact.link] or kept
             forces[min(own, key=lambda each: float(apart[place, each]))] += contact.force
     return [contacts[place]._replace(force=forces[place]) for place in kept]
+
+
+def make_evaluator(scene: Scene, device: Device | None = None) -> BatchEvaluator:
+    """The evaluator of a scene; an InputError where its engine needs a device that is not here."""
+    if scene.engine != DEVICE_ENGINE:
+        return Evaluator(scene)
+    if device is None:
+        raise InputError(
+            f"This worker has no device for the engine {DEVICE_ENGINE}: start it as qdgrasp-worker "
+            "--device cuda, with qdgrasp[gpu] installed."
+        )
+    made: BatchEvaluator = import_module(DEVICE_MODULE).WarpEvaluator(scene, device)
+    return made
 
 
 MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB

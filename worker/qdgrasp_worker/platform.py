@@ -3,6 +3,7 @@
 import hashlib
 import platform as machine
 from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
 
 import msgspec
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
-from qdgrasp_worker.engines import ENGINES, Engine
-from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, EngineName, RunSpec
+from qdgrasp_worker.engines import DEVICE_MODULE, ENGINES, Device, Engine
+from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 from qdgrasp_worker.syntax_digest import Key, syntax_digest
 
 
@@ -39,22 +41,51 @@ A platform names the first one, so that what was recorded with it is verified an
 made where the probes and the runs of tests/golden have the digests that they had.
 """
 PROBES = 16
+LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
 """Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
 
 
-def platform() -> dict[str, str]:
+def platform(device: Device | None = None) -> dict[str, str]:
     """Versions, the digest of the evaluation's code, and the digest of the probes' results.
 
-    Entries of engines beside Bullet concern the rows of these alone: `mujoco` and `mujoco_code`.
+    Entries of engines beside Bullet concern the rows of these alone: `mujoco` and `mujoco_code`, and those of
+    a device (`device_platform`).
     """
     versions = {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")}
     found = versions | {"machine": machine.machine(), "code": code_digest(), "probes": probe_digest()}
     for name, engine in ENGINES.items():
-        if name != DEFAULT_ENGINE:
+        if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
             found |= {name: version(engine.package), f"{name}_code": syntax_digest(*worlds(engine))}
-    return found
+    return found | (device_platform(device) if device else {})
+
+
+class DeviceDiffers(QdgraspError):
+    """A device on which the probes fare otherwise than in MuJoCo."""
+
+    def __init__(self, device: Device, same: int) -> None:
+        super().__init__(
+            f"On the device {device.name} only {same} of {PROBES} probes of {DEVICE_ENGINE} have the outcome "
+            f"that they have in mujoco, and {LEAST_AGREEING} must; it is not used."
+        )
+
+
+def device_platform(device: Device) -> dict[str, str]:
+    """Versions of warp and MuJoCo Warp, the device's name, and the digest of their code here.
+
+    An InputError if there is no such device; DeviceDiffers if it does not evaluate as MuJoCo does.
+    """
+    entries: dict[str, str] = import_module(DEVICE_MODULE).device_entries(device)
+    trials, outcomes = np.zeros(PROBES, dtype=np.uint16), []
+    engines: tuple[EngineName, EngineName] = "mujoco", DEVICE_ENGINE
+    for engine in engines:
+        spec = RunSpec(gripper="panda", object="tennis_ball", protocol="physical", engine=engine)
+        evaluator = make_evaluator(build_scene(spec), device)
+        outcomes.append(evaluator.evaluate("approach", probes(), trials).rows["outcome"])
+    if (same := int((outcomes[0] == outcomes[1]).sum())) < LEAST_AGREEING:
+        raise DeviceDiffers(device, same)
+    return entries | {f"{DEVICE_ENGINE}_code": syntax_digest(Key(DEVICE_MODULE, "WarpEvaluator"))}
 
 
 def code_digest() -> str:

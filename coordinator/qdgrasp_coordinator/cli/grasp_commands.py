@@ -198,7 +198,7 @@ def evaluate(
     output.check()
     spec = run_spec(values, "evaluate")
     hand_poses = read_poses(poses)
-    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    config = LocalJobConfig(options.worker_count(workers, spec.engine), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         prepared = prepare_scene(spec)

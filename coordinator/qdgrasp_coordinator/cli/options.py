@@ -6,7 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
+from qdgrasp_coordinator.local.supervisor import check_device
 from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
@@ -31,7 +33,9 @@ BaseOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option("--engine", help="Physics engine: bullet, or mujoco for physical alone; default bullet."),
+    typer.Option(
+        "--engine", help="Physics engine: bullet, or for physical alone mujoco, mujoco-warp; default bullet."
+    ),
 ]
 Trials = Annotated[
     str | None,
@@ -97,9 +101,14 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def worker_count(workers: int | None) -> int:
-    """Return the number of workers that was given, else one per core."""
-    return cores() if workers is None else workers
+def worker_count(workers: int | None, *engines: str | None) -> int:
+    """Return the number of workers that was given, else one per core, or one for a device.
+
+    An InputError if one of the engines needs a device that the workers of this command do not have.
+    """
+    count = workers if workers is not None else 1 if DEVICE_ENGINE in engines else cores()
+    check_device(engines, count)
+    return count
 
 
 def given(**values: Any) -> dict[str, Any]:

@@ -157,7 +157,9 @@ def run(
     usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    config = LocalJobConfig(
+        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds
+    )
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
         start_run(asked, place, config, job)
@@ -243,7 +245,8 @@ def resume(
         write_ranking_of(folder)
         return
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    count = options.worker_count(workers, folder.spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,
@@ -260,7 +263,8 @@ def rerank(
         str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="Physics engine: bullet or mujoco; default: as in the run.")
+        str | None,
+        typer.Option(help="Physics engine: bullet, mujoco or mujoco-warp; default: as in the run."),
     ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
@@ -335,7 +339,8 @@ def rerank(
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
+    count = options.worker_count(workers, spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
         scene, bundle = run_plan.prepare_scene(spec)

@@ -26,7 +26,7 @@ from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE,
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import DEVICE_ENGINE, RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
 
@@ -38,7 +38,10 @@ class PreparedScene(NamedTuple):
 
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
-ENGINE_ENTRIES = {"mujoco": ("mujoco", "mujoco_code")}
+ENGINE_ENTRIES = {
+    "mujoco": ("mujoco", "mujoco_code"),
+    DEVICE_ENGINE: ("mujoco", "mujoco_code", DEVICE_ENGINE, f"{DEVICE_ENGINE}_code", "warp", "warp_device"),
+}
 """Entries of a platform that concern the rows of an engine alone; the platform of others lacks them."""
 ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
 

@@ -2,27 +2,36 @@
 
 import numpy as np
 
-from qdgrasp_worker.engines.lockstep import MOVING, BatchWorlds, Moved, States, WorldContacts
+from qdgrasp_worker.engines.lockstep import (
+    MOVING,
+    BatchWorlds,
+    BufferSizes,
+    States,
+    StepResult,
+    WorldContacts,
+)
 from qdgrasp_worker.engines.mujoco_world import Simulation
 
 
 class LoopedWorlds(BatchWorlds):
     """Moves each world on by itself; `failing` says, by its friction, in which one there is no room."""
 
-    def __init__(self, simulation: Simulation, failing=lambda friction: False) -> None:
+    def __init__(self, simulation: Simulation, buffers: BufferSizes, failing=lambda friction: False) -> None:
         self._simulation, self._failing = simulation, failing
         self.moved = 0
         """Worlds that were moved on, each time counted again."""
 
-    def advance(self, states: States, steps: int) -> Moved:
-        found = [self._advance({name: values[i] for name, values in states.items()}, steps)
-                 for i in range(len(states["qpos"]))]
+    def advance(self, states: States, steps: int) -> StepResult:
+        found = [
+            self._advance({name: values[i] for name, values in states.items()}, steps)
+            for i in range(len(states["qpos"]))
+        ]
         self.moved += bool(steps) * len(found)
         contacts = [(i, *contact) for i, (_, each, _, _) in enumerate(found) for contact in each]
         worlds, links, distances, points, normals, forces = (
             zip(*contacts, strict=True) if contacts else [()] * 6
         )
-        return Moved(
+        return StepResult(
             {name: np.array([moved[name] for moved, *_ in found]) for name in MOVING},
             WorldContacts(
                 np.array(worlds, dtype=np.intp),

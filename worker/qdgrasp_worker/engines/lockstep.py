@@ -1,32 +1,29 @@
-"""Evaluations of `physical` in lockstep: the worlds of a batch go through its phases together.
+"""Episodes of `physical` in lockstep: the worlds of a batch go through its phases together.
 
 `PhysicalEpisode` simulates one pose after the other; here each phase is carried out for all poses of a batch,
-and `BatchWorlds` moves those on that are still in it. The state of all worlds stands in arrays here, so that a
-world that has ended costs nothing more, and no result depends on the worlds beside it.
-
-Rows that the worlds had no room for, or whose numbers are not finite, are evaluated one by one in MuJoCo.
+and `BatchWorlds` moves those on that are still in it. The state of all worlds stands in arrays here, so that
+a world that has ended costs nothing more, and no result depends on the worlds beside it.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, multiply, rotate, unit
-from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.candidate_ranking import Shortlist
-from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.engines.mujoco_world import FREE_DOFS, MujocoWorld, Simulation
-from qdgrasp_worker.episode import EpisodeResult, approach_path, outcome_of, settled_pose
+from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import TrialSetup
-from qdgrasp_worker.evaluator import Evaluator, GenomeResult
 from qdgrasp_worker.finger_drive import FingerDrive
-from qdgrasp_worker.physical_episode import PUSHES, REST_SPEED, REST_SPIN, RESTING_LOOKS
+from qdgrasp_worker.physical_episode import (
+    PUSHES,
+    REST_SPEED,
+    REST_SPIN,
+    RESTING_LOOKS,
+)
 from qdgrasp_worker.world import GraspContact
 
 Rows: TypeAlias = NDArray[np.intp]
@@ -59,10 +56,10 @@ class WorldContacts(NamedTuple):
     def of(self, world: int) -> "WorldContacts":
         """Those of one world."""
         first, last = np.searchsorted(self.worlds, [world, world + 1])
-        return WorldContacts(*(column[first:last] for column in self))
+        return WorldContacts._make(column[first:last] for column in self)
 
 
-class Moved(NamedTuple):
+class StepResult(NamedTuple):
     """Worlds after some steps."""
 
     states: States
@@ -75,11 +72,20 @@ class Moved(NamedTuple):
     """(n,): worlds that are not to be trusted."""
 
 
+class BufferSizes(NamedTuple):
+    """Sizes of the buffers of worlds, or how much of them was used."""
+
+    contacts: int
+    """`nconmax`: of a world in the mean, as well as pairs of shapes that come near."""
+    constraints: int
+    """`njmax`: of a world at most."""
+
+
 class BatchWorlds(ABC):
     """Worlds of one model of a scene that move on together."""
 
     @abstractmethod
-    def advance(self, states: States, steps: int) -> Moved:
+    def advance(self, states: States, steps: int) -> StepResult:
         """Move n worlds on by some steps; 0: find the contacts of the poses as they are."""
 
 
@@ -198,7 +204,7 @@ class LockstepEpisodes:
         self._enter(self._fixed, self._world.fixed)
         touched = np.zeros(len(names), dtype=bool)
 
-        def look(rows: Rows, moved: Moved) -> None:
+        def look(rows: Rows, moved: StepResult) -> None:
             touched[rows] |= self._fingers(moved.contacts, len(rows)) > 0
 
         most = np.array([self._world.closing_steps(setup.pose.synergy) for setup in self._setups])
@@ -207,24 +213,23 @@ class LockstepEpisodes:
 
     def _settle(self, rows: Rows) -> dict[int, EpisodeResult]:
         """Release the object and let it come to rest; the grasps, of those that fingers still touch."""
-        fixed, simulation = self._states, self._world.fixed
-        self._joints = fixed["qpos"][:, simulation.places]
+        speeds = self._states["qvel"][:, self._world.fixed.dofs]
+        self._joints = self._finger_positions()
         self._enter(self._free, self._world.free)
-        speeds = fixed["qvel"][:, simulation.dofs]
         self._states["qvel"][:, self._world.free.dofs] = speeds
         self._states["damping"][:] = self._world.damping
         if not self._world.is_coupled:
             self._control.stop()
-        last: dict[int, tuple[int, Moved]] = {}
+        last: dict[int, tuple[int, StepResult]] = {}
 
-        def look(rows: Rows, moved: Moved) -> None:
+        def look(rows: Rows, moved: StepResult) -> None:
             last.update({row: (world, moved) for world, row in enumerate(rows.tolist())})
 
         self._step_to_rest(rows, np.full(len(self._setups), self._steps(self._physics.settling)), look)
         grasps = {row: self._read(row, *last[row]) for row in rows.tolist() if self.is_trusted[row]}
         return {row: grasp for row, grasp in grasps.items() if grasp.finger_links}
 
-    def _read(self, row: int, world: int, moved: Moved) -> EpisodeResult:
+    def _read(self, row: int, world: int, moved: StepResult) -> EpisodeResult:
         """Read a grasp after it has settled, `world` among those that moved last."""
         contacts = moved.contacts.of(world)
         origin, back = moved.object_poses[0][world], conjugate(moved.object_poses[1][world])
@@ -245,7 +250,7 @@ class LockstepEpisodes:
         )
 
     def _push(self, rows: Rows) -> list[int]:
-        """Push the objects along the axes of their hands; how many pushes the hands hold them through."""
+        """Push the objects along their hands' axes; how many pushes the hands hold them through."""
         self._states["damping"][:] = 0.0
         self._control.stop()
         survived = np.zeros(len(self._setups), dtype=np.intp)
@@ -253,7 +258,7 @@ class LockstepEpisodes:
         lost = np.zeros(len(survived), dtype=bool)
         start = self._object_poses()
 
-        def look(rows: Rows, moved: Moved) -> None:
+        def look(rows: Rows, moved: StepResult) -> None:
             touching = np.bincount(moved.contacts.worlds, minlength=len(rows)) > 0
             apart, angle = displacement(start, self._object_poses())
             is_far = (apart > self._physics.lost_distance) | (angle > self._physics.lost_angle)
@@ -265,7 +270,7 @@ class LockstepEpisodes:
             self._step_to_rest(held, most, look, lost)
             held = held[~lost[held]]
             survived[held] += 1
-        return survived[rows].tolist()
+        return [int(number) for number in survived[rows]]
 
     def _steps(self, seconds: float) -> int:
         return self._physics.steps(seconds)
@@ -275,13 +280,13 @@ class LockstepEpisodes:
         self._now, self._simulation, self._states = worlds, simulation, self._start(simulation)
 
     def _finger_positions(self) -> Floats:
-        return np.asarray(self._states["qpos"][:, self._simulation.places])
+        return np.asarray(self._states["qpos"][:, self._simulation.places], dtype=np.float64)
 
     def _object_poses(self) -> tuple[Floats, Floats]:
         """Positions (n, 3) and quaternions (n, 4) of the objects."""
         if self._simulation is self._world.fixed:
             return self._places, self._turns
-        poses = self._states["qpos"][:, -7:]
+        poses = np.asarray(self._states["qpos"][:, -7:], dtype=np.float64)
         return poses[:, :3].copy(), poses[:, [4, 5, 6, 3]]
 
     def _fingers(self, contacts: WorldContacts, n: int) -> NDArray[np.intp]:
@@ -293,7 +298,7 @@ class LockstepEpisodes:
         self,
         rows: Rows,
         most: NDArray[np.intp],
-        look: Callable[[Rows, Moved], None],
+        look: Callable[[Rows, StepResult], None],
         ended: NDArray[np.bool_] | None = None,
     ) -> None:
         """Move worlds on until each rests, `most` (n,) steps at most, or has `ended` (n,) at a look."""
@@ -317,7 +322,7 @@ class LockstepEpisodes:
             look(rows, moved)
             step += every
 
-    def _advance(self, rows: Rows, steps: int) -> Moved:
+    def _advance(self, rows: Rows, steps: int) -> StepResult:
         """Move worlds on, with the targets of their fingers on their way."""
         states, seconds = self._states, steps * self._physics.time_step
         states["act"][rows] = started = self._control.targets[rows]
@@ -339,120 +344,3 @@ def displacement(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) ->
     offsets, turn = after[0] - before[0], multiply(conjugate(before[1]), after[1])
     half = np.arctan2(np.sqrt(dot(turn, turn)), np.abs(turn[:, 3]))
     return np.sqrt(dot(offsets, offsets)), np.asarray(2.0 * half)
-
-
-class LockstepEvaluator(Evaluator):
-    """Evaluates batches in worlds that `make_worlds` makes of the two models of a scene."""
-
-    def __init__(
-        self, scene: Scene, make_worlds: Callable[[Simulation], BatchWorlds], *, shortcuts: bool = True
-    ) -> None:
-        super().__init__(scene, shortcuts=shortcuts)
-        assert isinstance(self._world, MujocoWorld)  # noqa: S101  # `make_world` made it
-        self._mujoco: MujocoWorld = self._world
-        self._fixed, self._free = make_worlds(self._mujoco.fixed), make_worlds(self._mujoco.free)
-        self.redone = 0
-        """Rows that were evaluated again, one by one."""
-
-    def _find_all(
-        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
-    ) -> dict[int, GenomeResult | str]:
-        """Return the results of these rows of a batch, or the reasons of failures."""
-        posed = [row for row in rows if shortlists[row].poses]
-        chosen = self._choose(grasps, {row: shortlists[row] for row in posed}, trials)
-        setups = {
-            row: self._protocol.trial(grasps[place], trials[row])
-            for row, place in chosen.items()
-            if place is not None
-        }
-        results = self._results(setups, {row for row in setups if trials[row]})
-        found: dict[int, GenomeResult | str] = {}
-        for row, place in chosen.items():
-            listed = shortlists[row]
-            if place is None:
-                none = EpisodeResult(listed.fallback, grasps[listed.first].joints)
-                found[row] = GenomeResult(listed.first, none, listed.poses)
-            elif row in results:
-                found[row] = GenomeResult(place, results[row], listed.poses)
-        self.redone += sum(row not in found for row in posed)
-        return {row: found.get(row) or self._find(grasps, shortlists[row], trials[row]) for row in rows}
-
-    def _choose(
-        self, grasps: DecodedGrasps, shortlists: dict[int, Shortlist], trials: list[int]
-    ) -> dict[int, int | None]:
-        """Find the first candidate of each row that does not overlap, as `Evaluator` does; None: none.
-
-        In each round the next candidate of every row is tested. Rows without a sure answer are left out.
-        """
-        chosen: dict[int, int | None] = {}
-        waiting = {row: iter(listed.ranked) for row, listed in shortlists.items()}
-        while waiting:
-            tried = {row: next(places, None) for row, places in waiting.items()}
-            tested = {
-                row: TrialSetup(grasps[place])
-                for row, place in tried.items()
-                if place is not None and (not trials[row] or shortlists[row].is_choice)
-            }
-            overlaps = self._overlaps(tested)
-            chosen |= {
-                row: place for row, place in tried.items() if row not in tested or overlaps.get(row) is False
-            }
-            waiting = {row: waiting[row] for row, overlapping in overlaps.items() if overlapping}
-        return chosen
-
-    def _results(self, setups: dict[int, TrialSetup], disturbed: set[int]) -> dict[int, EpisodeResult]:
-        """The results of setups by their rows, without those that are not to be trusted.
-
-        Setups of rows that are not `disturbed` are known not to overlap.
-        """
-        results: dict[int, EpisodeResult] = {}
-        setups = self._approached(setups)
-        overlaps = self._overlaps({row: setup for row, setup in setups.items() if row in disturbed})
-        for row in disturbed & setups.keys():
-            if overlaps.get(row) is not False:
-                setup = setups.pop(row)
-                if row in overlaps:
-                    results[row] = EpisodeResult(Outcome.OVERLAP, setup.pose.joints)
-        for row, setup in list(setups.items()):
-            self._contact_filter.prepare(setup.pose.synergy)
-            if self._contact_filter.misses(setup.pose):
-                results[row] = EpisodeResult(Outcome.MISSED, setup.pose.joints)
-                del setups[row]
-        if setups:
-            episodes = self._episodes(setups)
-            found = zip(setups, episodes.run(), episodes.is_trusted, strict=True)
-            results |= {row: result for row, result, is_trusted in found if is_trusted}
-        return results
-
-    def _approached(self, setups: dict[int, TrialSetup]) -> dict[int, TrialSetup]:
-        """Setups with the hands where they stop on their way, as `Episode` lets them come.
-
-        Those of which an overlap on the way is not sure are left out.
-        """
-        axis, reach = self._mujoco.approach_axis, self._mujoco.reach
-        paths = {
-            row: [replace(setup, pose=pose) for pose in approach_path(setup.pose, axis, reach)]
-            for row, setup in setups.items()
-            if setup.approaches
-        }
-        stops = {row: setups[row] if row not in paths else paths[row][0] for row in setups}
-        on_way = {row: iter(path) for row, path in paths.items()}
-        while on_way:
-            come = {row: setup for row, path in on_way.items() for setup in islice(path, 1)}
-            overlaps = self._overlaps(come)
-            stops |= {row: come[row] for row, overlapping in overlaps.items() if not overlapping}
-            for row in come.keys() - overlaps.keys():
-                del stops[row]
-            on_way = {row: on_way[row] for row, overlapping in overlaps.items() if not overlapping}
-        return stops
-
-    def _overlaps(self, setups: dict[int, TrialSetup]) -> dict[int, bool]:
-        """Return whether open hands are inside the object, by rows; those that are not sure are left out."""
-        if not setups:
-            return {}
-        episodes = self._episodes(setups)
-        found = zip(setups, episodes.overlaps().tolist(), episodes.is_trusted, strict=True)
-        return {row: overlapping for row, overlapping, is_trusted in found if is_trusted}
-
-    def _episodes(self, setups: dict[int, TrialSetup]) -> LockstepEpisodes:
-        return LockstepEpisodes(self._mujoco, self._fixed, self._free, [*setups.values()])

@@ -115,6 +115,11 @@ class Simulation:
         if self.data.warning.number.any():
             raise SimulationDiverged(f"MuJoCo warned: {self.data.warning.number.tolist()}")
 
+    @property
+    def buffers_used(self) -> tuple[int, int]:
+        """The most contacts, and constraints, that there were at a time since it was reset."""
+        return int(self.data.maxuse_con), int(self.data.maxuse_efc)
+
     def hand_contacts(self) -> list[tuple[int, int, float]]:
         """Number, body of the hand and distance [m] of each contact with the object.
 
