@@ -14,10 +14,15 @@ from qdgrasp_worker.engines.mujoco_world import Simulation
 
 
 class LoopedWorlds(BatchWorlds):
-    """Moves each world on by itself; `failing` says, by its friction, in which one there is no room."""
+    """Moves each world on by itself.
 
-    def __init__(self, simulation: Simulation, buffers: BufferSizes, failing=lambda friction: False) -> None:
-        self._simulation, self._failing = simulation, failing
+    `failing` says, by its friction, which one overflows its buffers; `garbage`: what comes of it is then NaN.
+    """
+
+    def __init__(
+        self, simulation: Simulation, buffers: BufferSizes, failing=lambda friction: False, garbage=False
+    ) -> None:
+        self._simulation, self._failing, self._garbage = simulation, failing, garbage
         self.moved = 0
         """Worlds that were moved on, each time counted again."""
 
@@ -65,4 +70,7 @@ class LoopedWorlds(BatchWorlds):
         pose = data.xpos[simulation.object].copy(), data.xquat[simulation.object][[1, 2, 3, 0]]
         assert model.nv == len(state["qvel"])
         moved = {name: getattr(data, name).copy() for name in MOVING}
-        return moved, contacts, pose, self._failing(state["friction"])
+        if failed := self._failing(state["friction"]):
+            for values in moved.values() if self._garbage else ():
+                values[:] = np.nan
+        return moved, contacts, pose, failed

@@ -96,7 +96,7 @@ class LockstepEvaluator(Evaluator):
     def _choose(
         self, grasps: DecodedGrasps, shortlists: dict[int, Shortlist], trials: list[int]
     ) -> dict[int, int | None]:
-        """Find the first candidate of each row that does not overlap; None: there is none.
+        """Find the first candidate of each row that does not overlap; None: all of them do.
 
         In each round the next candidate of every row is tested. Rows without a sure answer are left out.
         """

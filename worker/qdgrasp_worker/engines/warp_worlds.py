@@ -40,7 +40,7 @@ OVERFLOWS = (
     | mujoco_warp.OverflowType.CCD
     | mujoco_warp.OverflowType.EPA_HORIZON
 )
-warp.config.quiet = True
+warp.config.log_level = warp.LOG_WARNING
 
 
 class WorldBatch:
