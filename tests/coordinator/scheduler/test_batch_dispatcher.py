@@ -67,7 +67,7 @@ def test_rows_of_a_device_go_to_workers_that_have_one_as_many_as_it_takes_at_onc
     assert [len(lease.batch) for lease in first if lease.wid == BOB] == [100, 100]
     for lease in first:
         settle(dispatch, lease, 0.1)
-    assert [len(lease.batch) for lease in dispatch.leases(0.1) if lease.wid == BOB][0] == 50
+    assert next(len(lease.batch) for lease in dispatch.leases(0.1) if lease.wid == BOB) == 50
 
 
 def test_without_a_device_its_rows_wait_and_others_do_not() -> None:
