@@ -336,7 +336,7 @@ class LockstepEpisodes:
 
 
 def displacement(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    """Distances (n,) [m] and angles (n,) [rad] between poses: positions (n, 3), quaternions (n, 4).
+    """Distances (n,) [m] and angles (n,) [rad] between positions (n, 3) and quaternions (n, 4).
 
     The angle is not taken from the cosine, which near 1 has no digits left for it where quaternions were
     rounded to float32.

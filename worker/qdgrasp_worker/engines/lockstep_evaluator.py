@@ -7,6 +7,7 @@ their buffers, or whose numbers are not finite, are evaluated one by one in MuJo
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
+from typing import cast
 
 import numpy as np
 
@@ -42,8 +43,7 @@ class LockstepEvaluator(Evaluator):
         shortcuts: bool = True,
     ) -> None:
         super().__init__(scene, shortcuts=shortcuts)
-        assert isinstance(self._world, MujocoWorld)  # noqa: S101  # `make_world` made it
-        self._mujoco: MujocoWorld = self._world
+        self._mujoco = cast(MujocoWorld, self._world)
         self.buffers = self._measured_buffers()
         """Sizes of the worlds' buffers."""
         models = self._mujoco.fixed, self._mujoco.free
