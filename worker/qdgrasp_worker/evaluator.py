@@ -61,6 +61,8 @@ class BatchEvaluator(ABC):
 
     at_once = ROWS_AT_ONCE
     """The most rows that it is given at once."""
+    weight = 1
+    """Memory that it takes, in worlds of Bullet."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -291,7 +293,7 @@ MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """At most `MAX_EVALUATORS` by their scene's digest; the one longest unused leaves first.
+    """Evaluators by their scene's digest, `MAX_EVALUATORS` heavy; the longest unused leaves first.
 
     A context manager that closes them all.
     """
@@ -314,11 +316,17 @@ class EvaluatorCache:
     def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
         """Return the evaluator of a scene, made by `load` if it is not here yet."""
         if digest not in self._evaluators:
-            while len(self._evaluators) >= MAX_EVALUATORS:
-                self._evaluators.popitem(last=False)[1].close()
-            self._evaluators[digest] = load()
+            self._drop_oldest(MAX_EVALUATORS - 1)
+            made = load()
+            self._drop_oldest(MAX_EVALUATORS - made.weight)
+            self._evaluators[digest] = made
         self._evaluators.move_to_end(digest)
         return self._evaluators[digest]
+
+    def _drop_oldest(self, weight: int) -> None:
+        """Close evaluators until they are of a weight at most."""
+        while sum(each.weight for each in self._evaluators.values()) > weight:
+            self._evaluators.popitem(last=False)[1].close()
 
     def close(self) -> None:
         """Close all evaluators; closing twice is allowed."""

@@ -34,7 +34,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"db52adf145201ead910ddfb788627fcfe8f1b0b5dafb4d0a6aa45f0661423669": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"763f679796a752084aba9d20ec1e5b5794058070c86077f981c2811ae81c2861": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

@@ -186,6 +186,8 @@ def host(values: Any) -> Floats:
 class WarpEvaluator(LockstepEvaluator):
     """Evaluates batches of a scene on a device of warp, at most `at_once` rows together."""
 
+    weight = 4  # Worlds of each size have buffers of their own, on the device
+
     def __init__(self, scene: Scene, device: Device, *, shortcuts: bool = True) -> None:
         super().__init__(scene, partial(WarpWorlds, device=device.name), shortcuts=shortcuts)
         self.at_once = device.worlds
