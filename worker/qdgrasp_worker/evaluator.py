@@ -293,7 +293,7 @@ MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """Evaluators by their scene's digest, `MAX_EVALUATORS` heavy; the longest unused leaves first.
+    """Evaluators by their scene's digest, of a bounded weight; the longest unused leaves first.
 
     A context manager that closes them all.
     """
