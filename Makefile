@@ -12,12 +12,13 @@ IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage tests/system/test_without_bullet.py \
   $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start syntax_digest))
 
-.PHONY: help demo test test-mujoco test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
+.PHONY: help demo test test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make test-mujoco   quick tests of what works without PyBullet; CI runs them in a later Python too (.ci/later)"
+	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device: no GPU is needed (.venv-gpu)"
 	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
@@ -44,6 +45,12 @@ test-slow: $(VENV)/.ready
 
 test-docs: $(VENV)/.ready $(VENV)/.docs
 	$(BIN)/python -m pytest tests/docs tests/examples
+
+comma := ,
+# In an environment of its own: mujoco-warp takes other versions of MuJoCo than the usual workers.
+test-gpu:
+	@$(MAKE) --no-print-directory VENV=.venv-gpu .venv-gpu/.gpu
+	.venv-gpu/bin/python -m pytest tests/worker/engines
 
 check: $(VENV)/.ready
 	$(BIN)/ruff format --check .
@@ -92,7 +99,7 @@ lock: $(VENV)/.ready
 	$(LOCK) deploy/container/build.in --output-file deploy/container/build.txt
 
 clean:
-	rm -rf $(VENV) .site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) .venv-gpu .site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
 define install
 	@echo "Installing into $(VENV) (once; a minute or two) ..." >&2
@@ -107,6 +114,9 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 $(VENV)/.ready: pyproject.toml | $(BIN)/python
 	$(call install,.[dev])
 	@touch $(VENV)/.installed
+
+$(VENV)/.gpu: pyproject.toml | $(BIN)/python
+	$(call install,.[dev$(comma)gpu])
 
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(call install,.[docs])

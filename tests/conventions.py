@@ -21,8 +21,8 @@ ROOMS = ("protocol", "assets", "worker", "coordinator")
 MOST_MODULES = (
     250  # 5 for recorded contacts, margins and `physical`, 6 for value, kinds and trials, 6 for engines
 )
-MOST_LINES = 49_500
-MOST_TEST_FILES = 278
+MOST_LINES = 50_000
+MOST_TEST_FILES = 281
 MOST_TEST_LINES = 49_500
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16

@@ -84,7 +84,7 @@ class SceneArguments(TypedDict, total=False):
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineChoice | None
     """The physics engine, "bullet" or, but for "released", "mujoco", or both in their order, as in
-    "bullet,mujoco"; "bullet"."""
+    "bullet,mujoco"; of "physical" "mujoco-warp" too; "bullet"."""
     surface_seed: int
     """Seed of the surface points; 0."""
 

@@ -15,12 +15,13 @@ from qdgrasp.arguments import check_text, check_whole, path_of
 from qdgrasp_coordinator.local import session
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import LocalSession
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, check_engine
+from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
@@ -87,9 +88,8 @@ class Place:
             )
 
     def check_engine(self, spec: RunSpec) -> None:
-        """Raise MissingEngine if workers are started here that lack the engine of a run."""
-        if self.hands:
-            check_engine(spec.engine)
+        """Raise an InputError if workers are started here that lack the engine or device of a run."""
+        LocalJobConfig(self.hands).check_engines([spec])
 
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.

@@ -50,7 +50,7 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
-EngineName = Literal["bullet", "mujoco"]
+EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
 """The physics engines (docs/engines.md)."""
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
@@ -70,7 +70,9 @@ DiversityName = Literal["position", "orientation", "posture"]
 
 DEFAULT_METHOD = "aimed"
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
-ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core"}
+DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
+DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
+ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core", DEVICE_ENGINE: "mujoco-warp"}
 LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
@@ -264,6 +266,11 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: the protocol 'released' repeats the authors' code, which is Bullet's, and engine = "
             f"'{spec.engine}'; leave engine out, or take the protocol 'paper'."
+        )
+    if spec.engine == DEVICE_ENGINE and spec.nominal_protocol != "physical":
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' simulates the protocol 'physical', and 'robust' with base = "
+            f"'physical', and this is '{spec.protocol}'; take one of these, or engine = 'mujoco'."
         )
     return spec
 

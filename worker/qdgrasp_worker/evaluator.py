@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,11 +17,12 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import engine_names
+from qdgrasp_protocol.spec import DEVICE_ENGINE, engine_names
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.engines import make_world
+from qdgrasp_worker.engines import DEVICE_MODULE, Device, make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
@@ -59,6 +61,8 @@ class BatchEvaluator(ABC):
 
     at_once = ROWS_AT_ONCE
     """The most rows that it is given at once."""
+    weight = 1
+    """Memory that it takes, in worlds of Bullet."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -138,13 +142,19 @@ class Evaluator(BatchEvaluator):
         refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
         shortlists, features = self._candidate_screen(grasps, trials, wanted)
-        found = [
-            reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
-        ]
-        findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, GenomeResult)}
+        found = self._find_all(grasps, shortlists, trials.tolist(), np.flatnonzero(wanted).tolist())
+        findings = {i: finding for i, finding in found.items() if isinstance(finding, GenomeResult)}
         fill_rows(rows, grasps, features, findings)
-        failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
-        return Evaluation(rows, failures)
+        reasons = {i: reason for i, reason in enumerate(refused) if reason} | {
+            i: finding for i, finding in found.items() if isinstance(finding, str)
+        }
+        return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
+
+    def _find_all(
+        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
+    ) -> dict[int, GenomeResult | str]:
+        """Return the results of these rows of a batch, or the reasons of failures."""
+        return {row: self._find(grasps, shortlists[row], trials[row]) for row in rows}
 
     def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
         """Return the result of a genome, or the reason of a failure, after which its worlds are new."""
@@ -291,11 +301,24 @@ def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspCo
     return [contacts[place]._replace(force=forces[place]) for place in kept]
 
 
+def make_evaluator(scene: Scene, device: Device | None = None) -> BatchEvaluator:
+    """The evaluator of a scene; an InputError where its engine needs a device that is not here."""
+    if scene.engine != DEVICE_ENGINE:
+        return Evaluator(scene)
+    if device is None:
+        raise InputError(
+            f"This worker has no device for the engine {DEVICE_ENGINE}: start it as qdgrasp-worker "
+            "--device cuda, with qdgrasp[gpu] installed."
+        )
+    made: BatchEvaluator = import_module(DEVICE_MODULE).WarpEvaluator(scene, device)
+    return made
+
+
 MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """At most `MAX_EVALUATORS` by their scene's digest; the one longest unused leaves first.
+    """Evaluators by their scene's digest, of a bounded weight; the longest unused leaves first.
 
     A context manager that closes them all.
     """
@@ -318,11 +341,17 @@ class EvaluatorCache:
     def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
         """Return the evaluator of a scene, made by `load` if it is not here yet."""
         if digest not in self._evaluators:
-            while len(self._evaluators) >= MAX_EVALUATORS:
-                self._evaluators.popitem(last=False)[1].close()
-            self._evaluators[digest] = load()
+            self._drop_oldest(MAX_EVALUATORS - 1)
+            made = load()
+            self._drop_oldest(MAX_EVALUATORS - made.weight)
+            self._evaluators[digest] = made
         self._evaluators.move_to_end(digest)
         return self._evaluators[digest]
+
+    def _drop_oldest(self, weight: int) -> None:
+        """Close evaluators until they are of a weight at most."""
+        while sum(each.weight for each in self._evaluators.values()) > weight:
+            self._evaluators.popitem(last=False)[1].close()
 
     def close(self) -> None:
         """Close all evaluators; closing twice is allowed."""

@@ -129,7 +129,8 @@ def campaign(
     if not JobFolder.is_job(path):
         campaign_file.check_meshes(asked.runs.values())
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
     config.check_engines(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)

@@ -201,7 +201,7 @@ def evaluate(
     spec = run_spec(values, "evaluate")
     check_engine(spec.engine)
     hand_poses = read_poses(poses)
-    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    config = LocalJobConfig(options.worker_count(workers, spec.engine), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         prepared = prepare_scene(spec)

@@ -38,14 +38,22 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
 from qdgrasp_protocol.process import ProcessGroup, lifetime
 from qdgrasp_protocol.session import Role, default_endpoint
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, ENGINE_PACKAGES, MissingEngine, RunSpec, check_engine
+from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
+    DEVICE_ENGINE,
+    DEVICE_VARIABLE,
+    ENGINE_PACKAGES,
+    MissingEngine,
+    RunSpec,
+    check_engine,
+)
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PACKAGES = ("eclipse-zenoh", "numpy", "ribs", "trimesh", "msgpack", "coacd")
 OLDEST_PYTHON = (3, 11)
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
-SIMULATOR_SECONDS = 60  # seconds
+SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
 
 
 class MissingRequirement(InputError):
@@ -106,18 +114,19 @@ def _check_bus() -> str:
 
 def _check_simulator() -> str:
     command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    seconds = DEVICE_SECONDS if os.environ.get(DEVICE_VARIABLE) else SIMULATOR_SECONDS
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SIMULATOR_SECONDS, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
     except subprocess.TimeoutExpired:
-        raise MissingRequirement(f"the probe set took more than {SIMULATOR_SECONDS} s.") from None
+        raise MissingRequirement(f"the probe set took more than {seconds} s.") from None
     if done.returncode:
         raise MissingRequirement(
             (done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1]
         )
     platform = json.loads(done.stdout.strip().splitlines()[-1])
-    return ", ".join(
-        f"{name.replace('_', ' ')} {digest[:12]}" for name, digest in platform.items() if "probes" in name
-    )
+    device = [f"{DEVICE_ENGINE} on {platform['warp_device']}"] if DEVICE_ENGINE in platform else []
+    probes = {name.replace("_", " "): digest for name, digest in platform.items() if "probes" in name}
+    return ", ".join([*(f"{name} {digest[:12]}" for name, digest in probes.items()), *device])
 
 
 def _check_disk() -> str:

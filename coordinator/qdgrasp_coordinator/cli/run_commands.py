@@ -157,7 +157,9 @@ def run(
     usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    config = LocalJobConfig(
+        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds
+    )
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
         start_run(asked, place, config, job)
@@ -244,7 +246,8 @@ def resume(
         write_ranking_of(folder)
         return
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    count = options.worker_count(workers, folder.spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
     config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,
@@ -266,7 +269,8 @@ def rerank(
         typer.Option(
             "--engine",
             "--engines",
-            help="Physics engine: bullet, mujoco, or both, as in bullet,mujoco; default: as in the run.",
+            help="Physics engine: bullet, mujoco, mujoco-warp, or two, as in bullet,mujoco; default: as in "
+            "the run.",
         ),
     ] = None,
     top: Annotated[
@@ -346,7 +350,8 @@ def rerank(
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
+    count = options.worker_count(workers, spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait)
     config.check_engines([spec])
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")

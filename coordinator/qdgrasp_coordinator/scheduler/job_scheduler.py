@@ -269,6 +269,12 @@ class JobScheduler:
         worker = self.workers.get(join.wid)
         if worker and is_new:
             self.events.note("worker", f"{worker.description} joined.", worker=join.wid)
+            for run in self.runs if not join.rows else ():
+                if run.ref.needs_device:
+                    words = (
+                        f"It has no device for the engine {run.ref.engine}, and gets no rows of '{run.name}'."
+                    )
+                    self.events.note("worker", words, worker=join.wid, run=run.name)
         if worker and worker.is_drained:
             self._send_away(join.wid)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)

@@ -27,6 +27,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import (
+    DEVICE_ENGINE,
     ENGINE_PACKAGES,
     RunSpec,
     differences,
@@ -46,9 +47,11 @@ class PreparedScene(NamedTuple):
 
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
+IN_MUJOCO = ("mujoco", "mujoco_code", "mujoco_probes")
 ENGINE_ENTRIES = {
     "bullet": ("pybullet", "probes"),
-    "mujoco": ("mujoco", "mujoco_code", "mujoco_probes"),
+    "mujoco": IN_MUJOCO,
+    DEVICE_ENGINE: (DEVICE_ENGINE, f"{DEVICE_ENGINE}_code", "warp", "warp_device", *IN_MUJOCO),
 }
 """Entries of a platform that concern the rows of an engine alone, first its version.
 
@@ -115,8 +118,11 @@ def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str
 
 
 def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
-    """Return whether a worker's platform has engines, and not this one or these; None: Bullet."""
-    wanted = {ENGINE_ENTRIES[name][0] for name in engine_names(engine)}
+    """Return whether a worker's platform has engines, and not this one or these; None: Bullet.
+
+    Rows of a device are leased to workers that have it alone; others may serve a job beside them.
+    """
+    wanted = {ENGINE_ENTRIES[name][0] for name in engine_names(engine) if name != DEVICE_ENGINE}
     return not ENGINE_NAMES.isdisjoint(platform) and not wanted <= platform.keys()
 
 

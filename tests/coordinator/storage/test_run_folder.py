@@ -313,6 +313,15 @@ def test_a_run_of_before_an_entry_is_the_same_and_the_entry_is_named() -> None:
     assert "mujoco_probes 4545" in platform_differences(OF_ALL | IN_MUJOCO, other)
 
 
+def test_rows_of_a_device_name_it_and_are_not_mixed_with_those_of_another() -> None:
+    here = IN_MUJOCO | {"mujoco-warp": "4.0.0", "warp": "1.19.0", "warp_device": "NVIDIA H100 90"}
+    assert platform_of("mujoco-warp", JOB_PLATFORM | here) == JOB_PLATFORM | here
+    assert platform_of("mujoco", JOB_PLATFORM | here) == JOB_PLATFORM | IN_MUJOCO
+    assert admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | here
+    with pytest.raises(PlatformDiffers, match="warp_device NVIDIA A100 80 instead of NVIDIA H100 90"):
+        admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | here | {"warp_device": "NVIDIA A100 80"})
+
+
 def test_an_engine_is_compared_where_rows_of_it_are_recorded() -> None:
     other = JOB_PLATFORM | IN_MUJOCO | {"mujoco": "4.0.2"}
     assert admit_platform(JOB_PLATFORM, other) == other
