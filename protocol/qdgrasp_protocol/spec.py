@@ -86,7 +86,7 @@ class MissingEngine(InputError):
             why = f", and it has no wheel for Python {python[0]}.{python[1]}"
             how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
         super().__init__(
-            f"PyBullet is not installed{why}: add --engine mujoco (protocol physical), or {how}."
+            f"PyBullet is not installed{why}: add --engine mujoco, or {how}."
         )
 
     def __reduce__(self) -> tuple[type[Self], tuple[()]]:
