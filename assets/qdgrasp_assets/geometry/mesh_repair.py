@@ -28,8 +28,8 @@ def surface_faults(mesh: Mesh) -> tuple[str, ...]:
         return ("it has vertices that are not finite",)
     if len(mesh.faces) > MOST_TRIANGLES:
         return (
-            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: "
-            "simplify it, for example to 20 000 (quadric edge collapse decimation in MeshLab)",
+            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken; "
+            "simplify it, for example with --simplify 20000",
         )
     return tuple(_surface_faults(mesh, MeshEdges(mesh)))
 
@@ -136,21 +136,22 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
             f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
             f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
             f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
-            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
+            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`, or take "
+            "--remesh or --hull"
         )
     elif len(odd):
         where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
         yield (
             f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
-            f"{where}; take out the sheets that stand in it"
+            f"{where}; take out the sheets that stand in it, or take --remesh or --hull"
         )
     if edges.is_closed and edges.torn_edges:
         yield (
             f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
-            "it has no inside, like a Klein bottle; draw it again"
+            "it has no inside, like a Klein bottle; draw it again, or take --remesh or --hull"
         )
     if edges.is_closed and abs(mesh.volume) < FLATTEST:
-        yield "it is flat: it encloses no volume; give it a thickness"
+        yield "it is flat: it encloses no volume; give it a thickness, such as that of --remesh"
 
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
