@@ -67,6 +67,8 @@ def check_mesh(
         found = MeshCheck(faults=(str(error).replace(f"'{path}' ", "").rstrip("."),))
     except OSError as error:
         return MeshCheck(faults=(f"it cannot be read: {error.strerror or error}",))
+    except Exception as error:  # noqa: BLE001  # one mesh of thousands ends no campaign
+        return MeshCheck(faults=(f"its check failed: {type(error).__name__}: {error}; draw it again",))
     if entry is not None:
         _keep(entry, msgspec.json.encode(found))
     return found

@@ -55,7 +55,7 @@ def read_draft(
 
     `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `preparation` are
     changes that are asked for, and `fill_holes` fills small holes. Raises `AssetError` if the file is not
-    there, no mesh, empty, says another unit than it is read in, or has too many triangles by its header,
+    there, no mesh, empty or without area, says another unit than it is read in, or has too many triangles by its header,
     which is looked at before it is read.
     """
     asked = preparation or AS_IT_IS
@@ -76,6 +76,8 @@ def read_draft(
             return ObjectDraft(mesh, file.geometries, repairs, (str(error),))
         mesh, after = repair_mesh(mesh)
         repairs += (*changes, *after)
+    if not len(mesh.faces):
+        raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
     return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
 
 

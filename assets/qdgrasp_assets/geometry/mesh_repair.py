@@ -180,7 +180,8 @@ def is_surface(mesh: Mesh) -> bool:
 
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
-    places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * mesh.extents.max()))
+    size = mesh.extents.max() or 1.0
+    places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * size))
     _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
     fewer = len(mesh.vertices) - len(first)
     if not fewer:
@@ -282,7 +283,7 @@ def gap_note(mesh: Mesh) -> str:
     if not gap:
         return ""
     return (
-        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing: "
+        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
         "give each a file of its own, or say with --glued that they are moved as one"
     )
 
