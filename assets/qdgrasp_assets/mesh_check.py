@@ -83,7 +83,7 @@ def _check(draft: ObjectDraft, preparation: MeshPreparation | None) -> MeshCheck
 
 
 def _content_key(path: Path, asked: str) -> str:
-    """Return the sha256 of the bytes of a mesh file, of what is asked of it, and of the checking code."""
+    """Return the sha256 of a mesh file's bytes, what is asked of it, and the checking code."""
     digests = [file_digest(file) for file in (path, *linked_files(path))]
     return hashlib.sha256(
         " ".join((*digests, path.suffix.lower(), asked, _code_version())).encode()
@@ -101,7 +101,7 @@ def file_digest(path: Path) -> str:
 
 @cache
 def _code_version() -> str:
-    """Return the digest of the modules that check, with the versions of the packages that they use."""
+    """Return the digests of the modules that check, and the versions of their packages."""
     sources: Iterable[str | None] = (sys.modules[name].__file__ for name in CHECKING_MODULES)
     digests = [file_digest(Path(source)) for source in sources if source]
     return " ".join((*digests, *(f"{name} {version(name)}" for name in CHECKING_PACKAGES)))

@@ -55,8 +55,8 @@ def read_draft(
 
     `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `preparation` are
     changes that are asked for, and `fill_holes` fills small holes. Raises `AssetError` if the file is not
-    there, no mesh, empty or without area, says another unit than it is read in, or has too many triangles by its header,
-    which is looked at before it is read.
+    there, no mesh, empty or without area, says another unit than it is read in, or has too many triangles by
+    its header, which is looked at before it is read.
     """
     asked = preparation or AS_IT_IS
     is_changed = asked.simplify is not None or asked.remesh or asked.hull

@@ -27,7 +27,7 @@ SEPARATORS = re.compile(r"[,={\[]")
 
 
 def parse_toml(text: str, where: str, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
-    """The values in a TOML text; an InputError if it is not TOML, or has more than `most` characters."""
+    """The values in a TOML text of at most `most` characters; else an InputError."""
     if len(text) > most:
         raise InputError(f"{where} has {len(text)} characters, and none may have more than {most}.")
     if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):

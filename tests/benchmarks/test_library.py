@@ -3,7 +3,7 @@
 import csv
 from pathlib import Path
 
-from benchmarks.library import KINDS, make_library
+from benchmarks.library.generator import KINDS, make_library
 
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, read_library
 

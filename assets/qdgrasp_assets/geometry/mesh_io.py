@@ -215,9 +215,10 @@ GLTF_TRIANGLES = {4: 3, 5: 1, 6: 1}  # Corners for each further triangle, by the
 
 
 def stated_triangles(path: Path) -> int | None:
-    """Return the number of triangles that a mesh file's header states, polygons as one; None: none stated.
+    """Return the number of triangles that a mesh file's header states; None: none stated.
 
-    OBJ and STL in text have no header. No more than the header is read, and nothing is checked.
+    Polygons count as one. OBJ and STL in text have no header. No more than the header is read, and nothing
+    is checked.
     """
     kind = path.suffix.lower()
     with path.open("rb") as file, suppress(ValueError, KeyError, TypeError, IndexError, AttributeError):

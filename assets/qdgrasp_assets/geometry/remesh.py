@@ -1,4 +1,4 @@
-"""Ways out for meshes of the real world: a new closed surface, the convex hull, fewer triangles.
+"""Changes of meshes on request: a new closed surface, the convex hull, fewer triangles.
 
 A new surface is made of the distance from what the file holds: what no point outside can reach is inside.
 Lorensen's marching cubes, with one vertex for each cell (Gibson 1998, surface nets), which leaves no gaps.
@@ -27,9 +27,9 @@ Mask = NDArray[np.bool_]
 
 
 def prepare_mesh(mesh: Mesh, preparation: MeshPreparation) -> tuple[Mesh, tuple[str, ...]]:
-    """Return a mesh with the changes that are asked for, and these in words; `AssetError` if impossible.
+    """Return a mesh with the changes that are asked for, and these in words.
 
-    The mesh need not be closed unless it is only simplified.
+    The mesh need not be closed unless it is only simplified. Raises `AssetError` if it has no hull.
     """
     done = []
     if preparation.hull:
@@ -56,7 +56,10 @@ def prepare_mesh(mesh: Mesh, preparation: MeshPreparation) -> tuple[Mesh, tuple[
 
 
 def simplify_mesh(mesh: Mesh, triangles: int) -> Mesh:
-    """Return a mesh of at most so many triangles, by quadric edge collapse (Garland, Heckbert 1997)."""
+    """Return a mesh of at most so many triangles.
+
+    By quadric edge collapse (Garland and Heckbert 1997).
+    """
     from fast_simplification import simplify
 
     vertices, faces = simplify(
@@ -102,10 +105,11 @@ def _distance_field(tree: object, shape: tuple[int, ...]) -> Floats:
 
 
 def surface_net(field: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices (v, 3) [cells] and triangles (f, 3) where a field (x, y, z) changes its sign.
+    """Return the surface where a field (x, y, z) changes its sign.
 
-    The field is positive at its border. One vertex for each cell that the surface crosses, in the middle of
-    its crossings; four of them around each edge that it crosses.
+    Vertices are (v, 3) [cells], triangles (f, 3). The field is positive at its border. One vertex
+    for each cell that the surface crosses, in the middle of its crossings; four of them around each edge that
+    it crosses.
     """
     shape = np.array(field.shape) - 1
     inside = field < 0

@@ -147,7 +147,7 @@ def read_campaign(
 def _with_libraries(
     source: dict[str, Any], rules: LibraryRules
 ) -> tuple[dict[str, Any], tuple[SkippedObject, ...] | None]:
-    """Return a campaign's file with the objects of the libraries that it names, and those left out."""
+    """Return a campaign's file with the objects of its libraries, and those left out."""
     libraries: dict[str, Library] = {}
 
     def objects(value: Any) -> Any:

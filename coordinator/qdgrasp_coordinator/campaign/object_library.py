@@ -1,4 +1,4 @@
-"""Reads a library: the objects of a campaign, named by a manifest or found in a folder of meshes.
+"""Reads a library: objects that a manifest names, or that lie in a folder of meshes.
 
 A manifest is a table in CSV or Parquet, or a TOML file of [[object]] tables, with a row for each object. All
 that cannot be used are named at once, or left out and reported where that is asked for. What was found with a
@@ -102,7 +102,7 @@ class LibraryRow(Struct, frozen=True, kw_only=True):
 
 
 def is_manifest(path: Path) -> bool:
-    """Return whether a path is a manifest's: a table, or a TOML file with objects of its own."""
+    """Return whether a path is a manifest's: a table, or a TOML file with [[object]]."""
     kind = path.suffix.lower()
     if kind != ".toml" or not path.is_file():
         return kind in MANIFEST_FORMATS[:2]
@@ -113,7 +113,7 @@ def is_manifest(path: Path) -> bool:
 
 
 def read_library(where: Path, rules: LibraryRules) -> Library:
-    """Read a manifest, or all meshes in a folder and the folders in it, and check every mesh.
+    """Read a manifest, or all meshes below a folder, and check every mesh.
 
     Raises InputError if there is no such file or folder, or it cannot be read as one, and UnusableMeshes for
     objects that cannot be used, unless these are to be skipped and others are left.
@@ -141,7 +141,7 @@ def read_library(where: Path, rules: LibraryRules) -> Library:
 
 
 def mesh_fault(checked: MeshCheck, mass: float | None) -> str:
-    """Return the reason why no object can be made of a mesh with this mass [kg]; empty where one can."""
+    """Return why no object can be made of a mesh with this mass [kg]; empty: one can."""
     if checked.faults:
         return "; and ".join(checked.faults)
     if mass is None:
@@ -161,7 +161,7 @@ def skip_report(skipped: Iterable[SkippedObject]) -> bytes:
 
 
 def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | None:
-    """Return the mass of an object [kg]: the row's own, else by the rules; None: it is not given."""
+    """Return the mass of an object [kg]: the row's own, else by the rules; None: unknown."""
     if row.mass is not None:
         return row.mass
     density = rules.density if row.density is None else row.density
@@ -176,7 +176,7 @@ def _skipped(name: str, file: str, why: str) -> SkippedObject:
 
 
 def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:
-    """Find rows of the same file as an earlier one, or whose runs would have the names of its runs."""
+    """Find rows whose file, or whose runs' names, are those of an earlier one."""
     files, parts, faults = dict[Path, str](), dict[str, str](), dict[str, str]()
     for row in rows:
         if not row.fault and (other := files.setdefault(row.file, row.name)) != row.name:
@@ -280,7 +280,7 @@ def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:
 
 
 def _value(key: str, value: Any) -> Any:
-    """Return a cell as its column's type; InputError if it is none."""
+    """Return a cell as its column's type; InputError if it is of another."""
     kind = COLUMNS[key]
     if kind is str:
         return str(value)

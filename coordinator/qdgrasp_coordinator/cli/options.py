@@ -124,7 +124,7 @@ def given(**values: Any) -> dict[str, Any]:
 
 
 def preparation(simplify: int | None, remesh: bool, hull: bool, glued: bool) -> MeshPreparation | None:
-    """Return the changes of a mesh that flags ask for; None where there are none.
+    """Return the changes of a mesh that flags ask for; None without such a flag.
 
     Raises InputError for flags that exclude each other.
     """

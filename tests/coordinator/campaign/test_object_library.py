@@ -311,10 +311,8 @@ def test_a_check_that_fails_is_a_fault_of_the_mesh_and_not_remembered(library, m
         raise ZeroDivisionError("by nothing")
 
     manifest = write_manifest(library / "objects.csv", ROWS[1:])
-    with (
-        monkeypatch.context() as context,
-        pytest.raises(UnusableMeshes, match="ZeroDivisionError: by nothing"),
-    ):
+    with monkeypatch.context() as context:
         context.setattr(mesh_check, "read_draft", failing)
-        read_library(manifest, LibraryRules())
+        with pytest.raises(UnusableMeshes, match="ZeroDivisionError: by nothing"):
+            read_library(manifest, LibraryRules())
     assert len(read_library(manifest, LibraryRules()).objects) == 1

@@ -1,22 +1,16 @@
-"""Generator of a library of varied closed meshes, some of them broken on purpose: its size is the point.
+"""Generator of a library of varied closed meshes, some of them broken on purpose.
 
-`python -m benchmarks.library OUT --meshes 1000 --seed 0` writes meshes into OUT/meshes and the manifest
-OUT/library.csv; OUT/broken.csv says which are broken, and how. Mesh i is a function of seed and i alone, so
-that a larger library begins with the smaller one. Then
-`qdgrasp campaign OUT/library.csv --gripper panda --skip-unusable --list` takes them in.
+Meshes go into OUT/meshes, the manifest is OUT/library.csv, and OUT/broken.csv says which are broken, and how.
+Mesh i is a function of seed and i alone, so that a larger library begins with the smaller one.
 """
 
-import argparse
 import csv
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.random import Generator
-
-from qdgrasp_assets.mesh_check import check_mesh
 
 SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 SPLITS = ("train", "train", "train", "train", "test")
@@ -163,30 +157,3 @@ def _write(path: Path, header: tuple[str, ...], rows: list[tuple[object, ...]]) 
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(rows)
-
-
-def intake(out: Path) -> tuple[float, int]:
-    """Check every mesh of a library, and return the seconds that took and how many cannot be used."""
-    begun = time.perf_counter()
-    bad = sum(bool(check_mesh(file).faults) for file in sorted((out / "meshes").iterdir()))
-    return time.perf_counter() - begun, bad
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("out", type=Path, help="a new folder")
-    parser.add_argument("--meshes", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--intake", action="store_true", help="check all of them twice, and say how long it takes"
-    )
-    given = parser.parse_args()
-    print(make_library(given.out, given.meshes, given.seed))
-    if given.intake:
-        for turn in ("first", "second"):
-            seconds, bad = intake(given.out)
-            print(f"{turn} time: {seconds:.1f} s, {bad} of {given.meshes} cannot be used")
-
-
-if __name__ == "__main__":
-    main()
