@@ -99,13 +99,18 @@ def find_object(spec: RunSpec) -> ObjectModel:
             f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
             "for mesh files."
         )
+    if spec.mesh is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
+        raise AssetError(
+            f"The object '{name}' of the catalog is taken as it is: leave --simplify, --remesh, --hull and "
+            "--glued out, which are for mesh files."
+        )
     if name in STAND_INS:
         target = stand_in(name)
     elif name in ycb.SCAN_NAMES:
         target = ycb.read_scan(name, spec.protocol)
     else:
         check_object(name)
-        target = read_object(named_path(name), spec.mass, spec.scale)
+        target = read_object(named_path(name), spec.mass, spec.scale, spec.mesh, spec.about)
     mass = target.mass if spec.mass is None else spec.mass
     friction = target.lateral_friction if spec.friction is None else spec.friction
     return replace(target, mass=mass, lateral_friction=friction)

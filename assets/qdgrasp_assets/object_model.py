@@ -11,10 +11,12 @@ import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj
-from qdgrasp_assets.geometry.mesh_io import check_stated, read_mesh_file
+from qdgrasp_assets.geometry.mesh_io import check_file, check_stated, read_mesh_file, stated_triangles
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
+from qdgrasp_assets.geometry.remesh import prepare_mesh
 from qdgrasp_assets.scene import SceneObject, vector
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.spec import MeshPreparation, ObjectRecord
 
 log = logging.getLogger(__name__)
 
@@ -38,29 +40,73 @@ class ObjectDraft:
         return cls(nothing, 0, (), (why.rstrip("."),))
 
 
-def read_draft(path: Path, scale: float | None = None, *, fill_holes: bool = False) -> ObjectDraft:
+MOST_PREPARED = 10_000_000  # Most triangles of a mesh that is simplified, remeshed or replaced by its hull
+AS_IT_IS = MeshPreparation()
+
+
+def read_draft(
+    path: Path,
+    scale: float | None = None,
+    preparation: MeshPreparation | None = None,
+    *,
+    fill_holes: bool = False,
+) -> ObjectDraft:
     """Read and repair a mesh file, and list its faults as an object.
 
-    `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `fill_holes` fills
-    small holes. Raises `AssetError` if the file is not there, no mesh, empty, or says another unit than it is
-    read in.
+    `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `preparation` are
+    changes that are asked for, and `fill_holes` fills small holes. Raises `AssetError` if the file is not
+    there, no mesh, empty or without area, says another unit than it is read in, or has too many triangles by
+    its header, which is looked at before it is read.
     """
+    asked = preparation or AS_IT_IS
+    is_changed = asked.simplify is not None or asked.remesh or asked.hull
+    check_header(path, preparation)
     file = read_mesh_file(path)
     check_stated(str(path), file.unit, scale)
     mesh = file.mesh if scale is None else file.mesh.scaled(scale)
-    if len(mesh.faces) > MOST_TRIANGLES:
+    if len(mesh.faces) > MOST_TRIANGLES and not is_changed:
         return ObjectDraft(mesh, file.geometries, (), surface_faults(mesh))
-    mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes)
+    repairs: tuple[str, ...] = ()
+    if not asked.hull:
+        mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes or asked.remesh)
+    if is_changed:
+        try:
+            mesh, changes = prepare_mesh(mesh, asked)
+        except AssetError as error:
+            return ObjectDraft(mesh, file.geometries, repairs, (str(error),))
+        mesh, after = repair_mesh(mesh)
+        repairs += (*changes, *after)
+    if not len(mesh.faces):
+        raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
     return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
 
 
-def read_solid(path: Path, scale: float | None = None) -> Mesh:
+def check_header(path: Path, preparation: MeshPreparation | None = None) -> None:
+    """Check that there is a mesh file of a size that is read, without reading it.
+
+    Raises `AssetError` if there is none, or its header states more triangles than are taken, or than are
+    read where it is made smaller.
+    """
+    check_file(path)
+    stated = stated_triangles(path) or 0
+    if preparation and (preparation.simplify or preparation.remesh or preparation.hull):
+        most, advice = MOST_PREPARED, "in the program that made it"
+    else:
+        most, advice = MOST_TRIANGLES, "for example with --simplify 20000"
+    if stated > most:
+        raise AssetError(
+            f"The mesh '{path}' has {stated} triangles, and at most {most} are taken; simplify it, {advice}."
+        )
+
+
+def read_solid(path: Path, scale: float | None = None, preparation: MeshPreparation | None = None) -> Mesh:
     """Read a closed surface in metres from any readable mesh file; one or several bodies.
 
-    `scale` is metres to a unit of the file; None: 1. Repairs are reported in a warning. Raises `AssetError`
-    as `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat.
+    `scale` is metres to a unit of the file; None: 1. `preparation` as in `read_draft`. Repairs are reported
+    in a warning. Raises `AssetError` as `read_draft`, or if it is not of a size that a hand can grasp, open,
+    wound both ways or flat.
     """
-    draft = read_draft(path, scale)
+    draft = read_draft(path, scale, preparation)
     if draft.faults:
         raise AssetError(f"The mesh '{path}' cannot be used: {'; and '.join(draft.faults)}.")
     if draft.repairs:
@@ -120,30 +166,46 @@ class ObjectModel:
         )
 
 
-def read_object(path: Path, mass: float | None, scale: float | None = None) -> ObjectModel:
+def read_object(
+    path: Path,
+    mass: float | None,
+    scale: float | None = None,
+    preparation: MeshPreparation | None = None,
+    about: ObjectRecord | None = None,
+) -> ObjectModel:
     """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
 
-    `mass` is in kg, `scale` in metres to a unit of the file; None: 1. Its convex parts serve `released` too,
-    as the collision mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is
-    no mass.
+    `mass` is in kg, `scale` in metres to a unit of the file; None: 1. `preparation` as in `read_draft`;
+    `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
+    mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
     """
-    mesh = read_solid(path, scale)
-    if gap := body_gap(mesh):
+    mesh = read_solid(path, scale, preparation)
+    if (gap := body_gap(mesh)) and not (preparation and preparation.glued):
         log.warning(
             "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, gap
         )
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
-    return object_of_mesh(mesh, path, mass, scale)
+    return object_of_mesh(mesh, path, mass, scale, preparation, about)
 
 
-def object_of_mesh(mesh: Mesh, path: Path, mass: float, scale: float | None = None) -> ObjectModel:
+def object_of_mesh(
+    mesh: Mesh,
+    path: Path,
+    mass: float,
+    scale: float | None = None,
+    preparation: MeshPreparation | None = None,
+    about: ObjectRecord | None = None,
+) -> ObjectModel:
     """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
     collision_source, parts = collision_parts(mesh, path.name)
+    said = about or ObjectRecord()
+    changes = ((f"scale {scale:g}",) if scale is not None else ()) + (preparation or AS_IT_IS).words
+    file = f"{path.name} ({', '.join(changes)})" if changes else path.name
     return ObjectModel(
-        name=path.stem,
-        source=path.name if scale is None else f"{path.name} (scale {scale:g})",
-        licence="not stated",
+        name=said.id or path.stem,
+        source=f"{said.source}: {file}" if said.source else file,
+        licence=said.licence or "not stated",
         collision_source=collision_source,
         mass=mass,
         mesh=mesh,

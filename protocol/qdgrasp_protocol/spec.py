@@ -28,10 +28,10 @@ MAX_DOTS = 64  # The most dots between two separators of a line
 SEPARATORS = re.compile(r"[,={\[]")
 
 
-def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """The values in a TOML text; an InputError if it is not TOML, or larger than a spec can be."""
-    if len(text) > MAX_TOML_SIZE:
-        raise InputError(f"{where} has {len(text)} characters, and none may have more than {MAX_TOML_SIZE}.")
+def parse_toml(text: str, where: str, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
+    """The values in a TOML text of at most `most` characters; else an InputError."""
+    if len(text) > most:
+        raise InputError(f"{where} has {len(text)} characters, and none may have more than {most}.")
     if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
         raise InputError(f"{where} has a key of more than {MAX_DOTS} parts.")
     try:
@@ -85,9 +85,7 @@ class MissingEngine(InputError):
         if (python := sys.version_info[:2]) > LAST_WHEEL:
             why = f", and it has no wheel for Python {python[0]}.{python[1]}"
             how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
-        super().__init__(
-            f"PyBullet is not installed{why}: add --engine mujoco, or {how}."
-        )
+        super().__init__(f"PyBullet is not installed{why}: add --engine mujoco, or {how}.")
 
     def __reduce__(self) -> tuple[type[Self], tuple[()]]:
         """Come out of another process as it is."""
@@ -126,12 +124,53 @@ class FirstWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Quality of a grasp that touches in a cell."""
 
 
+class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Changes of a mesh file before it is an object: remeshed or its hull, then simplified."""
+
+    simplify: Annotated[int, Meta(ge=20, le=500_000)] | None = None
+    """Most triangles; None: as many as there are."""
+    remesh: bool = False
+    """A new closed surface around whatever the file holds."""
+    hull: bool = False
+    """Its convex hull in place of the mesh."""
+    glued: bool = False
+    """Bodies that are apart are meant to be one rigid object."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The changes, for the provenance."""
+        said = {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued}
+        fewer = (f"simplified to {self.simplify} triangles",) if self.simplify else ()
+        return (*(word for word, is_asked in said.items() if is_asked), *fewer)
+
+    def __str__(self) -> str:
+        return "_".join(self.words).replace(" ", "_")
+
+
+NoteText = Annotated[str, Meta(max_length=500)]
+
+
+class ObjectRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The description of an object by its library; no result depends on it. Empty: not said."""
+
+    id: NoteText = ""
+    """Name of the object, in place of its file's."""
+    category: NoteText = ""
+    licence: NoteText = ""
+    source: NoteText = ""
+    """Origin of the mesh, such as a data set or an address."""
+    split: NoteText = ""
+    """Part of a data set, such as train or test."""
+
+
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
 """Unit of a key's value, for errors."""
 STOP_KEYS = ("evaluations", "successes", "no_new_cell")
 """Keys of a spec's stop criteria, which may change when a run goes on."""
 
 
+TABLE_KEYS = ("mesh", "about", "first_weights")
+"""Keys of a spec whose values are tables, which stand last in TOML."""
 OBJECTIVE_KEYS = ("aim_for", "diversity", "grasps_per_cell")
 """Keys of a spec that only the method with an objective has."""
 
@@ -149,6 +188,10 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Metres to a unit of the object's mesh file; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
+    mesh: MeshPreparation | None = None
+    """Changes of the object's mesh file; None: taken as it is."""
+    about: ObjectRecord | None = None
+    """The object's description by its library; None: its file's name is all that is known."""
     method: str = DEFAULT_METHOD
     """A search with its prior.
 
@@ -260,6 +303,8 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
             f"{where}: finalists = {spec.finalists} says how many successes have all trials where they are "
             "sequential; leave it out, or take trials = 'sequential'."
         )
+    if spec.mesh is not None and spec.mesh.remesh and spec.mesh.hull:
+        raise InputError(f"{where}: remesh and hull each replace the mesh by another one; take one of them.")
     if spec.engine == DEFAULT_ENGINE:
         return msgspec.structs.replace(spec, engine=None)
     if spec.engine and spec.protocol == "released":
@@ -275,15 +320,18 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     return spec
 
 
-def read_run_spec(path: Path) -> dict[str, Any]:
-    """The values in a TOML file, not yet checked; an InputError if it cannot be read as TOML."""
+def read_run_spec(path: Path, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
+    """The values in a TOML file, not yet checked; an InputError if it cannot be read as TOML.
+
+    It may have `most` characters.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not TOML: {error}.") from None
-    return parse_toml(text, str(path))
+    return parse_toml(text, str(path), most)
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
@@ -309,10 +357,10 @@ def to_values(spec: RunSpec) -> dict[str, Any]:
 def to_toml(spec: RunSpec) -> str:
     """Return the full spec as TOML, without fields that have no value; each pose on a line."""
     values = to_values(spec)
-    poses, learned = values.pop("poses", ()), values.pop("first_weights", None)
+    poses = values.pop("poses", ())
+    tables = {key: values.pop(key) for key in TABLE_KEYS if key in values}
     lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)
-    table = "" if learned is None else tomli_w.dumps({"first_weights": learned})
-    return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "") + table
+    return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "") + tomli_w.dumps(tables)
 
 
 def _expected_value(kind: Any) -> str:
@@ -324,10 +372,17 @@ def _expected_value(kind: Any) -> str:
         return "one of " + ", ".join(repr(value) for value in get_args(kind) or info.values)
     if isinstance(info, msgspec.inspect.StrType):
         return "text"
+    if isinstance(info, msgspec.inspect.VarTupleType) and isinstance(
+        info.item_type, msgspec.inspect.FloatType
+    ):
+        return "a list of numbers"
     if isinstance(info, msgspec.inspect.VarTupleType):
         return f"1 to {MAX_POPULATION} lists of numbers"
     if isinstance(info, msgspec.inspect.StructType):
-        return f"a table with lists of numbers, of {', '.join(field.name for field in info.fields)}"
+        fields = (f"{field.name} ({_expected_value(field.type)})" for field in msgspec.structs.fields(kind))
+        return f"a table of {', '.join(fields)}"
+    if isinstance(info, msgspec.inspect.BoolType):
+        return "true or false"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
     limits = {word: getattr(info, name, None) for name, word in words.items()}
     bounds = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]

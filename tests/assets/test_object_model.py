@@ -142,5 +142,5 @@ def test_a_mesh_of_millions_of_triangles_is_refused_before_anything_is_done_with
     monkeypatch.setattr("qdgrasp_assets.geometry.mesh_repair.MOST_TRIANGLES", 1000)
     monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
     path = write(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=4, radius=0.03))
-    with pytest.raises(AssetError, match=r"has 5120 triangles, and at most 1000 are taken: simplify it"):
+    with pytest.raises(AssetError, match=r"has 5120 triangles, and at most 1000 are taken; simplify it"):
         read_solid(path)

@@ -114,6 +114,11 @@ def parts(_: Prepared, path: Path) -> None:
     (path / "masses.csv").write_text("file,mass\nlever.stl,0.35\n")
 
 
+def library(_: Prepared, path: Path) -> None:
+    """A manifest of a mesh in the folder of meshes, and of one that is not there."""
+    path.write_text("file,id,unit,density\nparts/lever.stl,acme-lever,mm,1200\nlost.stl,lost,mm,1200\n")
+
+
 def my_hand(prepared: Prepared, path: Path) -> None:
     path.write_text(example_hands.JAW_TOML.replace("jaw.urdf", "my_hand.urdf"))
     prepared.make("my_hand.urdf")
@@ -188,6 +193,7 @@ MAKERS: dict[str, Maker] = {
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
     "grasps.yaml": grasps_file,
     "in.npz": poses,
+    "library.csv": library,
     "lab-7": lambda prepared, path: shutil.copytree(prepared.make("security") / "lab-7", path) and None,
     "many.toml": lambda _, path: path.write_text(MANY) and None,
     "mugs.toml": lambda _, path: path.write_text(SPEC) and None,

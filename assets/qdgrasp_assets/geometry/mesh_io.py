@@ -3,6 +3,9 @@
 A file is read as one mesh in its own unit; the scale multiplies its coordinates to metres.
 """
 
+import json
+import re
+import struct
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -11,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, SPECIAL, path_problem
-from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.mesh import STL_HEADER, STL_TRIANGLE, Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
@@ -202,6 +205,59 @@ def check_file(path: Path) -> None:
             f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are read: "
             "simplify it; 20 000 triangles show a finger as much."
         )
+
+
+HEADER_BYTES = 1 << 16  # Most bytes of a PLY or OFF file in which its header ends
+LARGEST_JSON = 64 << 20  # Most bytes of glTF JSON that are looked at before the file is read
+PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)", re.MULTILINE)
+OFF_COUNTS = re.compile(rb"^\s*OFF(?:\s|#[^\n]*\n)+(\d+)[ \t]+(\d+)")
+GLTF_TRIANGLES = {4: 3, 5: 1, 6: 1}  # Corners for each further triangle, by the mode of a primitive
+
+
+def stated_triangles(path: Path) -> int | None:
+    """Return the number of triangles that a mesh file's header states; None: none stated.
+
+    Polygons count as one. OBJ and STL in text have no header. No more than the header is read, and nothing
+    is checked.
+    """
+    kind = path.suffix.lower()
+    with path.open("rb") as file, suppress(ValueError, KeyError, TypeError, IndexError, AttributeError):
+        if kind == ".stl":
+            count = int.from_bytes(file.read(STL_HEADER)[-4:], "little")
+            return count if path.stat().st_size == STL_HEADER + STL_TRIANGLE * count else None
+        if kind == ".glb":
+            magic, _, _, length, chunk = struct.unpack("<4sII I4s", file.read(20).ljust(20, b"\0"))
+            is_stated = magic == b"glTF" and chunk == b"JSON" and length <= LARGEST_JSON
+            return _gltf_triangles(json.loads(file.read(length))) if is_stated else None
+        if kind == ".gltf":
+            return _gltf_triangles(json.loads(file.read(LARGEST_JSON)))
+        head = file.read(HEADER_BYTES)
+        if kind == ".ply" and (found := PLY_FACES.search(head.partition(b"end_header")[0])):
+            return int(found[1])
+        if kind == ".off" and (found := OFF_COUNTS.search(head)):
+            return int(found[2])
+    return None
+
+
+def _gltf_triangles(document: Any) -> int:
+    """Count the triangles of the meshes in a glTF document, each once."""
+    accessors, count = document["accessors"], 0
+    for mesh in document.get("meshes", ()):
+        for part in mesh["primitives"]:
+            corners = accessors[part.get("indices", part["attributes"]["POSITION"])]["count"]
+            step = GLTF_TRIANGLES.get(part.get("mode", 4))
+            count += max(0, (corners - 3 + step) // step) if step else 0
+    return int(count)
+
+
+def linked_files(path: Path) -> tuple[Path, ...]:
+    """Return the files beside a glTF file that hold its geometry; none of any other format."""
+    if path.suffix.lower() != ".gltf":
+        return ()
+    with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
+        names = [str(buffer.get("uri", "data:")) for buffer in json.loads(path.read_bytes())["buffers"]]
+        return tuple(path.parent / name for name in names if not name.startswith("data:"))
+    return ()
 
 
 def to_bytes(mesh: Mesh, suffix: str) -> bytes:

@@ -28,8 +28,8 @@ def surface_faults(mesh: Mesh) -> tuple[str, ...]:
         return ("it has vertices that are not finite",)
     if len(mesh.faces) > MOST_TRIANGLES:
         return (
-            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: "
-            "simplify it, for example to 20 000 (quadric edge collapse decimation in MeshLab)",
+            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken; "
+            "simplify it, for example with --simplify 20000",
         )
     return tuple(_surface_faults(mesh, MeshEdges(mesh)))
 
@@ -136,21 +136,22 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
             f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
             f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
             f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
-            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
+            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`, or take "
+            "--remesh or --hull"
         )
     elif len(odd):
         where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
         yield (
             f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
-            f"{where}; take out the sheets that stand in it"
+            f"{where}; take out the sheets that stand in it, or take --remesh or --hull"
         )
     if edges.is_closed and edges.torn_edges:
         yield (
             f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
-            "it has no inside, like a Klein bottle; draw it again"
+            "it has no inside, like a Klein bottle; draw it again, or take --remesh or --hull"
         )
     if edges.is_closed and abs(mesh.volume) < FLATTEST:
-        yield "it is flat: it encloses no volume; give it a thickness"
+        yield "it is flat: it encloses no volume; give it a thickness, such as that of --remesh"
 
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
@@ -179,7 +180,8 @@ def is_surface(mesh: Mesh) -> bool:
 
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
-    places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * mesh.extents.max()))
+    size = mesh.extents.max() or 1.0
+    places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * size))
     _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
     fewer = len(mesh.vertices) - len(first)
     if not fewer:
@@ -281,7 +283,7 @@ def gap_note(mesh: Mesh) -> str:
     if not gap:
         return ""
     return (
-        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing: "
+        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
         "give each a file of its own, or say with --glued that they are moved as one"
     )
 

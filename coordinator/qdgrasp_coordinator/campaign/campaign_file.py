@@ -1,31 +1,38 @@
-"""Reads a campaign: the runs that a TOML file or a folder of meshes asks for.
+"""Reads a campaign: the runs that a TOML file or a library of objects asks for.
 
-Mesh files are read before anything is begun, so that all faults are named at once.
+Mesh files are checked before anything is begun, so that all faults are named at once.
 """
 
-import csv
 import hashlib
 import itertools
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import tomli_w
+from msgspec import structs
 
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.catalog import ABSENT, check_object, find_gripper
 from qdgrasp_assets.genes import ANTIPODAL
-from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS
-from qdgrasp_assets.object_model import ObjectDraft, read_draft
+from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import SCANS
+from qdgrasp_coordinator.campaign.object_library import (
+    NO_RULES,
+    Library,
+    LibraryRules,
+    SkippedObject,
+    is_manifest,
+    mesh_fault,
+    read_library,
+)
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, full_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.errors import (
-    AssetError,
     ImpossibleValue,
     InputError,
     JawNeeded,
@@ -37,6 +44,7 @@ from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
     OBJECTIVE_KEYS,
     STOP_KEYS,
+    MeshPreparation,
     RunSpec,
     read_run_spec,
     run_spec,
@@ -64,12 +72,13 @@ A second generation in flight keeps the workers of a single run busy; here other
 told all that it asked.
 """
 LONGEST_NAME = 64
+LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
 CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
-OBJECT_KEYS = frozenset({"mass", "scale", "friction"})
+OBJECT_KEYS = frozenset({"mass", "scale", "friction", "mesh", "about"})
 """Keys of an object: left out of its runs' names, and stronger than the defaults."""
 
 ObjectValues = Mapping[str, Mapping[str, Any]]
-"""Mass, scale and friction of objects, by name, as far as they are known."""
+"""Values of `OBJECT_KEYS` of objects, by name, as far as they are known."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +92,8 @@ class Campaign:
     """Objects that were taken as their scans."""
     stand_ins: tuple[str, ...] = ()
     """Objects whose scans were preferred and not found."""
+    skipped: tuple[SkippedObject, ...] | None = None
+    """Objects of libraries that cannot be used and are left out; None: no library was read."""
 
     @property
     def evaluations(self) -> int:
@@ -102,6 +113,8 @@ class Campaign:
             parts.append(f"scans of {', '.join(self.scans)}")
         if self.stand_ins:
             parts.append(f"no scan found of {', '.join(self.stand_ins)}: stand-ins, without S_G coverage")
+        if self.skipped:
+            parts.append(f"{counted(len(self.skipped), 'object')} left out that cannot be used")
         return "; ".join(parts) + "."
 
 
@@ -111,24 +124,61 @@ def read_campaign(
     here: bool = True,
     is_begun: bool = False,
     goals: Mapping[str, int | None] = MappingProxyType({}),
+    rules: LibraryRules = NO_RULES,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `is_begun`: it may have been begun by a
     version without objectives, which a missing `aim_for` then means; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults.
+    end runs, in place of the file's defaults; `rules` are for the libraries that it names as objects.
     Raises InputError if the file is missing, is not TOML, or asks
     for a run that is not possible; the run is named.
     """
-    source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
+    source, asked = (
+        read_run_spec(path, LARGEST_CAMPAIGN),
+        {key: value for key, value in goals.items() if value is not None},
+    )
     if asked and isinstance(source.get("defaults", {}), dict):
         source["defaults"] = source.get("defaults", {}) | asked
-    return make_campaign(source, str(path), here=here, is_begun=is_begun)
+    source, skipped = _with_libraries(source, rules) if here else (source, None)
+    return replace(make_campaign(source, str(path), here=here, is_begun=is_begun), skipped=skipped)
+
+
+def _with_libraries(
+    source: dict[str, Any], rules: LibraryRules
+) -> tuple[dict[str, Any], tuple[SkippedObject, ...] | None]:
+    """Return a campaign's file with the objects of its libraries, and those left out."""
+    libraries: dict[str, Library] = {}
+
+    def objects(value: Any) -> Any:
+        found = []
+        for name in value if isinstance(value, list) else [value]:
+            if not (isinstance(name, str) and is_manifest(named_path(name))):
+                found.append(name)
+                continue
+            library = libraries.get(name) or read_library(named_path(name), rules)
+            libraries[name] = library
+            found += library.objects
+        return found if isinstance(value, list) or libraries else value
+
+    def table(values: Any) -> Any:
+        known = isinstance(values, dict) and "object" in values
+        return values | {"object": objects(values["object"])} if known else values
+
+    crosses = source.get("cross")
+    changed = {key: table(source[key]) for key in ("defaults",) if key in source}
+    if isinstance(crosses, list):
+        changed["cross"] = [table(cross) for cross in crosses]
+    if not libraries:
+        return source, None
+    known = {name: values for library in libraries.values() for name, values in library.objects.items()}
+    skipped = tuple(each for library in libraries.values() for each in library.skipped)
+    return source | changed | {"objects": known | source.get("objects", {})}, skipped
 
 
 def is_campaign(path: Path) -> bool:
     """Return whether a TOML file is a campaign's, not a run's; raises as `read_campaign`."""
-    return not CAMPAIGN_KEYS.isdisjoint(read_run_spec(path))
+    return not CAMPAIGN_KEYS.isdisjoint(read_run_spec(path, LARGEST_CAMPAIGN))
 
 
 def make_campaign(
@@ -171,7 +221,8 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
 
     `values` are those that the campaign gave for it; when it ends is no part of its name.
     """
-    parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
+    own_name = spec.about.id if spec.about and spec.about.id else Path(spec.object).stem
+    parts = [Path(spec.gripper).stem, own_name, spec.method, f"s{spec.seed}"]
     usual = full_spec(
         CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
     )
@@ -266,138 +317,36 @@ def _cross_lists(
             yield {key: value for key, value in values.items() if key not in known}, known
 
 
-MASS_TABLE = "masses.csv"  # The table of masses in a folder of meshes
-MASS_COLUMNS = ["file", "mass"]
-MASS_DIGITS = 6  # Significant digits of a mass that follows from a density
-GREATEST_MASS = 1000  # Greatest mass that a spec allows [kg]
-NO_MASS = "it has no mass: say what it weighs with --mass or --density, or in " + MASS_TABLE
-
-
-@dataclass(frozen=True)
-class MassRule:
-    """Mass or density of objects that the table of masses does not name; one of them at most."""
-
-    mass: float | None = None
-    """Mass of each [kg]."""
-    density: float | None = None
-    """Density of each [kg/m3]."""
-
-    def mass_of(self, draft: ObjectDraft) -> float | None:
-        """Return the mass of a mesh [kg]; None: it is not given."""
-        if self.density is None:
-            return self.mass
-        return float(f"{self.density * draft.mesh.volume:.{MASS_DIGITS}g}")
-
-
 def campaign_of_meshes(
-    folder: Path,
-    mass_rule: MassRule,
-    scale: float | None,
+    where: Path,
+    rules: LibraryRules,
     values: Mapping[str, Any],
     *,
     is_begun: bool = False,
 ) -> Campaign:
-    """Make the campaign of all meshes in a folder, at `scale` metres to a unit (None: 1).
+    """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
     `is_begun` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
-    campaign's file; None: not given. Raises InputError as `mesh_values`, or for a run that is not possible.
+    campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
     """
-    known = mesh_values(folder, mass_rule, scale)
-    cross = {key: value for key, value in values.items() if value is not None} | {"object": list(known)}
-    return make_campaign({"cross": [cross], "objects": known}, f"campaign of {folder}", is_begun=is_begun)
-
-
-def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
-    """Return the keys `mass` and `scale` of a spec for every mesh in a folder, by its path.
-
-    Raises InputError if there is no such folder, no mesh in it, or its table of masses cannot be read, and
-    UnusableMeshes for meshes that no object can be made of, or whose mass is not known.
-    """
-    files, masses = _mesh_files(folder), _read_masses(folder / MASS_TABLE)
-    faults = _name_clashes(files.values())
-    faults |= dict.fromkeys(masses.keys() - files.keys(), f"{MASS_TABLE} names it, and there is no such mesh")
-    known: dict[str, dict[str, float]] = {}
-    for name, file in files.items():
-        draft = _read_mesh(file, scale)
-        mass = masses[name] if name in masses else mass_rule.mass_of(draft)
-        why = _mesh_fault(draft, mass)
-        if why or mass is None:
-            faults.setdefault(name, why)
-        else:
-            known[str(file)] = {"mass": mass} | ({} if scale is None else {"scale": scale})
-    if faults:
-        raise UnusableMeshes(len(files.keys() | masses.keys()), faults)
-    return known
+    library = read_library(where, rules)
+    cross = {key: value for key, value in values.items() if value is not None}
+    source = {"cross": [cross | {"object": list(library.objects)}], "objects": library.objects}
+    campaign = make_campaign(source, f"campaign of {where}", is_begun=is_begun)
+    return replace(campaign, skipped=library.skipped)
 
 
 def check_meshes(specs: Iterable[RunSpec]) -> None:
-    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes."""
+    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes.
+
+    Bodies that are apart are taken, as in a run.
+    """
     named = STAND_INS.keys() | SCANS.keys()
-    wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}
-    faults = {
-        name: fault
-        for (name, scale), mass in wanted.items()
-        if (fault := _mesh_fault(_read_mesh(named_path(name), scale), mass))
-    }
+    wanted = {(spec.object, spec.scale, spec.mesh): spec.mass for spec in specs if spec.object not in named}
+    faults = {}
+    for (name, scale, mesh), mass in wanted.items():
+        glued = structs.replace(mesh or MeshPreparation(), glued=True)
+        if fault := mesh_fault(check_mesh(named_path(name), scale, glued), mass):
+            faults[name] = fault
     if faults:
-        raise UnusableMeshes(len({name for name, _ in wanted}), faults)
-
-
-def _mesh_fault(draft: ObjectDraft, mass: float | None) -> str:
-    """Return the reason why no object can be made of a mesh; empty where one can."""
-    if draft.faults:
-        return "; and ".join(draft.faults)
-    if mass is None:
-        return NO_MASS
-    if not 0 < mass <= GREATEST_MASS:
-        return f"its mass must be more than 0 and at most {GREATEST_MASS} kg, got {mass:g}"
-    return ""
-
-
-def _mesh_files(folder: Path) -> dict[str, Path]:
-    if not folder.is_dir():
-        raise InputError(f"There is no folder of meshes at '{folder}'.")
-    kinds = {*READABLE_FORMATS, *FORMAT_PACKAGES}
-    found = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in kinds)
-    if not found:
-        raise InputError(
-            f"There is no mesh in '{folder}': name a folder of files such as {', '.join(READABLE_FORMATS)}."
-        )
-    return {file.name: file.resolve() for file in found}
-
-
-def _read_masses(table: Path) -> dict[str, float]:
-    """Read the masses [kg] in a table by file; empty if there is no table."""
-    if not table.is_file():
-        return {}
-    try:
-        with table.open(encoding="utf-8-sig", newline="") as lines:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
-        header, *rest = rows
-        return {name: float(mass) for name, mass in rest} if header == MASS_COLUMNS else _refuse_table(table)
-    except (OSError, ValueError) as error:
-        return _refuse_table(table, f": {error}")
-
-
-def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
-    raise InputError(
-        f"'{table}' is no table of masses: it begins with the line `{','.join(MASS_COLUMNS)}`, and every "
-        f"other one is a mesh's file name and its mass in kg{why}."
-    )
-
-
-def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
-    """Find meshes whose runs would have the names of those of another one."""
-    first, faults = dict[str, str](), dict[str, str]()
-    for file in files:
-        other = first.setdefault(job_name(f"a-{file.stem}"), file.name)
-        if other != file.name:
-            faults[file.name] = f"its runs would be called as those of '{other}': rename one of the two"
-    return faults
-
-
-def _read_mesh(file: Path, scale: float | None) -> ObjectDraft:
-    try:
-        return read_draft(file, scale)
-    except AssetError as error:
-        return ObjectDraft.unreadable(str(error))
+        raise UnusableMeshes(len({name for name, *_ in wanted}), faults)

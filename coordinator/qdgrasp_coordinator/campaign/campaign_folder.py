@@ -4,23 +4,26 @@ The end of a run that has begun may be put off, not taken back below what is rec
 finished run are cached beside its journal (`found.json`), so that a large campaign need not read it again.
 """
 
-from collections import deque
+import csv
+import re
+from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
+from qdgrasp_coordinator.campaign.object_library import skip_report
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, OutFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
 from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec, run_spec, to_values
@@ -47,8 +50,10 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
 
 
 TOTALS_FILE = "found.json"
+DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
+"""Numbers and names, which reasons are told apart without."""
 SCENE_KEYS = (
-    *("gripper", "object", "mass", "scale", "friction"),
+    *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
     *("protocol", "base", "engine", "surface_seed"),
 )
 """The keys of a spec that its scene depends on."""
@@ -189,6 +194,8 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
         OutFolder(path).check()
         RunFolder.check_outside(path)
         files = JobRecord.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
+        if asked.skipped:
+            files |= {SKIPPED: skip_report(asked.skipped)}
         atomic_files.create_folder(path, files, folders=[LOGS, RUNS])
         return CampaignRunQueue(None, asked.runs).extent
     folder = open_campaign(path)
@@ -200,7 +207,60 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     file = folder.path / CAMPAIGN
     if file.read_bytes() != asked.toml.encode():
         atomic_files.replace(file, asked.toml.encode())
+    if asked.skipped is not None and (asked.skipped or (folder.path / SKIPPED).is_file()):
+        atomic_files.replace(folder.path / SKIPPED, skip_report(asked.skipped))
     return extent
+
+
+class CampaignSummary(Struct, frozen=True, kw_only=True):
+    """Counts of a campaign: what is asked for, what is finished, and what was left out."""
+
+    campaign: str
+    runs: int
+    runs_done: int
+    objects: int
+    evaluations: int
+    """Sum of the budgets of all runs."""
+    evaluations_done: int
+    """Evaluations of finished runs."""
+    successes: int
+    """Successes of finished runs; `grasps` are those that survived a disturbance."""
+    grasps: int
+    skipped: int
+    """Objects that cannot be used, and are left out."""
+    reasons: dict[str, int]
+    """Number of objects left out for each reason, the most frequent first; numbers in it are left out."""
+
+    @property
+    def table(self) -> str:
+        """All counts, one to a line."""
+        values = structs.asdict(self)
+        reasons = values.pop("reasons")
+        lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
+        lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
+        return "\n".join(lines)
+
+
+def campaign_summary(folder: JobFolder) -> CampaignSummary:
+    """Count what a campaign asks for, has finished and left out, also while it goes on."""
+    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
+    extent = CampaignRunQueue(folder, asked.runs).extent
+    report, reasons = folder.path / SKIPPED, Counter[str]()
+    if report.is_file():
+        rows = csv.DictReader(atomic_files.read(report).decode(errors="replace").splitlines())
+        reasons.update(DIGITS.sub("N", row.get("reason") or "") for row in rows)
+    return CampaignSummary(
+        campaign=folder.name,
+        runs=extent.runs,
+        runs_done=extent.runs_done,
+        objects=len({spec.object for spec in asked.runs.values()}),
+        evaluations=extent.evaluations,
+        evaluations_done=extent.done.evaluations,
+        successes=extent.done.successes,
+        grasps=extent.done.grasps,
+        skipped=reasons.total(),
+        reasons=dict(reasons.most_common()),
+    )
 
 
 def open_campaign(path: Path) -> JobFolder:
@@ -214,7 +274,7 @@ def open_campaign(path: Path) -> JobFolder:
 def knows_no_objective(path: Path) -> bool:
     """Return whether a folder's campaign was begun by a version without objectives."""
     file = path / CAMPAIGN
-    return file.is_file() and "aim_for" not in read_run_spec(file).get("defaults", {})
+    return file.is_file() and "aim_for" not in read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {})
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:

@@ -8,14 +8,19 @@ import msgspec
 import typer
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
-from qdgrasp_coordinator.campaign import campaign_file
-from qdgrasp_coordinator.campaign.campaign_file import Campaign, MassRule, read_campaign
+from qdgrasp_coordinator.campaign.campaign_file import (
+    Campaign,
+    campaign_of_meshes,
+    check_meshes,
+    read_campaign,
+)
 from qdgrasp_coordinator.campaign.campaign_folder import (
     CampaignRunQueue,
     begin_campaign,
     knows_no_objective,
     open_campaign,
 )
+from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.run_commands import check_not_stopped, resume_hint, run_job
 from qdgrasp_coordinator.local.progress import progress_display
@@ -32,11 +37,13 @@ from qdgrasp_protocol.text import counted
 def campaign(
     what: Annotated[
         Path | None,
-        typer.Argument(metavar="[FILE.toml|DIR]", help="The campaign, or the folder of one that began."),
+        typer.Argument(
+            metavar="[FILE|DIR]", help="The campaign, a manifest, or the folder of one that began."
+        ),
     ] = None,
     objects: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="In place of a file: a run of every mesh in this folder."),
+        typer.Option(metavar="DIR|FILE", help="In place of a file: a run of every mesh below a folder."),
     ] = None,
     gripper: Annotated[
         list[str] | None,
@@ -50,6 +57,11 @@ def campaign(
     ] = None,
     scale: options.Scale = None,
     units: options.Units = None,
+    simplify: options.Simplify = None,
+    remesh: options.Remesh = False,
+    hull: options.Hull = False,
+    glued: options.Glued = False,
+    skip_unusable: options.SkipUnusable = False,
     method: Annotated[
         list[str] | None, typer.Option(help="With --objects: search method; may be repeated.")
     ] = None,
@@ -81,8 +93,9 @@ def campaign(
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
     --successes and --no-new-cell replace what its [defaults] say; a [[cross]] with its own keeps that.
 
-    With --objects there is no file: every mesh in a folder is grasped. What they weigh stands in a table in
-    it, masses.csv, with the columns file and mass [kg], or is said for all of them.
+    A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
+    --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
+    said for all. With --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
@@ -98,20 +111,23 @@ def campaign(
         "grasps_per_cell": grasps_per_cell,
         "evaluations": evaluations,
     }
+    if what is not None and is_manifest(what):
+        if objects is not None:
+            raise InputError(f"'{what}' is a manifest, and --objects is a library too: give one of them.")
+        what, objects = None, what
     metres, path = scale_of(units, scale), _campaign_folder(what, objects, out)
+    prepared = options.preparation(simplify, remesh, hull, glued)
+    rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
     begun = knows_no_objective(path)
     if objects is not None:
         if what is not None:
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        values = {**keys, **goals}
-        asked = campaign_file.campaign_of_meshes(
-            objects, MassRule(mass, density), metres, values, is_begun=begun
-        )
-    elif flags := options.given(**keys, mass=mass, density=density, scale=metres):
+        asked = campaign_of_meshes(objects, rules, {**keys, **goals}, is_begun=begun)
+    elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
         raise InputError(
-            f"--{next(iter(flags))} goes with --objects DIR: a campaign's file says its own, "
+            f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its own, "
             "see docs/campaigns.md."
         )
     elif what is None:
@@ -120,14 +136,16 @@ def campaign(
         )
     else:
         file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
-        asked = read_campaign(file, is_begun=begun, goals=goals)
+        asked = read_campaign(file, is_begun=begun, goals=goals, rules=rules)
     if list_runs:
         for name, spec in asked.runs.items():
             typer.echo(f"{name}  {spec.evaluations}")
+        for left_out in asked.skipped or ():
+            typer.echo(f"left out: {left_out.object}: {left_out.reason}")
         typer.echo(asked.words)
         return
     if not JobFolder.is_job(path):
-        campaign_file.check_meshes(asked.runs.values())
+        check_meshes(asked.runs.values())
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
     config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)

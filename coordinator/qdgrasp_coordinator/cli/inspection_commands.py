@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 import typer
 
+from qdgrasp_coordinator.campaign.campaign_folder import campaign_summary
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.options import host_and_port
@@ -30,7 +31,8 @@ from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
 from qdgrasp_coordinator.report.row_report import row_report
 from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
 from qdgrasp_coordinator.verification.verify import (
@@ -47,12 +49,20 @@ if TYPE_CHECKING:
     from qdgrasp_coordinator.verification.replay_client import PictureSize
 
 
-def info(directory: options.RunDir, as_json: options.Json = False) -> None:
+def info(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a campaign.")],
+    as_json: options.Json = False,
+) -> None:
     """Say what a run is and what it has found, also while it goes on.
+
+    Of a campaign it says how much of it is done, and how many objects were left out, and why.
 
     Example: qdgrasp info runs/demo --json
     """
-    found = run_summary(RunFolder.open(directory))
+    is_campaign = JobFolder.is_job(directory) and (directory / CAMPAIGN).is_file()
+    found = (
+        campaign_summary(JobFolder.open(directory)) if is_campaign else run_summary(RunFolder.open(directory))
+    )
     typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 

@@ -39,9 +39,10 @@ def check(
     mass: Annotated[
         float | None, typer.Option(metavar="KG", help="What it weighs; a run of it needs that.")
     ] = None,
-    glued: Annotated[
-        bool, typer.Option("--glued", help="Bodies that are apart are meant to be one rigid object.")
-    ] = False,
+    simplify: options.Simplify = None,
+    remesh: options.Remesh = False,
+    hull: options.Hull = False,
+    glued: options.Glued = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw it and its convex parts, or where it is open.")
     ] = None,
@@ -62,8 +63,10 @@ def check(
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
 
-    Seams, empty triangles and windings are put right, in every run as here. Holes are filled only where that
-    is asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be used.
+    Seams, empty triangles and windings are put right, in every run as here. --simplify, --remesh and --hull
+    are ways out for meshes that cannot be used as they are, and flags of a run too. Holes are filled only
+    where that is asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be
+    used.
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
@@ -74,7 +77,8 @@ def check(
     if repaired is not None:
         writing = OutFile(repaired, "name another path with --repaired", WRITABLE_FORMATS, force=None)
         writing.check()
-    draft = read_draft(path, metres, fill_holes=fill_holes)
+    prepared = options.preparation(simplify, remesh, hull, glued)
+    draft = read_draft(path, metres, prepared, fill_holes=fill_holes)
     with nullcontext(ignore_progress) if as_json else progress_messages() as tell:
         tell("looking at its surface")
         found = inspect_object(
@@ -91,8 +95,20 @@ def check(
     for line in _made(found, draft, path, drawing, writing):
         typer.echo(line, err=as_json)
     asset_commands.refuse_faulty("object", found)
-    used, used_scale = (file, metres) if repaired is None else (str(repaired), None)
-    typer.echo(f"next: {_next(used, used_scale, mass)}", err=as_json)
+    if repaired is None:
+        changes: dict[str, int | None] = {
+            "--simplify": simplify,
+            "--remesh": remesh,
+            "--hull": hull,
+            "--glued": glued,
+        }
+        used, used_scale = file, metres
+    else:
+        used, used_scale, changes = str(repaired), None, {"--glued": glued}
+    flags = "".join(
+        f" {flag}" if value is True else f" {flag} {value}" for flag, value in changes.items() if value
+    )
+    typer.echo(f"next: {_next(used, used_scale, mass)}{flags}", err=as_json)
 
 
 def _found(file: str) -> Path:

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.spec import DEVICE_ENGINE
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.spec import DEVICE_ENGINE, MeshPreparation
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
@@ -19,6 +19,21 @@ Units = Annotated[
     str | None, typer.Option(metavar="mm|cm|m|in", help="The unit of the mesh file, for --scale.")
 ]
 Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
+Simplify = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=20, max=500_000, help="Simplify the mesh to at most N triangles."),
+]
+Remesh = Annotated[
+    bool, typer.Option("--remesh", help="Make a new closed surface around what the mesh file holds.")
+]
+Hull = Annotated[bool, typer.Option("--hull", help="Take the convex hull of the mesh in its place.")]
+Glued = Annotated[
+    bool, typer.Option("--glued", help="Bodies that are apart are meant to be one rigid object.")
+]
+SkipUnusable = Annotated[
+    bool,
+    typer.Option("--skip-unusable", help="Go on without objects that cannot be used, and report them."),
+]
 ProtocolOption = Annotated[
     str | None,
     typer.Option(
@@ -117,6 +132,17 @@ def worker_count(workers: int | None, *engines: str | None) -> int:
 def given(**values: Any) -> dict[str, Any]:
     """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
+
+
+def preparation(simplify: int | None, remesh: bool, hull: bool, glued: bool) -> MeshPreparation | None:
+    """Return the changes of a mesh that flags ask for; None without such a flag.
+
+    Raises InputError for flags that exclude each other.
+    """
+    asked = MeshPreparation(simplify=simplify, remesh=remesh, hull=hull, glued=glued)
+    if remesh and hull:
+        raise InputError("--remesh and --hull each replace the mesh by another one: give one of them.")
+    return None if asked == MeshPreparation() else asked
 
 
 def host_and_port(text: str) -> tuple[str, int]:

@@ -26,7 +26,7 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 HAND_ORDER = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
 """The paper's order of the hands; others follow."""
-GROUP_KEYS = {"gripper", "object", "protocol", "engine", "method", "seed", "evaluations"}
+GROUP_KEYS = {"gripper", "object", "about", "protocol", "engine", "method", "seed", "evaluations"}
 """Keys of a spec that name the group of a run, or may differ between its runs."""
 SPEC_UNITS = {"mass": " kg"}
 SPEC_DEFAULTS = {
@@ -189,6 +189,8 @@ def _settings(spec: RunSpec) -> dict[str, Any]:
     values = {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
     if spec.first_weights is not None:
         values["first_weights"] = hashlib.sha256(repr(spec.first_weights).encode()).hexdigest()[:8]
+    if spec.mesh is not None:
+        values["mesh"] = ", ".join(spec.mesh.words)
     return values | ({"aim_for": spec.aim_for or "touch"} if METHODS[spec.method].aim_for else {})
 
 

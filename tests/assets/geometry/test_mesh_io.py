@@ -16,16 +16,19 @@ from qdgrasp_assets.geometry.mesh_io import (
     LARGEST_FILE,
     UNITS,
     WRITABLE_FORMATS,
+    linked_files,
     read_mesh_file,
     scale_advice,
     scale_in_words,
     scale_of,
+    stated_triangles,
     to_bytes,
 )
 from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_model import read_draft, read_solid
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import MeshPreparation, RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
 MILLIMETRES = """<?xml version="1.0" encoding="utf-8"?>
@@ -212,3 +215,77 @@ def test_a_pipe_in_the_place_of_materials_is_left_aside(tmp_path):
     text = trimesh.creation.box(BLOCK).export(file_type="obj")
     (tmp_path / "part.obj").write_text(f"mtllib pipe.stl\nusemtl red\n{text}")
     assert read_mesh_file(tmp_path / "part.obj").mesh.extents == pytest.approx(BLOCK)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".off", ".glb", ".gltf"])
+def test_a_header_states_as_many_triangles_as_are_read(tmp_path, suffix):
+    path = tmp_path / f"ball{suffix}"
+    if suffix == ".gltf":
+        for name, content in trimesh.exchange.gltf.export_gltf(trimesh.creation.icosphere().scene()).items():
+            (tmp_path / name.replace("model.gltf", path.name)).write_bytes(content)
+    else:
+        trimesh.creation.icosphere().export(path)
+    assert stated_triangles(path) == len(read_mesh_file(path).mesh.faces) == 1280
+
+
+BOX_PLY = b"ply\nformat ascii 1.0\nelement vertex 8\n"
+GLB_HEAD = b"glTF\x02\0\0\0\x28\0\0\0"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("text.stl", b"solid ball\n" + b"facet normal 0 0 1\n" * 9),
+        ("short.stl", b"\0" * 20),
+        ("long.stl", b"\0" * 80 + b"\xff" * 4 + b"\0" * 50),
+        ("ball.obj", b"v 0 0 0\nf 1 1 1\n"),
+        ("none.ply", BOX_PLY + b"end_header\nelement face 99999999\n"),
+        ("letters.ply", BOX_PLY + b"element face many\nend_header\n"),
+        ("words.off", b"OFF\neight twelve\n"),
+        ("short.glb", b"glT"),
+        ("huge.glb", GLB_HEAD + b"\xff\xff\xff\xffJSON{}"),
+        ("list.glb", GLB_HEAD + b"\x02\0\0\0JSON[]"),
+        (
+            "odd.glb",
+            GLB_HEAD + b"\x3a\0\0\0JSON" + b'{"accessors": [], "meshes": [{"primitives": [{"mode":4}]}]}',
+        ),
+        ("text.gltf", b"\xff\xfe no json"),
+    ],
+)
+def test_a_header_that_is_none_states_nothing(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert stated_triangles(tmp_path / name) is None
+    with pytest.raises(AssetError):
+        read_solid(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".glb"])
+def test_what_is_too_large_by_its_header_is_refused_before_it_is_read(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"ball{suffix}"
+    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(path)
+    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
+    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_PREPARED", 5000)
+    monkeypatch.setattr(mesh_io, "_load_scene", lambda path: pytest.fail("it was read"))
+    with pytest.raises(AssetError, match=r"5120 triangles, and at most 1000 .* with --simplify 20000"):
+        read_draft(path)
+    with pytest.raises(AssetError, match=r"5120 triangles, and at most 5000 .*in the program that made it"):
+        read_draft(path, preparation=MeshPreparation(simplify=100))
+
+
+def test_a_large_mesh_is_simplified_where_that_is_asked_for(tmp_path, monkeypatch):
+    path = tmp_path / "ball.ply"
+    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(path)
+    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
+    found = read_draft(path, preparation=MeshPreparation(simplify=800))
+    assert (found.faults, found.repairs) == ((), ("simplified from 5120 to 800 triangles",))
+
+
+def test_files_beside_a_gltf_are_part_of_its_content(tmp_path, monkeypatch):
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    for name, content in trimesh.exchange.gltf.export_gltf(trimesh.creation.box(BLOCK).scene()).items():
+        (tmp_path / name).write_bytes(content)
+    file = tmp_path / "model.gltf"
+    assert not check_mesh(file).faults
+    for other in linked_files(file):
+        other.unlink()
+    assert check_mesh(file).faults

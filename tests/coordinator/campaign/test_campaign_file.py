@@ -9,7 +9,6 @@ import trimesh
 
 from qdgrasp_assets import ycb
 from qdgrasp_coordinator.campaign.campaign_file import (
-    MassRule,
     campaign_of_meshes,
     check_meshes,
     is_campaign,
@@ -17,6 +16,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
     read_campaign,
     run_name,
 )
+from qdgrasp_coordinator.campaign.object_library import LibraryRules
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.errors import (
@@ -247,7 +247,7 @@ def test_every_campaign_that_we_ship_can_be_carried_out_on_stand_ins(file, monke
 
 BLOCK = (0.02, 0.03, 0.05)
 SAID = {"gripper": ["panda"], "method": None, "evaluations": 50}
-WATER = MassRule(density=1000.0)
+WATER, IN_MM = LibraryRules(density=1000.0), LibraryRules(density=1000.0, scale=0.001)
 
 
 @pytest.fixture
@@ -268,7 +268,7 @@ def table(folder: Path, *lines: str) -> None:
 
 def test_every_mesh_has_its_run_with_the_mass_that_the_table_or_its_volume_gives_it(parts):
     table(parts, "lever arm.stl, 0.2")
-    runs = campaign_of_meshes(parts, WATER, 0.001, SAID).runs
+    runs = campaign_of_meshes(parts, IN_MM, SAID).runs
     assert {name: (Path(spec.object).name, spec.mass, spec.scale) for name, spec in runs.items()} == {
         "panda-b-gel-aimed-s0": ("Bügel.ply", pytest.approx(0.03), 0.001),
         "panda-lever-arm-aimed-s0": ("lever arm.stl", 0.2, 0.001),
@@ -277,7 +277,7 @@ def test_every_mesh_has_its_run_with_the_mass_that_the_table_or_its_volume_gives
 
 
 def test_the_campaigns_file_asks_for_the_same_runs(parts, tmp_path):
-    asked = campaign_of_meshes(parts, MassRule(mass=0.4), 0.001, SAID)
+    asked = campaign_of_meshes(parts, LibraryRules(mass=0.4, scale=0.001), SAID)
     file = tmp_path / "campaign.toml"
     file.write_text(asked.toml, encoding="utf-8")
     assert read_campaign(file).runs == asked.runs
@@ -292,7 +292,7 @@ def test_all_that_is_wrong_is_named_at_once(parts):
     block.apply_scale(1000).export(parts / "lever-arm.obj")
     table(parts, "lever arm.stl,0", "lost.stl,1")
     with pytest.raises(UnusableMeshes) as refused:
-        campaign_of_meshes(parts, MassRule(), 0.001, SAID)
+        campaign_of_meshes(parts, LibraryRules(scale=0.001), SAID)
     first, *others = str(refused.value).split("\n")
     assert first.startswith("6 of 6 meshes cannot be used as they are, and nothing was begun; ")
     told = dict(line.strip().split(": ", 1) for line in others)
@@ -300,13 +300,13 @@ def test_all_that_is_wrong_is_named_at_once(parts):
     assert "is empty: the file has no bytes" in told["empty.stl"]
     assert told["lever arm.stl"] == "its mass must be more than 0 and at most 1000 kg, got 0"
     assert told["lever-arm.obj"].startswith("its runs would be called as those of 'lever arm.stl'")
-    assert told["Bügel.ply"].startswith("it has no mass: say what it weighs with --mass or --density")
+    assert told["Bügel.ply"].startswith("it has no mass; say what it weighs with --mass or --density")
     assert told["lost.stl"] == "masses.csv names it, and there is no such mesh"
 
 
 def test_meshes_in_millimetres_are_told_with_the_flag_that_helps(parts):
     with pytest.raises(UnusableMeshes, match=r"2 of 2 .*\n  .*add --units mm\n  .*add --units mm"):
-        campaign_of_meshes(parts, WATER, None, SAID)
+        campaign_of_meshes(parts, WATER, SAID)
 
 
 @pytest.mark.parametrize(
@@ -315,14 +315,14 @@ def test_meshes_in_millimetres_are_told_with_the_flag_that_helps(parts):
 def test_a_table_that_is_none_is_described(parts, text):
     (parts / "masses.csv").write_text(text)
     with pytest.raises(InputError, match=r"is no table of masses: it begins with the line `file,mass`"):
-        campaign_of_meshes(parts, WATER, 0.001, SAID)
+        campaign_of_meshes(parts, IN_MM, SAID)
 
 
 def test_a_folder_without_a_mesh_is_named(tmp_path):
     with pytest.raises(InputError, match=r"There is no mesh in .*: name a folder of files such as \.stl"):
-        campaign_of_meshes(tmp_path, WATER, None, SAID)
+        campaign_of_meshes(tmp_path, WATER, SAID)
     with pytest.raises(InputError, match=r"There is no folder of meshes at '.*nowhere'"):
-        campaign_of_meshes(tmp_path / "nowhere", WATER, None, SAID)
+        campaign_of_meshes(tmp_path / "nowhere", WATER, SAID)
 
 
 def cross(**objects: dict[str, object]) -> dict[str, object]:
@@ -347,7 +347,9 @@ def test_what_a_crossing_says_comes_before_what_is_known():
 def test_what_is_known_of_no_object_is_refused():
     with pytest.raises(InputError, match=r"says what is known of 'mugg', which no run grasps"):
         make_campaign(cross(mugg={"mass": 0.3}), "c.toml")
-    with pytest.raises(UnknownKey, match=r"objects\.'mug': unknown key 'weight'.* friction, mass, scale"):
+    with pytest.raises(
+        UnknownKey, match=r"objects\.'mug': unknown key 'weight'.* about, friction, mass, mesh, scale"
+    ):
         make_campaign(cross(mug={"weight": 0.3}), "c.toml")
 
 

@@ -217,3 +217,20 @@ def test_a_name_of_the_catalog_is_no_file(check):
     assert str(done.exception) == (
         "'mug' is an object of the catalog, no file; `qdgrasp asset check mug` checks it."
     )
+
+
+@pytest.mark.parametrize("way", ["--remesh", "--hull"])
+def test_a_mesh_that_cannot_be_used_has_a_way_out(check, tmp_path, way):
+    trimesh.Trimesh(block().vertices, block().faces[2:], process=False).export(tmp_path / "part.ply")
+    assert isinstance(check("part.ply", "--no-parts").exception, AssetError)
+    done = check("part.ply", "--mass", 0.1, "--no-parts", way, "--simplify", 500)
+    assert done.exit_code == 0
+    assert f"--object part.ply --mass 0.1 --simplify 500 {way}" in done.stdout
+    assert "repaired" in done.stdout
+
+
+def test_a_mesh_that_is_written_needs_no_way_out_again(check, tmp_path):
+    trimesh.Trimesh(block().vertices, block().faces[2:], process=False).export(tmp_path / "part.ply")
+    done = check("part.ply", "--mass", 0.1, "--no-parts", "--hull", "--repaired", "hull.stl")
+    assert "next: qdgrasp run --gripper panda --object hull.stl --mass 0.1\n" in done.stdout
+    assert check("hull.stl", "--no-parts").exit_code == 0
