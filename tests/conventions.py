@@ -21,7 +21,7 @@ ROOMS = ("protocol", "assets", "worker", "coordinator")
 MOST_MODULES = (
     250  # 5 for recorded contacts, margins and `physical`, 6 for value, kinds and trials, 6 for engines
 )
-MOST_LINES = 49_500
+MOST_LINES = 49_600
 MOST_TEST_FILES = 278
 MOST_TEST_LINES = 49_500
 MOST_SCRIPTS = 24

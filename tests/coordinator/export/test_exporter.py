@@ -17,7 +17,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
-from qdgrasp_coordinator.export.grasp_set import read_run
+from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -60,7 +60,6 @@ def test_it_is_told_what_is_begun_with(run, tmp_path, monkeypatch) -> None:
     assert command(run.path, "--format", "csv", "-o", tmp_path / "out").exit_code == 0
     assert told == [
         f"reading {run.path}",
-        "choosing from 6 evaluations",
         f"writing 4 evaluations to {tmp_path / 'out'}",
     ]
 
@@ -122,7 +121,8 @@ def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(run, t
 def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(run, tmp_path) -> None:
     out = tmp_path / "out"
     assert refusal(run.path, "isac", out) == (
-        "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet."
+        "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet, "
+        "webdataset."
     )
     assert refusal(run.path, "csv", out, "--frame", "world") == ("Unknown frame 'world'. Known: com, mesh.")
     assert "no place for failures" in refusal(run.path, "isaac", out, "--negatives", 1)
