@@ -143,7 +143,7 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
 def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
     job = JobFolder.create(tmp_path / "job", "job")
     out = tmp_path / "out"
-    assert "holds a campaign; name one of its runs" in refusal(job.path, "csv", out)
+    assert "has no grasp to write" in refusal(job.path, "csv", out)
     assert "holds no run" in refusal(tmp_path, "csv", out)
     assert "There is no folder" in refusal(tmp_path / "none", "csv", out)
     (run.path / "scene.bundle").unlink()
