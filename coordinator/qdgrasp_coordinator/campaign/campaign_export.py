@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -328,11 +328,14 @@ class DatasetWriter:
         for part in chosen.after(first):
             if is_stopped():
                 return False
-            shard, name = self._open_shard(begin)
+            table = None
+            if self._form.name == "parquet":
+                table = grasp_table(part, metadata.frame, {METADATA_KEY: DATASET_WORDS}, same)
+            shard, name = self._open_shard(begin, table)
             if isinstance(shard, TarShard):
                 shard.add(f"{run.run}-{first:09}", part, metadata.frame, about)
             else:
-                shard.add(grasp_table(part, metadata.frame, {METADATA_KEY: DATASET_WORDS}, same))
+                shard.add(table)
             first += len(part)
             files += [] if name in files else [name]
             if shard.size >= self._shard_bytes:
@@ -341,23 +344,26 @@ class DatasetWriter:
         self._waiting.append(msgspec.structs.replace(entry, files=tuple(files)))
         return True
 
-    def _open_shard(self, begin: str) -> tuple[ParquetShard | TarShard, str]:
-        """Return the open shard, or a new one, and its name when it is complete."""
+    def _open_shard(self, begin: str, table: Any) -> tuple[ParquetShard | TarShard, str]:
+        """Return the open shard, or a new one, for a table, and its name when it is complete."""
+        if self._shard and isinstance(self._shard[1], ParquetShard) and not self._shard[1].fits(table):
+            self._end_shard()  # a hand of the same name with other joints
         if self._shard is None:
             path = self._path / UNFINISHED / f"shard{self._form.suffix}"
-            shard: TarShard | ParquetShard = (
-                TarShard(path) if self._form.suffix == ".tar" else ParquetShard(path)
-            )
+            shard = TarShard(path) if self._form.suffix == ".tar" else ParquetShard(path)
             stack = ExitStack()
-            stack.push(shard)
+            stack.push(shard.__exit__)
             self._shard = begin, shard, stack
-        return self._shard[1], f"{begin}-{self._numbers.get(begin, 0):05}{self._form.suffix}"
+        return self._shard[1], self._shard_name(begin)
+
+    def _shard_name(self, begin: str) -> str:
+        return f"{begin}-{self._numbers.get(begin, 0):05}{self._form.suffix}"
 
     def _end_shard(self, open_run: PartialRun | None = None) -> None:
         """Complete the open shard, if there is one, and record it."""
         if self._shard is not None:
             begin, _, stack = self._shard
-            name = self._open_shard(begin)[1]
+            name = self._shard_name(begin)
             stack.close()
             self._shard = None
             self._place(self._path / UNFINISHED / f"shard{self._form.suffix}", self._path / name)

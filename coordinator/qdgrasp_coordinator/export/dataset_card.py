@@ -143,11 +143,11 @@ READERS = {
 import pandas
 
 index = pandas.read_csv("index.csv")
-for hand in index.gripper[index.rows > 0].unique():
-    name = index.files[(index.gripper == hand) & (index.rows > 0)].iloc[0].split()[0]
-    grasps = pandas.read_parquet(name)          # one of glob.glob("data/HAND/*.parquet")
-    poses = grasps[["x", "y", "z", "qx", "qy", "qz", "qw"]].to_numpy()
-    print(hand, grasps.object.unique(), poses.shape, grasps.confidence.max())
+print(index.groupby(["gripper", "split"], dropna=False)[["rows", "grasps", "robust"]].sum())
+for name in sorted(glob.glob("data/*/*.parquet")):
+    grasps = pandas.read_parquet(name)
+    poses = grasps[["x", "y", "z", "qx", "qy", "qz", "qw"]].to_numpy()          # (n, 7)
+    print(name, grasps.object.nunique(), poses.shape, grasps.confidence.max())
 """,
     "acronym": """import h5py
 import pandas

@@ -180,6 +180,10 @@ class ParquetShard:
         if sum(map(len, self._waiting)) >= ROW_GROUP:
             self._write()
 
+    def fits(self, table: Any) -> bool:
+        """Return whether a table has the columns of the first one."""
+        return self._writer is None or self._writer.schema.names == table.schema.names
+
     @property
     def size(self) -> int:
         """Bytes that are in the file by now, up to a row group less than there will be."""

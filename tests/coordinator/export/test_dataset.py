@@ -15,8 +15,10 @@ import pandas
 import pyarrow.parquet
 import pytest
 import yaml
-from tests.coordinator.export.conftest import MakeRun
+from msgspec.structs import replace
+from tests.coordinator.export.conftest import MakeRun, random_rows
 from tests.coordinator.export.independent_readers import webdataset
+from tests.coordinator.recorded_runs import record
 from typer.testing import CliRunner
 
 import qdgrasp
@@ -271,6 +273,22 @@ def test_the_head_of_the_card_names_the_tables_of_the_hub(campaign: JobFolder, t
     assert "| CC0 | 1 |" in text
     for word in ("protocol `paper`, engine `bullet`", "a finger touches the object", "How to cite"):
         assert word in text
+
+
+def test_hands_of_one_name_with_other_joints_do_not_share_a_shard(campaign, scene, tmp_path) -> None:
+    other = replace(scene.gripper.joints[0], name="thumb")
+    hand = replace(scene.gripper, joints=(other, *scene.gripper.joints[1:]))
+    rows = random_rows(scene, [Outcome.HELD] * 5)
+    run = record(
+        tmp_path / "made", replace(scene, gripper=hand), rows, method="contact_rand", object="cow.stl"
+    )
+    (run.path / "job.json").unlink()
+    shutil.move(run.path, campaign.run_path("jaw-cow-s0"))
+    export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
+    shards = sorted((tmp_path / "out" / "data" / "jaw").glob("train-*"))
+    tables = [pandas.read_parquet(path) for path in shards]
+    assert [sorted(set(table.object)) for table in tables] == [["block"], ["cow"], ["cup"]]
+    assert ["joint.thumb" in table for table in tables] == [False, True, False]
 
 
 def test_meshes_are_copied_once_for_each_object_if_asked_for(campaign, tmp_path) -> None:
