@@ -17,7 +17,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
-from qdgrasp_coordinator.export.grasp_reader import read_run
+from qdgrasp_coordinator.export.grasp_reader import GraspReader, read_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -221,3 +221,21 @@ def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Pa
     np.testing.assert_allclose(grasps.confidence, [0.75, 0.2, 1.0])
     export_run(run, tmp_path / "out", "csv", top=1)
     assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
+
+
+def test_grasps_read_by_number_are_those_of_the_whole_with_their_etas(scene, tmp_path) -> None:
+    settings = {"method": "contact_rand", "protocol": "robust", "evaluations": 3, "overlaps": "count"}
+    parts = []
+    for seed in (0, 1):
+        rows = random_rows(scene, [Outcome.HELD] * 3, seed)
+        journal = np.concatenate([rows, trials_of(rows, [150, 40 + 20 * seed, 90])])
+        parts.append(record(tmp_path / f"run{seed}", scene, journal, **settings))
+    merge_runs(parts, tmp_path / "all")
+    folder = RunFolder.open(tmp_path / "all")
+    whole, order = read_run(folder), np.array([4, 0, 5, 1, 3, 2])
+    assert np.unique(whole.eta).size > 3
+    with folder.journal() as journal:
+        found = GraspReader(folder, journal).at(whole.numbers[order])
+    assert found.origins.tolist() == [1, 0, 1, 0, 1, 0]
+    for name in ("rows", "eta", "trials", "starts", "numbers"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[order])
