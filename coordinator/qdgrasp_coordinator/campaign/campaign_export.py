@@ -30,7 +30,7 @@ from qdgrasp_coordinator.export.dataset_card import (
     DatasetOptions,
     IndexEntry,
     ObjectFacts,
-    read_object_facts,
+    object_facts,
     write_card,
     write_index,
 )
@@ -244,7 +244,6 @@ class DatasetWriter:
         return sorted(runs, key=lambda run: run.run != begun)  # its other rows come before those of others
 
     def _runs(self, done: set[str]) -> Iterator[DatasetRun]:
-        facts = read_object_facts(self._campaign)
         for path in self._campaign.run_paths:
             if path.name in done:
                 continue
@@ -253,7 +252,7 @@ class DatasetWriter:
             except FolderError as error:
                 self._left_out[path.name] = str(error)
                 continue
-            found = facts(spec)
+            found = object_facts(spec)
             object_ = found.id or asset_name(spec.object)
             split = found.split or split_of(object_, self._options.shares)
             yield DatasetRun(asset_name(spec.gripper), split, object_, path.name, found)

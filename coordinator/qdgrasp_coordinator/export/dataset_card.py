@@ -22,10 +22,8 @@ from qdgrasp_coordinator.export.metadata import (
     UNITS,
 )
 from qdgrasp_coordinator.export.tabular import JOINT, PREGRASP
-from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import RunSpec, read_run_spec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 CARD, INDEX_CSV, INDEX_PARQUET = "README.md", "index.csv", "index.parquet"
@@ -42,16 +40,10 @@ class ObjectFacts(Struct, frozen=True):
     split: str = ""
 
 
-def read_object_facts(campaign: JobFolder) -> Callable[[RunSpec], ObjectFacts]:
-    """Return a function from a spec to its object's facts, as the campaign's file has them."""
-    file = campaign.path / CAMPAIGN
-    tables = read_run_spec(file).get("objects", {}) if file.is_file() else {}
-
-    def facts(spec: RunSpec) -> ObjectFacts:
-        table = tables.get(spec.object, {})
-        return ObjectFacts(**{name: str(table.get(name, "")) for name in ObjectFacts.__struct_fields__})
-
-    return facts
+def object_facts(spec: RunSpec) -> ObjectFacts:
+    """Return what a spec says about its object, in its key `about` where it has one."""
+    about = getattr(spec, "about", None)
+    return ObjectFacts(**{name: getattr(about, name, "") for name in ObjectFacts.__struct_fields__})
 
 
 class DatasetOptions(Struct, frozen=True, kw_only=True):

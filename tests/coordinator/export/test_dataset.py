@@ -26,10 +26,10 @@ from qdgrasp_coordinator.campaign import campaign_export
 from qdgrasp_coordinator.campaign.campaign_export import export_campaign, parse_shares, split_of
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export import grasp_reader, grasp_set
+from qdgrasp_coordinator.export.dataset_card import ObjectFacts
 from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, read_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome
@@ -37,13 +37,15 @@ from qdgrasp_protocol.rows import Outcome
 FORMATS = ("parquet", "graspgen", "acronym", "isaac", "webdataset")
 OBJECTS = ("cup", "block", "ball")
 GRASPS = GraspChoice()
-TABLES = '[objects."ball.stl"]\ncategory = "toy"\nlicence = "CC0"\nsource = "shop"\nsplit = "test"\n'
+BALL = ObjectFacts(category="toy", licence="CC0", source="shop", split="test")
 
 
 @pytest.fixture
-def campaign(make_run: MakeRun, tmp_path: Path) -> JobFolder:
-    """Three objects with two seeds each; of each two rows of every outcome."""
-    job = JobFolder.create(tmp_path / "campaign", "campaign", {CAMPAIGN: TABLES.encode()})
+def campaign(make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> JobFolder:
+    """Three objects with two seeds each; of each two rows of every outcome. Facts are known of the ball."""
+    facts = {"ball.stl": BALL}
+    monkeypatch.setattr(campaign_export, "object_facts", lambda spec: facts.get(spec.object, ObjectFacts()))
+    job = JobFolder.create(tmp_path / "campaign", "campaign")
     for number, name in enumerate(OBJECTS):
         for seed in (0, 1):
             run = make_run(
