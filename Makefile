@@ -1,17 +1,24 @@
-# Everything a person types. `make demo` and `make test` need Python 3.11 with its venv module, and nothing else.
+# Everything a person types. `make demo` and `make test` need Python from 3.11 on with its venv module, and nothing
+# else; 3.11 is taken where it is found, for it is the last that PyBullet has a wheel for.
 VENV := .venv
 BIN := $(VENV)/bin
-IS_3_11 := import sys; sys.exit(sys.version_info[:2] != (3, 11))
-PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11)" 2>/dev/null && echo $$name && break; done)
+first_python = $(shell for name in python3.11 python3 python python3.14 python3.13 python3.12; do \
+  $$name -c "import sys; sys.exit(not sys.version_info[:2] $(1))" 2>/dev/null && echo $$name && break; done)
+PYTHON ?= $(or $(call first_python,== (3, 11)),$(call first_python,> (3, 11)))
 
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
+# Half a minute of what does without PyBullet: the physics in MuJoCo, decoding, records, and a run to its end.
+WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage tests/system/test_without_bullet.py \
+  $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start syntax_digest))
 
-.PHONY: help demo test test-slow test-docs check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
+.PHONY: help demo test test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
+	@echo "make test-mujoco   quick tests of what works without PyBullet; CI runs them in a later Python too (.ci/later)"
+	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device: no GPU is needed (.venv-gpu)"
 	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
@@ -30,11 +37,20 @@ demo: $(VENV)/.installed
 test: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
 
+test-mujoco: $(VENV)/.ready
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" $(WITHOUT_BULLET)
+
 test-slow: $(VENV)/.ready
 	$(BIN)/python -m pytest -m slow
 
 test-docs: $(VENV)/.ready $(VENV)/.docs
 	$(BIN)/python -m pytest tests/docs tests/examples
+
+comma := ,
+# In an environment of its own: mujoco-warp takes other versions of MuJoCo than the usual workers.
+test-gpu:
+	@$(MAKE) --no-print-directory VENV=.venv-gpu .venv-gpu/.gpu
+	.venv-gpu/bin/python -m pytest tests/worker/engines
 
 check: $(VENV)/.ready
 	$(BIN)/ruff format --check .
@@ -83,7 +99,7 @@ lock: $(VENV)/.ready
 	$(LOCK) deploy/container/build.in --output-file deploy/container/build.txt
 
 clean:
-	rm -rf $(VENV) .site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) .venv-gpu .site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
 define install
 	@echo "Installing into $(VENV) (once; a minute or two) ..." >&2
@@ -99,13 +115,19 @@ $(VENV)/.ready: pyproject.toml | $(BIN)/python
 	$(call install,.[dev])
 	@touch $(VENV)/.installed
 
+$(VENV)/.gpu: pyproject.toml | $(BIN)/python
+	$(call install,.[dev$(comma)gpu])
+
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(call install,.[docs])
 	@touch $(VENV)/.installed
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { \
-	  echo "qdgrasp needs Python 3.11 (PyBullet has wheels for it and none for later ones), and found none" \
-	    "as python3.11 or python3; name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 2; }
+	  echo "qdgrasp needs Python 3.11 or later, and found none as python3.11, python3 or python;" \
+	    "name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 2; }
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] > (3, 11))" || \
+	  echo "PyBullet has no wheel for $$($(PYTHON) --version): MuJoCo alone is there (--engine mujoco)," \
+	    "until '$(BIN)/pip install pybullet' has built it with a C++ compiler." >&2
 	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
-	  echo "$(PYTHON) could not make an environment in $(VENV); on Debian: apt install python3.11-venv" >&2; exit 2; }
+	  echo "$(PYTHON) could not make an environment in $(VENV); on Debian: apt install python3-venv" >&2; exit 2; }

@@ -148,11 +148,12 @@ def arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--overlaps", choices=("count", "redraw"), help="as the method has it")
     parser.add_argument("--protocol", default="released")
+    parser.add_argument("--engine", help="bullet unless said; two as in bullet,mujoco")
     return parser
 
 
 def asked_spec(asked: argparse.Namespace) -> RunSpec:
-    names = ("gripper", "object", "method", "evaluations", "seed", "overlaps", "protocol")
+    names = ("gripper", "object", "method", "evaluations", "seed", "overlaps", "protocol", "engine")
     values = {name: getattr(asked, name) for name in names}
     return full_spec({name: value for name, value in values.items() if value is not None})
 

@@ -14,7 +14,7 @@ from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, has_bullet
 
 SPEC = {"gripper": "panda", "object": "mug", "evaluations": 3000}
 MARKER = ".qdgrasp-demo"
@@ -22,10 +22,11 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 
 
 @app.command()
-def demo(out: Path = Path("runs/demo"), engine: str = DEFAULT_ENGINE) -> None:
+def demo(out: Path = Path("runs/demo"), engine: str | None = None) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    spec = full_spec(RUN_DEFAULTS | SPEC | {"engine": engine})
+    chosen = engine or (DEFAULT_ENGINE if has_bullet() else "mujoco")
+    spec = full_spec(RUN_DEFAULTS | SPEC | {"engine": chosen})
     start_run(spec, out, LocalJobConfig(options.cores()), begun=mark)
     picture = out / "grasps.png"
     folder = RunFolder.open(out)

@@ -1,5 +1,6 @@
 import os
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,29 @@ LONG = ("worker", "simulation", "assets")
 """Where modules take long: they come before the many short ones, with which all processes end together."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
+HAS_BULLET = find_spec("pybullet") is not None
+SAYS_MISSING = ("PyBullet is not installed", "No module named 'pybullet'", "import of pybullet halted")
+"""Words of a test or a module that came to Bullet, where it is not installed."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[Any]:
+    """Without PyBullet, a test that comes to it is skipped."""
+    return skip_without_bullet((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[Any]:
+    """Without PyBullet, modules of tests that import it are skipped."""
+    return skip_without_bullet((yield))
+
+
+def skip_without_bullet(report: Any) -> Any:
+    """A report, as skipped where what failed was Bullet that is missing."""
+    said = "".join([report.longreprtext, *(text for _, text in report.sections)]) if report.failed else ""
+    if not HAS_BULLET and any(words in said for words in SAYS_MISSING):
+        report.outcome, report.longrepr = "skipped", (report.nodeid, 0, "Skipped: PyBullet is not installed")
+    return report
 
 
 @pytest.fixture(autouse=True)

@@ -19,11 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = (
-    250  # 5 for recorded contacts, margins and `physical`, 6 for value, kinds and trials, 6 for engines
+    252  # 5 for recorded contacts, margins and `physical`, 6 for value, kinds and trials, 6 for engines
 )
-MOST_LINES = 49_600
-MOST_TEST_FILES = 278
-MOST_TEST_LINES = 49_500
+MOST_LINES = 51_400
+MOST_TEST_FILES = 282
+MOST_TEST_LINES = 49_900
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500

@@ -45,7 +45,12 @@ def test_every_package_that_a_run_needs_stands_in_the_notices() -> None:
 
 
 @pytest.mark.parametrize(
-    ("extra", "heading"), [("dev", "tests and checks only"), ("docs", "the documentation site only")]
+    ("extra", "heading"),
+    [
+        ("dev", "tests and checks only"),
+        ("docs", "the documentation site only"),
+        ("gpu", "the engine mujoco-warp only"),
+    ],
 )
 def test_every_package_that_tests_or_the_site_need_stands_in_the_notices(extra: str, heading: str) -> None:
     needed = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"][extra]

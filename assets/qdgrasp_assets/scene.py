@@ -170,7 +170,7 @@ class Scene(Struct, frozen=True, kw_only=True):
     base: str = "paper"
     """The protocol that the trials of `robust` disturb."""
     engine: str | None = None
-    """The physics engine; None: Bullet."""
+    """The physics engine, or two in their order, as "bullet,mujoco"; None: Bullet."""
     gripper: SceneGripper
     object: SceneObject
     points: bytes

@@ -182,11 +182,11 @@ def met_trials(scene: Scene, genomes: NDArray[np.float32]) -> Arrays:
     protocol, poses = scene_protocol(scene), Decoder(scene, GIVEN, ObjectSurface(scene))(genomes)
     walking, simulating = 0.0, dict.fromkeys(ARRIVALS, 0.0)
     with closing(Evaluator(scene)) as evaluator:
-        episode = PhysicalEpisode(evaluator._world, protocol, evaluator._contact_filter)
+        episode = PhysicalEpisode(evaluator._worlds[0], protocol, evaluator._contact_filter)
         for i, number in np.ndindex(shape):
             trial = protocol.trial(poses[i], number + 1)
             started = time.process_time()
-            path, clear = clear_places(evaluator._world, episode, trial)
+            path, clear = clear_places(evaluator._worlds[0], episode, trial)
             walking += time.process_time() - started
             last = len(path) - 1
             first_blocked = clear.index(False) if False in clear else len(path)

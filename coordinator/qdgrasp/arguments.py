@@ -19,7 +19,7 @@ from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
 from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
-from qdgrasp_protocol.spec import BaseName, EngineName, ProtocolName, RunSpec, run_spec
+from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec
 
 Made = TypeVar("Made")
 
@@ -82,8 +82,9 @@ class SceneArguments(TypedDict, total=False):
     """"paper", "physical", "released" or "robust" (docs/protocols.md)."""
     base: BaseName
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
-    engine: EngineName | None
-    """The physics engine, "bullet" or, but for "released", "mujoco"; "bullet"."""
+    engine: EngineChoice | None
+    """The physics engine, "bullet" or, but for "released", "mujoco", or both in their order, as in
+    "bullet,mujoco"; of "physical" "mujoco-warp" too; "bullet"."""
     surface_seed: int
     """Seed of the surface points; 0."""
 

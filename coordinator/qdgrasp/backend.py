@@ -15,12 +15,13 @@ from qdgrasp.arguments import check_text, check_whole, path_of
 from qdgrasp_coordinator.local import session
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import LocalSession
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import MAX_POPULATION
+from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
@@ -85,6 +86,10 @@ class Place:
                 "Place(workers=0) has nobody who evaluates: start workers, or name a router that has some "
                 "with connect='tcp/HOST:PORT'."
             )
+
+    def check_engine(self, spec: RunSpec) -> None:
+        """Raise an InputError if workers are started here that lack the engine or device of a run."""
+        LocalJobConfig(self.hands).check_engines([spec])
 
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.

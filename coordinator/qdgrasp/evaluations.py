@@ -106,6 +106,7 @@ class Evaluations:
     ) -> None:
         check_place(place)
         self.spec = spec_from_arguments(scenery)
+        place.check_engine(self.spec)
         self._prepared = prepare_scene(self.spec)
         self.scene = self._prepared.scene
         """The gripper and the object as they are simulated."""

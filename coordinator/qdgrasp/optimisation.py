@@ -152,6 +152,7 @@ def optimise(
         seed=seed,
         generations_in_flight=generations_in_flight,
     )
+    place.check_engine(spec)
     is_there = _is_there(path, spec, resume=resume)
     prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
     searches = SearchFactory(make, layout_of(prepared.scene, prior))

@@ -69,6 +69,7 @@ class Run:
         max_motion: float | None = None,
         min_margin: float | None = None,
         min_links: int | None = None,
+        holds_in: str | None = None,
     ) -> Grasps:
         """Return the grasps found so far, as arrays.
 
@@ -85,6 +86,10 @@ class Run:
             Deepest penetration after closing [mm]; way of the object in the hand while it closed [mm].
         min_margin, min_links
             Least Ferrari-Canny margin; least number of finger links that touch.
+        holds_in
+            Those alone that hold in this engine, "bullet" or "mujoco", by the table that `qdgrasp verify DIR
+            --engine` wrote; grasps that it does not know are left out (`Grasps.elsewhere` tells). Of a run in
+            two engines those that hold in both.
 
         Returns
         -------
@@ -100,7 +105,7 @@ class Run:
         ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-        return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits)
+        return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits, holds_in)
 
     def tables(self, *, min_fitness: int = 1, frame: str = "mesh") -> Iterator[Any]:
         """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.

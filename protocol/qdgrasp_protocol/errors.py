@@ -28,9 +28,11 @@
             * Unreachable            no router answers there
         * SecurityError          certificates or keys that cannot be used
         * MissingRequirement     something that a run needs is not on this machine
+        * MissingEngine          Bullet is to simulate where PyBullet is not installed
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
             * PlatformDiffers        a worker's platform is not the job's
+            * LacksEngine            a worker does not have the engine of a run
             * RefusedByJob           the only job of a worker does not take it: exit code 2
         * NoReply                no answer came
         * Faulty                 the other side failed by a fault of its own

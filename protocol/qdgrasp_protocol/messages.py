@@ -116,7 +116,7 @@ class Result(Message, frozen=True, kw_only=True):
     failures: list[Failure] = []
 
 
-class Join(Message, frozen=True, kw_only=True):
+class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Worker to coordinator, query: serve this job."""
 
     wire_name = "join"
@@ -127,6 +127,8 @@ class Join(Message, frozen=True, kw_only=True):
     """Counter of this worker's joins; the coordinator drops leases of older ones."""
     credit: Annotated[int, Meta(ge=0, le=64)]
     """Most batches that may be outstanding; 0: no more, as the worker is about to leave."""
+    rows: Annotated[int, Meta(ge=0, le=4096)] = 0
+    """Rows that its device evaluates at once: so many a batch of such an engine has; 0: it has no device."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]

@@ -9,9 +9,11 @@ there is.
 """
 
 import re
+import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import msgspec
 import tomli_w
@@ -48,8 +50,11 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
-EngineName = Literal["bullet", "mujoco"]
+EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
 """The physics engines (docs/engines.md)."""
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
+"""An engine, or two: what holds in the first is tried in the second."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -65,7 +70,45 @@ DiversityName = Literal["position", "orientation", "posture"]
 
 DEFAULT_METHOD = "aimed"
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
+DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
+DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
+ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core", DEVICE_ENGINE: "mujoco-warp"}
+LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
+
+
+class MissingEngine(InputError):
+    """Bullet is to simulate where PyBullet is not installed."""
+
+    def __init__(self) -> None:
+        why, how = "", "install it with `pip install pybullet`"
+        if (python := sys.version_info[:2]) > LAST_WHEEL:
+            why = f", and it has no wheel for Python {python[0]}.{python[1]}"
+            how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
+        super().__init__(
+            f"PyBullet is not installed{why}: add --engine mujoco (protocol physical), or {how}."
+        )
+
+    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+        """Come out of another process as it is."""
+        return type(self), ()
+
+
+def engine_names(engine: str | None) -> tuple[str, ...]:
+    """The engines that a spec or scene names, in the order in which a grasp is tried in them."""
+    return tuple((engine or DEFAULT_ENGINE).split(","))
+
+
+def has_bullet() -> bool:
+    """Return whether PyBullet is installed here."""
+    return find_spec("pybullet") is not None
+
+
+def check_engine(engine: str | None) -> None:
+    """Raise `MissingEngine` if Bullet (None) is among these, and PyBullet is not installed here."""
+    if DEFAULT_ENGINE in engine_names(engine) and not has_bullet():
+        raise MissingEngine
+
 
 Weights = tuple[float, ...]
 
@@ -115,8 +158,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
-    engine: EngineName | None = None
-    """The physics engine; None: Bullet, in which every protocol is simulated."""
+    engine: EngineChoice | None = None
+    """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -163,8 +206,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
     @property
     def protocol_words(self) -> str:
-        """The protocol, and its engine where that is not Bullet."""
-        return f"{self.protocol} in {self.engine}" if self.engine else self.protocol
+        """The protocol, and its engine or engines where that is not Bullet alone."""
+        engines = " then ".join(engine_names(self.engine))
+        return f"{self.protocol} in {engines}" if self.engine else self.protocol
 
     @property
     def disturbances(self) -> int:
@@ -222,6 +266,11 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: the protocol 'released' repeats the authors' code, which is Bullet's, and engine = "
             f"'{spec.engine}'; leave engine out, or take the protocol 'paper'."
+        )
+    if spec.engine == DEVICE_ENGINE and spec.nominal_protocol != "physical":
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' simulates the protocol 'physical', and 'robust' with base = "
+            f"'physical', and this is '{spec.protocol}'; take one of these, or engine = 'mujoco'."
         )
     return spec
 

@@ -52,7 +52,7 @@ WAYS: dict[str, Callable[[], None]] = {
 class Slow:
     """An evaluator whose results come later."""
 
-    at_once = ROWS_AT_ONCE
+    at_once, weight = ROWS_AT_ONCE, 1
 
     def __init__(self, evaluator: Evaluator, pace: float) -> None:
         self._evaluator = evaluator

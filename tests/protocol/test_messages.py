@@ -26,7 +26,7 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
         case msgspec.inspect.IntType():
             return st.integers(kind.ge or 0, kind.le)
         case msgspec.inspect.FloatType():
-            return st.floats(kind.ge, kind.le)
+            return st.floats(kind.ge, kind.le, allow_nan=False)  # it is equal to nothing
         case msgspec.inspect.StrType(pattern=str(pattern)):
             return st.from_regex(pattern.replace(r"\A", "^").replace(r"\Z", "$"), fullmatch=True)
         case msgspec.inspect.StrType(max_length=int(most)):

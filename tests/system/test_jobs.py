@@ -285,4 +285,6 @@ def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoin
 
 def test_the_doctor_sees_that_a_simulator_works_here(qdgrasp):
     done = qdgrasp.succeed("doctor")
-    assert "ok      simulator  probe set" in done.out
+    assert "ok      simulator  probes " in done.out
+    assert "mujoco probes " in done.out
+    assert "pybullet " in done.out

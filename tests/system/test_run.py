@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
@@ -12,8 +13,9 @@ from tests.system.commands import BUDGET, SMALL, Commands, rows_recorded
 
 from qdgrasp_coordinator.campaign.ranking import best_of_kinds, read_run_grasps
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import read_run_spec
+from qdgrasp_worker.evaluator import Evaluator
 
 
 def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):
@@ -49,7 +51,8 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protoc
     for folder in (qdgrasp.home / "one", reference[0]):
         with RunFolder.open(folder).journal() as journal:
             platforms.append(journal.platform.keys())
-    assert platforms[0] - platforms[1] == {"mujoco", "mujoco_code"}
+    assert platforms[0] - platforms[1] == {"mujoco", "mujoco_code", "mujoco_probes"}
+    assert platforms[1] - platforms[0] == {"pybullet", "probes"}
     qdgrasp.succeed("verify", "one", "--all", "--workers", 1)
     compared = qdgrasp.succeed("verify", "one", "--engine", "bullet", "--all", "--json", "--workers", 1).json
     table = list(csv.DictReader((qdgrasp.home / "one" / "engine-bullet.csv").open()))
@@ -63,6 +66,39 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protoc
         assert drawn.out.startswith(f"held, row {held}: drawn in {name}")
     with Image.open(qdgrasp.home / "film.gif") as film:
         assert film.n_frames > 10
+    share = qdgrasp.info("one")["in_both"]["bullet"]
+    both = [each["outcome"] == each["outcome_now"] == "held" for each in table]
+    assert share == {"held": sum(both), "known": sum(each["outcome"] == "held" for each in table)}
+    report = qdgrasp.succeed("show", "one", "--grasp", table[0]["row"], "--json").json
+    words = f"{table[0]['outcome_now']}, fitness {table[0]['fitness_now']}"
+    assert report["elsewhere"] == {"bullet": words}
+    assert words in qdgrasp.succeed("show", "one", "--grasp", table[0]["row"]).out
+
+
+def test_a_run_in_two_engines_is_the_same_whatever_the_workers_and_holds_in_both(qdgrasp):
+    scene = ("--gripper", "panda", "--object", "tennis_ball", "--protocol", "physical")
+    asked = ("run", *scene, "--engine", "bullet,mujoco", "--evaluations", 60, "--population", 20)
+    qdgrasp.succeed(*asked, "--workers", 1, "--out", "one")
+    qdgrasp.succeed(*asked, "--workers", 2, "--batch-size", 7, "--out", "two")
+    assert qdgrasp.digest("one") == qdgrasp.digest("two")
+    assert qdgrasp.info("one")["engine"] == "bullet,mujoco"
+    folder = RunFolder.open(qdgrasp.home / "one")
+    with folder.journal() as journal:
+        assert {"mujoco", "mujoco_code", "pybullet", "code"} <= journal.platform.keys()
+        rows = np.concatenate(list(journal.kept()))
+    rows, held = rows[rows["outcome"] >= Outcome.DROPPED], {}
+    for name in ("bullet", "mujoco"):
+        scene = msgspec.structs.replace(folder.scene(), engine=None if name == "bullet" else name)
+        with Evaluator(scene) as evaluator:
+            now = evaluator.evaluate(GIVEN, rows["base_to_object"], np.zeros(len(rows), np.uint16)).rows
+        held[name] = now["outcome"] == Outcome.HELD
+    np.testing.assert_array_equal(rows["outcome"] == Outcome.HELD, held["bullet"] & held["mujoco"])
+    assert (held["bullet"] & held["mujoco"]).sum() > 5
+    qdgrasp.succeed("verify", "one", "--sample", 20, "--workers", 1)
+    refused = qdgrasp("verify", "one", "--engine", "bullet,mujoco")
+    assert (refused.code, "names two; name one of them" in refused.err) == (2, True)
+    refused = qdgrasp("rerank", "one", "--engines", "bullet,bullet")
+    assert (refused.code, "got 'bullet,bullet'" in refused.err) == (2, True)
 
 
 def test_another_seed_gives_other_genomes(qdgrasp, reference):

@@ -161,7 +161,7 @@ def test_an_unknown_protocol_is_named_with_the_known_ones(cube):
 @pytest.fixture
 def loaded():
     """Evaluators that only know whether they were closed, by their scene."""
-    return defaultdict(Mock)
+    return defaultdict(lambda: Mock(weight=1))
 
 
 @pytest.fixture
@@ -181,12 +181,22 @@ def test_at_most_eight_are_kept_and_the_one_longest_unused_is_closed_before_the_
     for name in names:
         get(worlds, name)
     get(worlds, "0")
-    worlds.get("new", lambda: Mock() if loaded["1"].close.called else pytest.fail("two worlds too many"))
+    worlds.get(
+        "new", lambda: Mock(weight=1) if loaded["1"].close.called else pytest.fail("two worlds too many")
+    )
     assert MAX_EVALUATORS == 8
     assert len(worlds) == 8
     assert "1" not in worlds
     assert "0" in worlds
     assert [name for name, stub in loaded.items() if stub.close.called] == ["1"]
+
+
+def test_of_those_that_take_a_device_fewer_are_kept(get, loaded):
+    loaded["first"], loaded["second"], loaded["third"] = (Mock(weight=4) for _ in range(3))
+    worlds = EvaluatorCache()
+    for name in ("light", "first", "second", "third"):
+        get(worlds, name)
+    assert [name for name, stub in loaded.items() if not stub.close.called] == ["second", "third"]
 
 
 def test_a_scene_that_cannot_be_loaded_leaves_no_trace(get):

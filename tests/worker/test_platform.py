@@ -1,16 +1,22 @@
 """The platform that a worker's results come from."""
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
 
 from tests.worker.genomes import evaluated, outcomes
 
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import RunSpec, has_bullet
 from qdgrasp_worker import platform as module
 from qdgrasp_worker import syntax_digest
 from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
 from qdgrasp_worker.platform import (
     code_digest,
     evaluation_digest,
+    physical_probe_digest,
     platform,
     probe_digest,
     probe_scene,
@@ -20,9 +26,36 @@ from qdgrasp_worker.platform import (
 
 def test_the_platform_names_versions_and_digests_in_words():
     found = platform()
-    assert {"qdgrasp", "pybullet", "numpy", "code", "probes", "mujoco"} <= found.keys()
+    assert {"qdgrasp", "numpy", "code", "mujoco"} <= found.keys()
+    assert has_bullet() is ({"pybullet", "probes"} <= found.keys())
     assert all(isinstance(value, str) and value for value in found.values())
-    assert len(found["code"]) == len(found["probes"]) == len(found["mujoco_code"]) == 64
+    assert {len(found[name]) for name in ("code", "mujoco_code", "mujoco_probes")} == {64}
+
+
+WITHOUT_BULLET = """
+import json, sys
+sys.modules["pybullet"] = None
+from qdgrasp_worker.platform import platform
+print(json.dumps(platform()))
+"""
+
+
+def test_without_pybullet_the_platform_is_the_same_without_its_entries():
+    done = subprocess.run([sys.executable, "-c", WITHOUT_BULLET], capture_output=True, check=True, text=True)
+    assert json.loads(done.stdout) == {
+        name: value for name, value in platform().items() if name not in ("pybullet", "probes")
+    }
+
+
+def test_the_probes_of_mujoco_end_in_every_way_and_a_moved_one_changes_their_digest(monkeypatch):
+    scene = build_scene(RunSpec(gripper="panda", object="tennis_ball", protocol="physical", engine="mujoco"))
+    moved = probes()
+    found = outcomes(evaluated(scene, "approach", moved[module.PHYSICAL_PROBES]))
+    assert {Outcome.OVERLAP, Outcome.BRUSHED, Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD} <= set(found)
+    digest = physical_probe_digest("mujoco")
+    moved[-1, 6] += 0.01
+    monkeypatch.setattr(module, "probes", lambda: moved)
+    assert physical_probe_digest("mujoco") != digest
 
 
 def test_the_code_of_another_engine_is_none_of_bullets():

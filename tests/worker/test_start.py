@@ -6,13 +6,15 @@ import sys
 
 import pytest
 
+from qdgrasp_protocol.spec import has_bullet
+
 LISTED = "import json, sys; {}; print(json.dumps(sorted(sys.modules)))"
 SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.runtime.service, qdgrasp_protocol.zenoh_bus"
 EVALUATE = (
     "import qdgrasp_worker.runtime.simulator_main; from qdgrasp_worker.platform import platform; platform()"
 )
 """All that comes before a worker asks to join: its simulator's imports, and the probes."""
-SIMULATION = {"pybullet", "numpy", "scipy"}
+SIMULATION = {"mujoco", "numpy", "scipy"} | ({"pybullet"} if has_bullet() else set())
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
 """Modules of others: meshes, pictures, searches; each takes a tenth of a second or more."""
 
@@ -39,7 +41,7 @@ def test_a_worker_has_the_bus_and_neither_simulator_nor_arrays(worker):
     assert not worker & SIMULATION
 
 
-def test_a_simulator_has_bullet_and_no_bus(simulator):
+def test_a_simulator_has_the_engines_and_no_bus(simulator):
     assert simulator >= SIMULATION
     assert not simulator & {"zenoh", "typer", "structlog"}
 

@@ -14,11 +14,15 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
+from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, MAX_POPULATION
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
 
 MEGABYTE = 1_000_000
+MEMORY, DEVICE_MEMORY = 2000, 32000
+"""Megabytes; a device's kernels are compiled in the simulator, and what is on it is mapped there too."""
+ROW_SECONDS, DEVICE_SECONDS = 30.0, 900.0
 
 
 @app.command()
@@ -34,11 +38,21 @@ def worker(
         float, typer.Option(min=0, help="Seconds that the batch in work may still take after SIGTERM.")
     ] = 1.5,
     memory: Annotated[
-        int, typer.Option(min=300, help="Megabytes that a simulator may keep; above, another one is started.")
-    ] = 2000,
+        int | None,
+        typer.Option(
+            min=300,
+            help="Megabytes that a simulator may keep; above, another one is started. "
+            f"Default {MEMORY}, with a device {DEVICE_MEMORY}.",
+        ),
+    ] = None,
     row_seconds: Annotated[
-        float, typer.Option(min=0.1, help="CPU seconds that an evaluation may take.")
-    ] = 30.0,
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="CPU seconds that an evaluation, or a device's rows together, may take. "
+            f"Default {ROW_SECONDS:g}, with a device {DEVICE_SECONDS:g}.",
+        ),
+    ] = None,
     nice: Annotated[
         int,
         typer.Option(
@@ -53,6 +67,20 @@ def worker(
         str | None,
         typer.Option(
             metavar="FILE.py:NAME", help="Judge poses with Python code of your own, in the simulator's place."
+        ),
+    ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            metavar="cuda|cpu",
+            envvar=DEVICE_VARIABLE,
+            help=f"Evaluate scenes of the engine {DEVICE_ENGINE} too, on this device; cpu is for tests.",
+        ),
+    ] = None,
+    worlds: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=MAX_POPULATION, help="Rows that the device evaluates at once; default: as fill it."
         ),
     ] = None,
     self_test: Annotated[
@@ -70,10 +98,13 @@ def worker(
     with lifetime("qdgrasp-worker") as stop:
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(threads, "1")
-        if self_test:
-            from qdgrasp_worker.platform import platform  # after the threads are limited
+        from qdgrasp_worker.engines import Device  # after the threads are limited
 
-            typer.echo(json.dumps(platform()))
+        found = Device.find(device, worlds) if device else None
+        if self_test:
+            from qdgrasp_worker.platform import platform
+
+            typer.echo(json.dumps(platform(found)))
             return
         configure_logging("worker")
         if workers > 1:
@@ -85,7 +116,9 @@ def worker(
 
         credentials = Credentials.find(security, Role.WORKER)
         inbox: SimpleQueue[Any] = SimpleQueue()
-        command = simulator_command(evaluator)
+        command = simulator_command(evaluator, found)
+        memory = memory or (DEVICE_MEMORY if found else MEMORY)
+        row_seconds = row_seconds or (DEVICE_SECONDS if found else ROW_SECONDS)
         with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, command) as simulator:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
             from qdgrasp_worker.runtime.background_requests import SceneStore
@@ -93,7 +126,8 @@ def worker(
 
             store = SceneStore(cache or cache_folder() / "scenes")
             with ZenohBus.connect(connect, wait, stop, credentials) as bus:
-                WorkerService(bus, stop, simulator, inbox, store=store, job=job, grace=grace).run()
+                rows = found.worlds if found else 0
+                WorkerService(bus, stop, simulator, inbox, store=store, job=job, grace=grace, rows=rows).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

@@ -20,7 +20,7 @@ from qdgrasp_worker.evaluation_protocols import (
     TrialSetup,
 )
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
-from qdgrasp_worker.world import GraspContact, GraspWorld, ShakenWorld
+from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
 APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
@@ -51,12 +51,12 @@ def outcome_of(survived: int, disturbances: int) -> Outcome:
     return Outcome.HELD if survived == disturbances else Outcome.SHAKEN
 
 
-def settled_pose(world: GraspWorld, commanded: HandPose) -> list[float]:
-    """The hand's base link in the object's frame, as both are now: x y z [m], qx qy qz qw.
+def settled_pose(now: HandFrame, commanded: HandPose) -> list[float]:
+    """The hand's base link in the object's frame as it is now: x y z [m], qx qy qz qw.
 
     Of the two quaternions that mean it, the one nearer to the commanded pose's.
     """
-    position, quaternion = world.hand_pose()
+    position, quaternion = now
     sign = -1.0 if quaternion @ np.array(commanded.quaternion) < 0.0 else 1.0
     values: list[float] = [*position.tolist(), *(sign * quaternion).tolist()]
     return values
@@ -152,7 +152,7 @@ class Episode(ABC, Generic[AnyWorld]):
             self.world.finger_positions(),
             fingers,
             self._penetration(),
-            settled=settled_pose(self.world, pose),
+            settled=settled_pose(self.world.hand_pose(), pose),
             contacts=self.world.contact_forces(),
         )
 

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,11 +17,13 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import DEVICE_ENGINE, engine_names
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode
+from qdgrasp_worker.engines import DEVICE_MODULE, Device, make_world
+from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
@@ -58,6 +61,8 @@ class BatchEvaluator(ABC):
 
     at_once = ROWS_AT_ONCE
     """The most rows that it is given at once."""
+    weight = 1
+    """Memory that it takes, in worlds of Bullet."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -85,7 +90,7 @@ class BatchEvaluator(ABC):
 
 
 class Evaluator(BatchEvaluator):
-    """One world for one scene; a context manager that leaves it.
+    """A world for one scene in each of its engines; a context manager that leaves them.
 
     `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
     closing ends when the object has left; they change no result
@@ -97,7 +102,7 @@ class Evaluator(BatchEvaluator):
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
         super().__init__(scene)
-        self._world = make_world(scene, self._protocol)
+        self._worlds = self._make_worlds()
         self._shortcuts = shortcuts
         self._object = ObjectSolid(scene)
         follows = self._protocol.free_joints_first
@@ -113,7 +118,10 @@ class Evaluator(BatchEvaluator):
         return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
 
     def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        return self._world.closing(posture, synergy)
+        return self._worlds[0].closing(posture, synergy)
+
+    def _make_worlds(self) -> list[ShakenWorld | PhysicalWorld]:
+        return [make_world(self.scene, self._protocol, name) for name in engine_names(self.scene.engine)]
 
     def __enter__(self) -> Self:
         return self
@@ -122,8 +130,9 @@ class Evaluator(BatchEvaluator):
         self.close()
 
     def close(self) -> None:
-        """Leave the world; closing twice is allowed."""
-        self._world.close()
+        """Leave the worlds; closing twice is allowed."""
+        for world in self._worlds:
+            world.close()
 
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
@@ -133,16 +142,22 @@ class Evaluator(BatchEvaluator):
         refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
         shortlists, features = self._candidate_screen(grasps, trials, wanted)
-        found = [
-            reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
-        ]
-        findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, GenomeResult)}
+        found = self._find_all(grasps, shortlists, trials.tolist(), np.flatnonzero(wanted).tolist())
+        findings = {i: finding for i, finding in found.items() if isinstance(finding, GenomeResult)}
         fill_rows(rows, grasps, features, findings)
-        failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
-        return Evaluation(rows, failures)
+        reasons = {i: reason for i, reason in enumerate(refused) if reason} | {
+            i: finding for i, finding in found.items() if isinstance(finding, str)
+        }
+        return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
+
+    def _find_all(
+        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
+    ) -> dict[int, GenomeResult | str]:
+        """Return the results of these rows of a batch, or the reasons of failures."""
+        return {row: self._find(grasps, shortlists[row], trials[row]) for row in rows}
 
     def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
-        """Return the result of a genome, or the reason of a failure, after which the world is new."""
+        """Return the result of a genome, or the reason of a failure, after which its worlds are new."""
         if not shortlist.poses:
             return GenomeResult(
                 shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints), 1
@@ -150,25 +165,46 @@ class Evaluator(BatchEvaluator):
         try:
             place, verdict = self._try(grasps, shortlist, trial)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
-            self._world.close()
-            self._world = make_world(self.scene, self._protocol)
+            self.close()
+            self._worlds = self._make_worlds()
             return f"{type(error).__name__}: {error}"
         return GenomeResult(place, verdict, shortlist.poses)
 
     def _try(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> tuple[int, EpisodeResult]:
         """Simulate candidates in order until one does not overlap; return its pose and result.
 
-        It is chosen by trial 0, so that all trials of a genome disturb the same pose.
+        It is chosen by trial 0 in the first engine, so that all trials of a genome disturb the same pose.
         """
-        episode = make_episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
+        world, *others = self._worlds
+        episode = make_episode(world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
                 continue
-            verdict = episode.run(self._protocol.trial(pose, trial))
+            setup = self._protocol.trial(pose, trial)
+            verdict = episode.run(setup)
             if trial or verdict.outcome is not Outcome.OVERLAP:
-                return place, verdict
+                return place, verdict_in_all(verdict, others, self._protocol, setup)
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
+
+
+def verdict_in_all(
+    verdict: EpisodeResult,
+    others: Sequence[ShakenWorld | PhysicalWorld],
+    protocol: EvaluationProtocol,
+    trial: TrialSetup,
+) -> EpisodeResult:
+    """The result of a trial in all engines, whose verdict in the first one is known.
+
+    What holds is tried in the next world; outcome and fitness are those of the last one that it was tried in,
+    where an overlap or a miss counts as no disturbance survived. All else is of the first engine.
+    """
+    for world in others:
+        if verdict.outcome is Outcome.HELD:
+            episode = make_episode(world, protocol)
+            survived = episode.run(trial).fitness
+            verdict = verdict._replace(outcome=outcome_of(survived, episode.disturbances), fitness=survived)
+    return verdict
 
 
 def make_episode(
@@ -265,11 +301,24 @@ def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspCo
     return [contacts[place]._replace(force=forces[place]) for place in kept]
 
 
+def make_evaluator(scene: Scene, device: Device | None = None) -> BatchEvaluator:
+    """The evaluator of a scene; an InputError where its engine needs a device that is not here."""
+    if scene.engine != DEVICE_ENGINE:
+        return Evaluator(scene)
+    if device is None:
+        raise InputError(
+            f"This worker has no device for the engine {DEVICE_ENGINE}: start it as qdgrasp-worker "
+            "--device cuda, with qdgrasp[gpu] installed."
+        )
+    made: BatchEvaluator = import_module(DEVICE_MODULE).WarpEvaluator(scene, device)
+    return made
+
+
 MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """At most `MAX_EVALUATORS` by their scene's digest; the one longest unused leaves first.
+    """Evaluators by their scene's digest, of a bounded weight; the longest unused leaves first.
 
     A context manager that closes them all.
     """
@@ -292,11 +341,17 @@ class EvaluatorCache:
     def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
         """Return the evaluator of a scene, made by `load` if it is not here yet."""
         if digest not in self._evaluators:
-            while len(self._evaluators) >= MAX_EVALUATORS:
-                self._evaluators.popitem(last=False)[1].close()
-            self._evaluators[digest] = load()
+            self._drop_oldest(MAX_EVALUATORS - 1)
+            made = load()
+            self._drop_oldest(MAX_EVALUATORS - made.weight)
+            self._evaluators[digest] = made
         self._evaluators.move_to_end(digest)
         return self._evaluators[digest]
+
+    def _drop_oldest(self, weight: int) -> None:
+        """Close evaluators until they are of a weight at most."""
+        while sum(each.weight for each in self._evaluators.values()) > weight:
+            self._evaluators.popitem(last=False)[1].close()
 
     def close(self) -> None:
         """Close all evaluators; closing twice is allowed."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.scene import Joint
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING
 
@@ -140,7 +141,7 @@ class FingerControl:
             for drive, way, position in zip(self.drives, self._ways, positions, strict=True)
             if way.sense
         ]
-        return sum(shares) / len(shares) if shares else 0.0
+        return running_sum(shares) / len(shares) if shares else 0.0
 
     def rests(self, before: Sequence[float], after: Sequence[float], seconds: float) -> bool:
         """Return whether no joint has moved faster than at rest from one look to the next."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from math import acos, dist
 from typing import NamedTuple
 
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.scene import Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
@@ -177,4 +178,4 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
     """The angle between two rotations as quaternions [rad]."""
-    return 2 * acos(min(1.0, abs(sum(a * b for a, b in zip(one, other, strict=True)))))
+    return 2 * acos(min(1.0, abs(running_sum(a * b for a, b in zip(one, other, strict=True)))))

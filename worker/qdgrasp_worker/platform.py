@@ -3,6 +3,7 @@
 import hashlib
 import platform as machine
 from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
 
 import msgspec
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
-from qdgrasp_worker.engines import ENGINES, Engine
-from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, EngineName, RunSpec, has_bullet, run_spec
+from qdgrasp_worker.engines import DEVICE_MODULE, ENGINES, Device, Engine
+from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 from qdgrasp_worker.syntax_digest import Key, syntax_digest
 
 
@@ -32,29 +34,66 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"3fdd48eb89ac09179e8774b4478c66c24292c9cb39f393cbdc515f738c9ca521": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"483af6b4ea27f180d13187a14fdaecc22fd925435634839e16b556dcc79d535e": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
 made where the probes and the runs of tests/golden have the digests that they had.
 """
 PROBES = 16
+LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
 """Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
+PHYSICAL_PROBES = slice(4, None)
+"""The probes that engines beside Bullet simulate under `physical`; two of the first ones tell no more."""
 
 
-def platform() -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digest of the probes' results.
+def platform(device: Device | None = None) -> dict[str, str]:
+    """Versions, the digest of the evaluation's code, and the digests of the probes' results.
 
-    Entries of engines beside Bullet concern the rows of these alone: `mujoco` and `mujoco_code`.
+    Entries of an engine concern its rows alone: `pybullet` and `probes`, which are absent where PyBullet is
+    not installed; `mujoco`, `mujoco_code` and `mujoco_probes`; and those of a device (`device_platform`).
     """
-    versions = {name: version(name) for name in ("qdgrasp", "pybullet", "numpy", "scipy")}
-    found = versions | {"machine": machine.machine(), "code": code_digest(), "probes": probe_digest()}
+    found = {name: version(name) for name in ("qdgrasp", "numpy", "scipy")}
+    found |= {"machine": machine.machine(), "code": code_digest()}
+    if has_bullet():
+        found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
     for name, engine in ENGINES.items():
-        if name != DEFAULT_ENGINE:
-            found |= {name: version(engine.package), f"{name}_code": syntax_digest(*worlds(engine))}
-    return found
+        if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
+            found |= {
+                name: version(engine.package),
+                f"{name}_code": syntax_digest(*worlds(engine)),
+                f"{name}_probes": physical_probe_digest(name),
+            }
+    return found | (device_platform(device) if device else {})
+
+
+class DeviceDiffers(QdgraspError):
+    """A device on which the probes fare otherwise than in MuJoCo."""
+
+    def __init__(self, device: Device, same: int) -> None:
+        super().__init__(
+            f"On the device {device.name} only {same} of {PROBES} probes of {DEVICE_ENGINE} have the outcome "
+            f"that they have in mujoco, and {LEAST_AGREEING} must; it is not used."
+        )
+
+
+def device_platform(device: Device) -> dict[str, str]:
+    """Versions of warp and MuJoCo Warp, the device's name, and the digest of their code here.
+
+    An InputError if there is no such device; DeviceDiffers if it does not evaluate as MuJoCo does.
+    """
+    entries: dict[str, str] = import_module(DEVICE_MODULE).device_entries(device)
+    trials, outcomes = np.zeros(PROBES, dtype=np.uint16), []
+    engines: tuple[EngineName, EngineName] = "mujoco", DEVICE_ENGINE
+    for engine in engines:
+        spec = RunSpec(gripper="panda", object="tennis_ball", protocol="physical", engine=engine)
+        evaluator = make_evaluator(build_scene(spec), device)
+        outcomes.append(evaluator.evaluate("approach", probes(), trials).rows["outcome"])
+    if (same := int((outcomes[0] == outcomes[1]).sum())) < LEAST_AGREEING:
+        raise DeviceDiffers(device, same)
+    return entries | {f"{DEVICE_ENGINE}_code": syntax_digest(Key(DEVICE_MODULE, "WarpEvaluator"))}
 
 
 def code_digest() -> str:
@@ -72,7 +111,23 @@ def probe_digest() -> str:
     """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes."""
     genomes, trials = np.tile(probes(), (2, 1)), np.repeat(np.array([0, 1], dtype=np.uint16), PROBES)
     with Evaluator(probe_scene()) as evaluator:
-        rows = evaluator.evaluate("approach", genomes, trials).rows
+        return result_digest(evaluator, genomes, trials)
+
+
+def physical_probe_digest(engine: str) -> str:
+    """sha256 over the result bytes of probes under `physical` in an engine; some grasps hold.
+
+    Nothing is spared the engine: the filters that do that take longer to make than it takes.
+    """
+    asked = {"gripper": "panda", "object": "tennis_ball", "protocol": "physical", "engine": engine}
+    genomes = probes()[PHYSICAL_PROBES]
+    with Evaluator(build_scene(run_spec(asked, "probes")), shortcuts=False) as evaluator:
+        return result_digest(evaluator, genomes, np.zeros(len(genomes), dtype=np.uint16))
+
+
+def result_digest(evaluator: Evaluator, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> str:
+    """sha256 over the result bytes of genomes (n, 7) of the prior approach in their trials (n,)."""
+    rows = evaluator.evaluate("approach", genomes, trials).rows
     return hashlib.sha256(b"".join(pack(rows, RESULT).values())).hexdigest()
 
 

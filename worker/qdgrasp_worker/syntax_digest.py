@@ -14,6 +14,7 @@ counts. Names of fields, methods, arguments and variables count too: what they r
 import ast
 import hashlib
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
@@ -183,7 +184,18 @@ def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
     tree = reader.visit(statement)
     if isinstance(tree, ast.FunctionDef | ast.ClassDef):
         tree.name = ""
-    return ast.dump(tree), reader.unknown
+    return _dump(tree), reader.unknown
+
+
+EMPTY = {"show_empty": True} if sys.version_info >= (3, 13) else {}  # Later Pythons leave empty lists out
+
+
+def _dump(tree: ast.AST) -> str:
+    """A tree as text, as Python 3.11 gives it: later ones have a field for types' parameters."""
+    for node in ast.walk(tree):
+        if getattr(node, "type_params", None) == []:
+            vars(node).pop("type_params")
+    return ast.dump(tree, **EMPTY)
 
 
 class _Reader(ast.NodeTransformer):
@@ -263,7 +275,9 @@ class _Reader(ast.NodeTransformer):
     def _named(self, meant: Key | str | None, name: str) -> ast.AST:
         if meant is None:
             self.unknown.add(name)
-        return ast.Name(f"<{meant.module}:{meant.name}>" if isinstance(meant, Key) else meant or name)
+        found = ast.Name(f"<{meant.module}:{meant.name}>" if isinstance(meant, Key) else meant or name)
+        vars(found).pop("ctx", None)  # which Python 3.13 adds
+        return found
 
     def _is_local(self, name: str) -> bool:
         return any(name in names for names in self._local)

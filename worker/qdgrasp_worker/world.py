@@ -9,7 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from qdgrasp_assets.geometry.rotation import Floats
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -75,6 +78,21 @@ class WorldState(NamedTuple):
     """Position [m] and quaternion xyzw of the object, by its centre of mass."""
     touches: list[Touch]
     """Those of the last collision detection."""
+
+
+def seen_from(
+    position: Floats, quaternion: Floats, found: Sequence[tuple[int, ArrayLike, ArrayLike, float]]
+) -> list[GraspContact]:
+    """Contacts in the frame of an object at `position` (3,) [m], turned by `quaternion` (4,).
+
+    Of each the number of its link, point [m] and normal in the world's frame, and its force [N].
+    """
+    if not found:
+        return []
+    links, points, normals, forces = zip(*found, strict=True)
+    seen = np.array([np.array(points) - position, normals])
+    points, normals = rotate(conjugate(quaternion), seen).tolist()
+    return list(map(GraspContact, links, points, normals, forces))
 
 
 class GraspWorld(ABC):

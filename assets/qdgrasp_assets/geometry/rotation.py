@@ -4,6 +4,9 @@ Everything is written out in products and sums of float64 columns: no matrix lib
 summation differs between machines, stands between a genome and its pose.
 """
 
+from collections.abc import Iterable
+from functools import reduce
+from operator import add
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +19,14 @@ def dot(a: Floats, b: Floats) -> Floats:
     """Return the scalar products (...) of vectors (..., 3)."""
     product: Floats = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return product
+
+
+def running_sum(values: Iterable[float]) -> float:
+    """Return the sum of numbers, added from left to right.
+
+    `sum` does the same up to Python 3.11; later ones carry what rounding took away, which gives other bits.
+    """
+    return reduce(add, values, 0.0)
 
 
 def unit(vectors: Floats) -> Floats:

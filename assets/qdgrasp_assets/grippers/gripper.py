@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.collision_shapes import largest_side
 from qdgrasp_assets.grippers.gripper_file import (
     GripperFile,
@@ -102,7 +103,7 @@ def inertia_about_x(hand: Urdf) -> float:
     """
     frames = hand.forward({})
     places = {link: frames[link] @ np.append(place, 1.0) for link, (_, place) in hand.masses.items()}
-    return sum(
+    return running_sum(
         float(mass * (GYRATION**2 + places[link][1] ** 2 + places[link][2] ** 2))
         for link, (mass, _) in hand.masses.items()
     )

@@ -15,6 +15,7 @@ import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_protocol.errors import AssetError
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
@@ -71,7 +72,7 @@ class Urdf:
     @property
     def mass(self) -> float:
         """Mass of all links together [kg]."""
-        return sum(mass for mass, _ in self.masses.values())
+        return running_sum(mass for mass, _ in self.masses.values())
 
     @property
     def masses(self) -> dict[str, tuple[float, Floats]]:

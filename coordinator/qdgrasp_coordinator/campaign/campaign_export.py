@@ -42,11 +42,11 @@ from qdgrasp_coordinator.export.tabular import METADATA_KEY, ParquetShard, TarSh
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, hold_lock
-from qdgrasp_coordinator.storage.outputs import LOCK, OutFolder
+from qdgrasp_coordinator.storage.outputs import LOCK, RUNS, OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, OutputError, UnknownName
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, OutputError, UnknownName
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, ENGINES, RunSpec
 from qdgrasp_protocol.text import counted
 
 SHARD_BYTES = 256 << 20  # A shard ends when it has so many bytes: hubs advise 100 to 500 MB
@@ -225,6 +225,7 @@ class DatasetWriter:
         self._shard: tuple[str, ParquetShard | TarShard, ExitStack] | None = None
         self._waiting: list[IndexEntry] = []  # Runs whose last grasp is in the open shard
         self._left_out: dict[str, str] = {}
+        self._engines: tuple[str, ...] = ()  # Those that any run has a table of
 
     def begin(self, tell: Tell) -> list[DatasetRun]:
         """Return the runs that are to be written, in their order; what is complete is kept."""
@@ -244,6 +245,8 @@ class DatasetWriter:
         return sorted(runs, key=lambda run: run.run != begun)  # its other rows come before those of others
 
     def _runs(self, done: set[str]) -> Iterator[DatasetRun]:
+        judged = {file.stem for file in (self._campaign.path / RUNS).glob("*/engine-*.csv")}
+        self._engines = tuple(name for name in ENGINES if f"engine-{name}" in judged)
         for path in self._campaign.run_paths:
             if path.name in done:
                 continue
@@ -263,11 +266,11 @@ class DatasetWriter:
         with ExitStack() as stack:
             try:
                 journal = stack.enter_context(folder.journal())
-                reader = GraspReader(folder, journal)
+                reader = GraspReader(folder, journal, self._engines)
                 chosen = choose_grasps(reader, self._choice, self._options.failures)
                 metadata = grasp_metadata(folder, chosen, self._options.frame, self._form.places)
                 totals = run_totals(folder)
-            except FolderError as error:
+            except InputError as error:
                 self._left_out[run.run] = str(error)
                 return True
             entry = self._entry(run, chosen, metadata, totals)

@@ -13,6 +13,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 )
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
+from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.spec import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
@@ -70,6 +71,8 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     scene: str
     """sha256 of the scene bundle."""
     platform: dict[str, str]
+    in_both: dict[str, HeldShare] = field(default_factory=dict)
+    """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
     reduced: str = ""
     """Rows left out of the journal, in words; empty where every row is there."""
     sources: list[str] = field(default_factory=list)
@@ -91,7 +94,9 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
         platform, sources = values.pop("platform"), values.pop("sources")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
+        shares = values.pop("in_both")
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
+        lines += [f"{f'in {name} too':<16} {share.words}" for name, share in shares.items()]
         lines += [f"{'source':<16} {source}" for source in sources]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
@@ -132,6 +137,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
             collision_source=folder.scene().object.collision_source,
             scene=journal.scene,
             platform=journal.platform,
+            in_both=held_shares(folder),
         )
 
 

@@ -128,10 +128,12 @@ def campaign(
         return
     if not JobFolder.is_job(path):
         campaign_file.check_meshes(asked.runs.values())
+    listening = ListenConfig(listen, security, insecure)
+    count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
+    config.check_engines(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
-    listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
     with lifetime("qdgrasp campaign") as stop, progress_display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
         if extent.runs_done:

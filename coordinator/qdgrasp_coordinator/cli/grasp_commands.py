@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.spec import RunSpec, check_engine, run_spec
 from qdgrasp_protocol.text import counted
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def export(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
+    holds_in: options.HoldsIn = None,
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
@@ -94,7 +95,7 @@ def export(
     if JobFolder.is_job(directory) and JobFolder(directory).is_campaign:
         from qdgrasp_coordinator.campaign import campaign_export  # takes its time to load
 
-        choice = GraspChoice(min_fitness, min_quality, top, diverse, limits)
+        choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
         shares = () if split is None else campaign_export.parse_shares(split)
         with progress_messages() as tell, lifetime("qdgrasp export") as stop:
             written = campaign_export.export_campaign(
@@ -127,6 +128,7 @@ def export(
             top=top,
             diverse=diverse,
             limits=limits,
+            holds_in=holds_in,
             frame=frame,
             negatives=negatives,
             force=force,
@@ -250,8 +252,9 @@ def evaluate(
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
     spec = run_spec(values, "evaluate")
+    check_engine(spec.engine)
     hand_poses = read_poses(poses)
-    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    config = LocalJobConfig(options.worker_count(workers, spec.engine), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         prepared = prepare_scene(spec)

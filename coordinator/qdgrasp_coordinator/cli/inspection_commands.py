@@ -108,13 +108,16 @@ def verify(
     how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
 
     With --engine the commanded poses of successes of a run are simulated in another engine, and both verdicts
-    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0.
+    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0. The table
+    keeps what it has of other successes.
 
     Example: qdgrasp verify runs/demo --sample 500
     """
     if every and sample is not None:
         raise InputError("--all leaves nothing to --sample: give one of them.")
-    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    folders = run_folders_at(directory)
+    engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
+    config = LocalJobConfig(options.worker_count(workers, *engines), batch_size)
     most = None if every else sample or SAMPLE_ROWS
     if engine is not None:
         with progress_display("verify", most or 0) as shown, lifetime("qdgrasp verify") as stop:
@@ -123,7 +126,6 @@ def verify(
             raise typer.Exit(stop.exit_code)
         typer.echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
         return
-    folders = run_folders_at(directory)
     samples = choose_rows(folders, most, seed)
     with (
         progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,

@@ -24,7 +24,12 @@ import typer
 from qdgrasp_assets import catalog
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD, NodeFigures, node_info
+from qdgrasp_coordinator.local.benchmark_figures import (
+    BENCH_METHOD,
+    NodeFigures,
+    node_info,
+    package_version,
+)
 from qdgrasp_coordinator.local.node_benchmark import SceneBenchmark, SceneMeasurement
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.local.restart_policy import GRACE
@@ -33,13 +38,22 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
 from qdgrasp_protocol.process import ProcessGroup, lifetime
 from qdgrasp_protocol.session import Role, default_endpoint
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
+    DEVICE_ENGINE,
+    DEVICE_VARIABLE,
+    ENGINE_PACKAGES,
+    MissingEngine,
+    RunSpec,
+    check_engine,
+)
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-PACKAGES = ("eclipse-zenoh", "pybullet", "numpy", "ribs", "trimesh", "msgpack", "coacd")
+PACKAGES = ("eclipse-zenoh", "numpy", "ribs", "trimesh", "msgpack", "coacd")
+OLDEST_PYTHON = (3, 11)
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
-SIMULATOR_SECONDS = 60  # seconds
+SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
 
 
 class MissingRequirement(InputError):
@@ -54,6 +68,7 @@ def doctor() -> None:
     checks: dict[str, Callable[[], str]] = {
         "python": _check_python,
         "packages": lambda: ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES),
+        "engines": _check_engines,
         "cores": lambda: str(options.cores()),
         "bus": _check_bus,
         "simulator": _check_simulator,
@@ -75,9 +90,19 @@ def _report(name: str, check: Callable[[], str]) -> bool:
 
 
 def _check_python() -> str:
-    if sys.version_info[:2] != (3, 11):
-        raise MissingRequirement(f"Python 3.11 is needed, this is {machine.python_version()}.")
+    if sys.version_info < OLDEST_PYTHON:
+        raise MissingRequirement(f"Python 3.11 or later is needed, this is {machine.python_version()}.")
     return f"{machine.python_version()} on {machine.machine()}"
+
+
+def _check_engines() -> str:
+    """Name both engines; without PyBullet, say what follows."""
+    found = ", ".join(f"{name} {package_version(name)}" for name in ENGINE_PACKAGES.values())
+    try:
+        check_engine(DEFAULT_ENGINE)
+    except MissingEngine as why:
+        return f"{found}: {why}"
+    return found
 
 
 def _check_bus() -> str:
@@ -89,15 +114,19 @@ def _check_bus() -> str:
 
 def _check_simulator() -> str:
     command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    seconds = DEVICE_SECONDS if os.environ.get(DEVICE_VARIABLE) else SIMULATOR_SECONDS
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SIMULATOR_SECONDS, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
     except subprocess.TimeoutExpired:
-        raise MissingRequirement(f"the probe set took more than {SIMULATOR_SECONDS} s.") from None
+        raise MissingRequirement(f"the probe set took more than {seconds} s.") from None
     if done.returncode:
         raise MissingRequirement(
             (done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1]
         )
-    return f"probe set {json.loads(done.stdout.strip().splitlines()[-1])['probes'][:12]}"
+    platform = json.loads(done.stdout.strip().splitlines()[-1])
+    device = [f"{DEVICE_ENGINE} on {platform['warp_device']}"] if DEVICE_ENGINE in platform else []
+    probes = {name.replace("_", " "): digest for name, digest in platform.items() if "probes" in name}
+    return ", ".join([*(f"{name} {digest[:12]}" for name, digest in probes.items()), *device])
 
 
 def _check_disk() -> str:
@@ -139,6 +168,7 @@ def bench(
     scale: options.Scale = None,
     units: options.Units = None,
     protocol: options.ProtocolOption = None,
+    engine: options.EngineOption = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
     ] = None,
@@ -155,9 +185,15 @@ def bench(
     Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
     """
     values = options.given(
-        gripper=gripper, mass=mass, scale=scale_of(units, scale), protocol=protocol, method=BENCH_METHOD
+        gripper=gripper,
+        mass=mass,
+        scale=scale_of(units, scale),
+        protocol=protocol,
+        engine=engine,
+        method=BENCH_METHOD,
     )
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
+    check_engine(specs[0].engine)
     count, here = options.worker_count(workers), node_info()
     found = [_measure_scene(spec, count, seconds) for spec in specs]
     figures = NodeFigures(

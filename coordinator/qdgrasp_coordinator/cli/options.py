@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
@@ -31,7 +32,11 @@ BaseOption = Annotated[
 ]
 EngineOption = Annotated[
     str | None,
-    typer.Option("--engine", help="Physics engine: bullet or mujoco (not for released); default bullet."),
+    typer.Option(
+        "--engine",
+        help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
+        "released has bullet alone, physical also mujoco-warp; default bullet.",
+    ),
 ]
 Trials = Annotated[
     str | None,
@@ -88,6 +93,13 @@ MinMargin = Annotated[
 MinLinks = Annotated[
     int | None, typer.Option(min=0, metavar="N", help="Finger links that touch after closing, at least.")
 ]
+HoldsIn = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ENGINE",
+        help="Only grasps that hold in this engine too, by `verify --engine` (bullet, mujoco).",
+    ),
+]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
@@ -97,9 +109,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def worker_count(workers: int | None) -> int:
-    """Return the number of workers that was given, else one per core."""
-    return cores() if workers is None else workers
+def worker_count(workers: int | None, *engines: str | None) -> int:
+    """Return the number of workers that was given, else one per core, or one for a device."""
+    return workers if workers is not None else 1 if DEVICE_ENGINE in engines else cores()
 
 
 def given(**values: Any) -> dict[str, Any]:

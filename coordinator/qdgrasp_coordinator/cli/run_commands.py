@@ -157,7 +157,9 @@ def run(
     usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    config = LocalJobConfig(
+        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds
+    )
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
         start_run(asked, place, config, job)
@@ -178,6 +180,7 @@ def start_run(
 ) -> None:
     """Begin a run in a new folder and carry it out; `begun` is called in between."""
     RunFolder.check_free(out)
+    config.check_engines([spec])
     with progress_display(out.name, spec.evaluations) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         bundle = run_plan.prepare_scene(spec).bundle
@@ -243,7 +246,9 @@ def resume(
         write_ranking_of(folder)
         return
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    count = options.worker_count(workers, folder.spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
+    config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,
@@ -260,7 +265,13 @@ def rerank(
         str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="Physics engine: bullet or mujoco; default: as in the run.")
+        str | None,
+        typer.Option(
+            "--engine",
+            "--engines",
+            help="Physics engine: bullet, mujoco, mujoco-warp, or two, as in bullet,mujoco; default: as in "
+            "the run.",
+        ),
     ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
@@ -318,7 +329,11 @@ def rerank(
     among the --top best have a hundred trials. The folder is that of a run:
     `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
 
+    With two engines a trial is passed that holds in both.
+
     Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
+
+    Example: qdgrasp rerank runs/demo --engines bullet,mujoco --base physical
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
@@ -335,7 +350,9 @@ def rerank(
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
+    count = options.worker_count(workers, spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait)
+    config.check_engines([spec])
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
         scene, bundle = run_plan.prepare_scene(spec)

@@ -21,6 +21,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
 
 
@@ -109,6 +110,7 @@ def export_run(
     top: int | None = None,
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
+    holds_in: str | None = None,
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
@@ -117,15 +119,14 @@ def export_run(
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
     The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
-    `diverse` and `limits` are as in `select_grasps`; `min_quality` is a least confidence; poses are
-    in the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind
-    the grasps; None: as many as is usual in the format. `tell` is called with each step that begins. Raises
-    InputError if there is no such format or frame, there is nothing to write, or it cannot be read or
-    written.
+    `diverse`, `limits` and `holds_in` are as in `select_grasps`; `min_quality` is a least confidence; poses
+    are in the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps;
+    None: as many as is usual in the format. `tell` is called with each step that begins. Raises InputError if
+    there is no such format or frame, there is nothing to write, or it cannot be read or written.
     """
     form, object_frame = format_of(name), frame_of(frame)
     wanted = form.failures(negatives)
-    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits)
+    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
     output = form.output(out, force=force)
     output.check()
     tell(f"reading {folder.path}")
@@ -140,6 +141,9 @@ def export_run(
     beside = f" and {counted(chosen.failures, 'failure')}" if wanted else ""
     grasps_written = f"{counted(len(chosen) - chosen.failures, 'grasp')}{beside} written to {out}"
     note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
+    if holds_in is not None:
+        unknown = counted(chosen.unknown, "grasp")
+        note += f" Left out: {unknown} whose verdict in {holds_in} is not known."
     return f"{grasps_written}, poses in the object's {object_frame} frame.{note}"
 
 
@@ -152,6 +156,13 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
     if best >= min_fitness:
         good = successes[successes.fitness >= min_fitness]
+        if choice.holds_in is not None:
+            found = good.verdicts_in(choice.holds_in)
+            held = int((found == Outcome.HELD).sum())
+            here = f"of {counted(len(good), 'grasp')} {held} hold in {choice.holds_in}"
+            good = good[found == Outcome.HELD]
+            if not len(good):
+                return f"{folder.path} has no such grasp: {here}, {int((found < 0).sum())} are not known."
         admitted = choice.limits.admitted(good.rows, good.scene)
         if admitted.any():
             highest = good.confidence[admitted].max()

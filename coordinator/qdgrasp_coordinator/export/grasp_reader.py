@@ -1,6 +1,6 @@
 """Reads and chooses grasps of a run from its journal, some thousands at a time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.metrics.scores import genome_numbers, scored_successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances
 from qdgrasp_protocol.rows import Outcome, Rows
@@ -50,7 +51,10 @@ class GraspReader:
     Raises FolderError if the folder cannot be read, or has no scene yet.
     """
 
-    def __init__(self, folder: RunFolder, journal: Journal) -> None:
+    def __init__(self, folder: RunFolder, journal: Journal, engines: Iterable[str] = ()) -> None:
+        """Read with verdicts in `engines`, unknown without a table, and in those of its tables."""
+        no_table = np.zeros(0, TABLE)
+        self._tables = dict.fromkeys(engines, no_table) | other_tables(folder)
         self.scene = folder.scene()
         self.spec = folder.spec
         self._journal = journal
@@ -90,7 +94,8 @@ class GraspReader:
             is_known = known.genomes[places] == mine
             etas[here[is_known]] = known.eta[places[is_known]]
             trials[here[is_known]] = known.trials[places[is_known]]
-        return Grasps(self.scene, self.spec, self._sources, origins, numbers, rows, etas, trials)
+        elsewhere = {name: verdicts(table, numbers, rows["outcome"]) for name, table in self._tables.items()}
+        return Grasps(self.scene, self.spec, self._sources, origins, numbers, rows, etas, trials, elsewhere)
 
     def _known_etas(self, origin: int) -> KnownEtas:
         if origin not in self._etas:
@@ -131,6 +136,7 @@ class GraspChoice:
     top: int | None = None
     diverse: int | None = None
     limits: GraspLimits = NO_LIMITS
+    holds_in: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +148,8 @@ class ChosenGrasps:
     """(n,), of `CHOSEN`, in the order in which they are written."""
     failures: int
     """The last so many are failures."""
+    unknown: int = 0
+    """Grasps that were left out as their verdict in the engine that is asked for is not known."""
 
     def __len__(self) -> int:
         return len(self.index)
@@ -191,9 +199,13 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
     Behind them stand failures, evaluations that were no grasps: at most so many, spread over the journal.
     """
     is_ranked = choice.top is not None or choice.diverse is not None
+    unknown = 0
     good, bad, ranked = [np.zeros(0, CHOSEN)], [np.zeros(0, CHOSEN)], []
     for block in reader.blocks(Outcome.MISSED if failures else Outcome.DROPPED):
-        found = select_grasps(block, choice.min_fitness, limits=choice.limits)
+        found = select_grasps(block, choice.min_fitness, limits=choice.limits, holds_in=choice.holds_in)
+        if choice.holds_in is not None:
+            every = select_grasps(block, choice.min_fitness)
+            unknown += int((every.verdicts_in(choice.holds_in) < 0).sum())
         found = found[found.confidence >= choice.min_quality]
         if is_ranked:
             names = [name for name in RANKED_BY if name in (found.rows.dtype.names or ())]
@@ -209,7 +221,7 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
         others = others[~np.isin(others["number"], chosen["number"])]
     if failures != ALL_FAILURES and failures < len(others):
         others = others[np.linspace(0, len(others) - 1, failures).round().astype(np.int64)]
-    return ChosenGrasps(reader, np.concatenate([chosen, others]), len(others))
+    return ChosenGrasps(reader, np.concatenate([chosen, others]), len(others), unknown)
 
 
 def _index(grasps: Grasps) -> NDArray[np.void]:

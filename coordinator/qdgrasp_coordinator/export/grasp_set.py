@@ -1,7 +1,7 @@
 """Grasps of a run as arrays: read from its journal; selected by fitness, rank and spread."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, overload
 
@@ -25,10 +25,11 @@ from qdgrasp_coordinator.metrics.scores import best_first
 from qdgrasp_coordinator.metrics.trial_schedule import eta_bounds, eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.engine_table import Verdicts
 from qdgrasp_coordinator.storage.run_folder import Provenance
-from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
 from qdgrasp_protocol.text import counted
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
@@ -111,6 +112,8 @@ class Grasps:
     """(n,): estimated probability of transfer; NaN where too few trials of a success are there."""
     trials: NDArray[np.int64]
     """(n,): trials that it is of."""
+    elsewhere: dict[str, Verdicts] = field(default_factory=dict)
+    """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -134,6 +137,7 @@ class Grasps:
             rows=take_rows(self.rows, places),
             eta=self.eta[places],
             trials=self.trials[places],
+            elsewhere={name: values[places] for name, values in self.elsewhere.items()},
         )
 
     def __iter__(self) -> Iterator[Grasp]:
@@ -195,6 +199,24 @@ class Grasps:
     def is_grasp(self) -> NDArray[np.bool_]:
         """(n,): True if at least one disturbance was survived."""
         return np.asarray(self.rows["outcome"] >= Outcome.SHAKEN)
+
+    def verdicts_in(self, engine: str) -> NDArray[np.int8]:
+        """(n,): outcomes in an engine, its own or one that the run has a table of; -1: not known.
+
+        A run of two engines knows of those that hold in both alone. Raises UnknownName and InputError.
+        """
+        if engine not in ENGINES:
+            raise UnknownName("engine", engine, ENGINES)
+        own, outcomes = engine_names(self.spec.engine), self.rows["outcome"].astype(np.int8)
+        if engine in own:
+            is_known = (len(own) == 1) | (outcomes == Outcome.HELD)
+            return np.where(is_known, outcomes, np.int8(-1))
+        if engine not in self.elsewhere:
+            raise InputError(
+                f"Which grasps hold in {engine} is not known of this run: run 'qdgrasp verify DIR --engine "
+                f"{engine} --all' first."
+            )
+        return np.asarray(self.elsewhere[engine]["outcome"])
 
     @cached_property
     def eta_error(self) -> Floats:
@@ -302,6 +324,9 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
         rows=join_rows([part.rows for part in parts]),
         eta=np.concatenate([part.eta for part in parts]),
         trials=np.concatenate([part.trials for part in parts]),
+        elsewhere={
+            name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
+        },
     )
 
 
@@ -311,20 +336,24 @@ def select_grasps(
     top: int | None = None,
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
+    holds_in: str | None = None,
 ) -> Grasps:
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
     successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
     eta is known, then by fitness); `diverse` takes so many at most, each as far as can be from those before
-    it (`spread_places`), the best one first. Without both, grasps are in journal order. Raises
-    ImpossibleValue for other numbers.
+    it (`spread_places`), the best one first. Without both, grasps are in journal order. `holds_in` takes
+    those that hold in this engine, by the run's table of it. Raises ImpossibleValue for other numbers,
+    UnknownName for another engine, and InputError where there is no such table.
     """
     _check_number("min_fitness", min_fitness, whole=False)
     for name, value in (("top", top), ("diverse", diverse)):
         if value is not None:
             _check_number(name, value, whole=True)
     chosen = grasps[grasps.is_success & (grasps.fitness >= min_fitness)]
+    if holds_in is not None:
+        chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
     if top is None and diverse is None:
         return chosen

@@ -71,6 +71,10 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn(
         "fitness", grasps.fitness, "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
     )
+    for name, verdicts in grasps.elsewhere.items():
+        words = np.append(OUTCOMES, "")[verdicts["outcome"]]  # -1, not known, is the last
+        yield GraspColumn(f"{name}_outcome", words, f"how it ended in {name}; none: not evaluated there")
+        yield GraspColumn(f"{name}_fitness", verdicts["fitness"], f"disturbances survived in {name}")
     yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
     error = "standard error of eta, for the number of trials alone; none where eta is not known"
     yield GraspColumn("eta_error", grasps.eta_error, error)

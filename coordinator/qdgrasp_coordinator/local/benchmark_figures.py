@@ -24,6 +24,7 @@ from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
+from qdgrasp_protocol.spec import ENGINE_PACKAGES
 
 BENCH_METHOD, BENCH_PRIOR = "contact_rand", "contact"
 GREATEST_NU = pi / 4  # The greatest nu of poses among which grasps are looked for: the approach prior's
@@ -191,7 +192,7 @@ def returned_batch(result: Result, now: float) -> ReturnedBatch:
     return ReturnedBatch(now, result.wid, result.generation, result.n, result.cpu_seconds, *map(int, counts))
 
 
-PACKAGES = ("qdgrasp", "pybullet", "numpy", "scipy", "ribs", "eclipse-zenoh")
+PACKAGES = ("qdgrasp", *ENGINE_PACKAGES.values(), "numpy", "scipy", "ribs", "eclipse-zenoh")
 
 
 class NodeInfo(Struct, frozen=True, kw_only=True):
@@ -223,8 +224,16 @@ def node_info() -> NodeInfo:
         memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         system=platform.platform(),
         python=platform.python_version(),
-        packages={name: importlib.metadata.version(name) for name in PACKAGES},
+        packages={name: package_version(name) for name in PACKAGES},
     )
+
+
+def package_version(name: str) -> str:
+    """Return the version of an installed package; "absent" where it is not installed."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
 
 
 def peak_memory(pid: int) -> int:

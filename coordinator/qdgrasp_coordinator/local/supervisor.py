@@ -3,8 +3,9 @@
 The same processes, commands and messages as on many machines; there is no second code path.
 """
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +16,11 @@ from qdgrasp_coordinator.local.restart_policy import COORDINATOR, GRACE, Restart
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import EndpointError, MessageError
+from qdgrasp_protocol.errors import EndpointError, InputError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
+from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check_engine
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
@@ -59,6 +61,17 @@ class LocalJobConfig:
     """Seconds that a full disk is waited for."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
+
+    def check_engines(self, specs: Iterable[RunSpec]) -> None:
+        """Raise an InputError where workers start here that lack the engine or device of a run."""
+        for spec in specs if self.workers else ():
+            check_engine(spec.engine)
+            if spec.engine == DEVICE_ENGINE and not os.environ.get(DEVICE_VARIABLE):
+                raise InputError(
+                    f"The engine {DEVICE_ENGINE} needs a worker with a device: set {DEVICE_VARIABLE}=cuda "
+                    "for those started here, or start none here (workers 0) and `qdgrasp-worker --device "
+                    "cuda` elsewhere."
+                )
 
 
 class Supervisor:

@@ -15,6 +15,7 @@ from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage import atomic_files, success_pages
+from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
@@ -87,6 +88,9 @@ class Records(Protocol):
 
     def place(self, job: str, run: str) -> RunLocation:
         """Return the location of a run."""
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Return the verdicts of other engines on successes of a run, read anew when they change."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,10 @@ class BusRecords:
         host = "" if listings.host == gethostname() else listings.host
         return RunLocation(folders.get(run) or "DIR", host)
 
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Return none: the recorder does not tell them."""
+        return {}
+
     def _entries(self, job: str, parameters: str) -> RunListings:
         answer = self._bus.ask(Keys(job).entries, parameters=parameters)
         try:
@@ -245,3 +253,7 @@ class FolderRecords:
     def place(self, job: str, run: str) -> RunLocation:
         """Return its folder, here."""
         return RunLocation(str(self._index.run(job, run).path.absolute()))
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Read the tables in the folder."""
+        return other_tables(self._index.run(job, run))

@@ -23,6 +23,7 @@ from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.engine_table import other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
@@ -227,6 +228,8 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """Metres to a unit of the mesh file."""
     run: str
     """The run that found it, by the name of its folder."""
+    elsewhere: dict[str, str] = {}
+    """Outcome and fitness in other engines that the run has a table of, in words."""
 
     @property
     def is_success(self) -> bool:
@@ -252,6 +255,8 @@ class RowReport(Struct, frozen=True, kw_only=True):
         values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
         unknown = "not recorded" if self.is_success else None
         values["settled"] = unknown if self.settled is None else self.settled.lines
+        others = values.pop("elsewhere")
+        values |= {f"in_{name}": words for name, words in others.items()}
         values["moved"] = unknown if self.moved is None else f"{1000 * self.moved:.3g} mm"
         values["margin"] = unknown if self.margin is None else f"{self.margin:.3g}"
         values["turned"] = unknown if self.turned is None else f"{degrees(self.turned):.3g} deg"
@@ -281,12 +286,23 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
         }
     values |= {name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")}
     values |= _row_fields(row, folder.scene(), prior_of(spec))
+    values["elsewhere"] = _other_verdicts(folder, number, row)
     values |= {"scale": spec.scale or 1.0, "trials": len(repeats), "eta": None, "eta_error": None}
     if 0 < plan.least <= len(repeats):
         count = np.array([len(repeats)])
         found = plan.eta(plan.scores(np.array([sum(repeats)]), count))
         values |= {"eta": float(found[0]), "eta_error": float(eta_error(found, count)[0])}
     return msgspec.convert(values, RowReport)
+
+
+def _other_verdicts(folder: RunFolder, number: int, row: np.void) -> dict[str, str]:
+    """Outcome and fitness of a success in other engines, in words."""
+    found = {}
+    for name, table in other_tables(folder).items():
+        (verdict,) = verdicts(table, np.array([number]), row["outcome"][None])
+        if verdict["outcome"] >= 0:
+            found[name] = f"{Outcome(verdict['outcome']).name.lower()}, fitness {verdict['fitness']:g}"
+    return found
 
 
 def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:

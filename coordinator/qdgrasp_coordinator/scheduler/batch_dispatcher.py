@@ -140,10 +140,13 @@ class Dispatcher:
         """Lease what is queued to workers with credit left; send them in this order."""
         leases: list[Lease] = []
         for worker in self._workers.idle() if self._queue else ():
-            run = self._queue.next_run(worker.scenes)
+            rows = worker.join.rows
+            run = self._queue.next_run(worker.scenes, rows > 0)
             if run is None:
-                break
-            state = self._batches.open(self._queue.pop(run, len(self._workers)))
+                if not self._queue:
+                    break
+                continue
+            state = self._batches.open(self._queue.pop(run, len(self._workers), rows))
             state.attempts += 1
             state.since = now
             state.leased.add(worker.wid)

@@ -14,6 +14,7 @@ from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
+from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,13 @@ class RunRef:
     scene: str
     """The scene bundle's sha256."""
     prior: str
+    engine: str | None = None
+    """The physics engine; None: Bullet."""
+
+    @property
+    def needs_device(self) -> bool:
+        """True if only workers with a device evaluate it."""
+        return self.engine == DEVICE_ENGINE
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,24 +225,35 @@ class BatchQueue:
         """Forget a run."""
         self._runs.pop(run, None)
 
-    def next_run(self, scenes: Collection[str]) -> str | None:
-        """Return the run served least, or within the slack one whose scene is held; None: no rows."""
-        waiting = [rows for rows in self._runs.values() if rows]
+    def next_run(self, scenes: Collection[str], has_device: bool = False) -> str | None:
+        """Return the run served least, or within the slack one whose scene is held; None: no rows.
+
+        A worker that has a device takes runs that need one first, and others do not take them.
+        """
+        waiting = [rows for rows in self._runs.values() if rows and rows.run.needs_device <= has_device]
         if not waiting:
             return None
+        if any(rows.run.needs_device for rows in waiting):
+            waiting = [rows for rows in waiting if rows.run.needs_device]
         least = min(waiting, key=lambda rows: rows.served)
         held = (rows for rows in waiting if rows.run.scene in scenes)
         least_held = min(held, key=lambda rows: rows.served, default=least)
         return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
 
-    def pop(self, run: str, workers: int) -> Batch:
-        """Return the next batch of a waiting run: one queued again, or a new one."""
+    def pop(self, run: str, workers: int, at_once: int = 0) -> Batch:
+        """Return the next batch of a waiting run: one queued again, or a new one.
+
+        `workers` share the rows of a generation; a device takes all, as many as it evaluates `at_once`.
+        """
         waiting = self._runs[run]
         if waiting.again:
             batch = waiting.again.pop(next(iter(waiting.again)))
         else:
             rows = waiting.uncut.popleft()
-            n = waiting.sizer.next_size(len(rows), workers, len(self._runs))
+            if waiting.run.needs_device and self._batch_size is None:
+                n = min(at_once, len(rows))
+            else:
+                n = waiting.sizer.next_size(len(rows), workers, len(self._runs))
             if n < len(rows):
                 waiting.uncut.appendleft(rows[n:])
             batch = Batch(self._new_id(), waiting.run, rows[:n])

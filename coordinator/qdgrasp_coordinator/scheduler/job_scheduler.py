@@ -26,7 +26,7 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     RunRegistry,
 )
 from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
-from qdgrasp_coordinator.storage.run_folder import admit_platform
+from qdgrasp_coordinator.storage.run_folder import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Channel, DropCounter, Sample
 from qdgrasp_protocol.errors import (
@@ -225,6 +225,10 @@ class JobScheduler:
             self._on_not_opened(RunFailed(run.name, f"Its rows were made elsewhere: {refusal}"))
             return
         run.sink.set_platform(workers.platform)
+        for worker in list(workers):
+            if lacks_engine(run.plan.spec.engine, worker.join.platform):
+                workers.drain(worker.wid)
+                self._send_away(worker.wid)
         self.runs.add(run)
         log.info("opened", run=run.name, recorded=run.replayed)
         rows = run.tally.rows
@@ -253,6 +257,9 @@ class JobScheduler:
         """Answer a worker that asks to join; the first one sets the platform of the rows."""
         platform, is_new = self.workers.platform, self.workers.get(join.wid) is None
         try:
+            for run in self.runs:
+                if lacks_engine(run.plan.spec.engine, join.platform):
+                    raise LacksEngine(run.name, run.plan.spec.engine)
             drop = self.dispatcher.join(join, now)
         except Refused as refusal:
             words = f"A worker on {join.host} was refused: {refusal}."
@@ -262,6 +269,12 @@ class JobScheduler:
         worker = self.workers.get(join.wid)
         if worker and is_new:
             self.events.note("worker", f"{worker.description} joined.", worker=join.wid)
+            for run in self.runs if not join.rows else ():
+                if run.ref.needs_device:
+                    words = (
+                        f"It has no device for the engine {run.ref.engine}, and gets no rows of '{run.name}'."
+                    )
+                    self.events.note("worker", words, worker=join.wid, run=run.name)
         if worker and worker.is_drained:
             self._send_away(join.wid)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)

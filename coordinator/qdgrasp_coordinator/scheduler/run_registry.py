@@ -31,7 +31,7 @@ class ActiveRun:
         self.plan = plan
         self.pipeline = plan.pipeline
         self.sink = sink
-        self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior)
+        self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior, plan.spec.engine)
         self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
         self._began = time.monotonic()
 

@@ -172,7 +172,7 @@ class Worker:
 
 
 def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
-    """Yield the worker to lease to next, as long as one has credit left.
+    """Yield the worker to lease to next, while one has credit left and took what it was offered.
 
     Among equals the one that was quiet for longest comes first, so that every stuck worker is tried.
     """
@@ -180,8 +180,8 @@ def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
     heapify(heap)
     while heap:
         yield heap[0][-1]
-        *_, order, worker = heappop(heap)
-        if worker.has_credit:
+        count, _, order, worker = heappop(heap)
+        if worker.has_credit and len(worker.batches) > count:
             heappush(heap, (len(worker.batches), worker.progress, order, worker))
 
 

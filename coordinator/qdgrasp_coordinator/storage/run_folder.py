@@ -26,7 +26,16 @@ from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE,
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import (
+    DEVICE_ENGINE,
+    ENGINE_PACKAGES,
+    RunSpec,
+    differences,
+    engine_names,
+    read_run_spec,
+    run_spec,
+    to_toml,
+)
 from qdgrasp_protocol.text import first_few
 
 
@@ -38,8 +47,16 @@ class PreparedScene(NamedTuple):
 
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
-ENGINE_ENTRIES = {"mujoco": ("mujoco", "mujoco_code")}
-"""Entries of a platform that concern the rows of an engine alone; the platform of others lacks them."""
+IN_MUJOCO = ("mujoco", "mujoco_code", "mujoco_probes")
+ENGINE_ENTRIES = {
+    "bullet": ("pybullet", "probes"),
+    "mujoco": IN_MUJOCO,
+    DEVICE_ENGINE: (DEVICE_ENGINE, f"{DEVICE_ENGINE}_code", "warp", "warp_device", *IN_MUJOCO),
+}
+"""Entries of a platform that concern the rows of an engine alone, first its version.
+
+The platform of rows of another engine lacks them, and so does that of a machine without the engine.
+"""
 ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
 
 
@@ -48,6 +65,17 @@ class PlatformDiffers(Refused):
 
     def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
         super().__init__(f"its platform differs: {platform_differences(job, worker)}.")
+
+
+class LacksEngine(Refused):
+    """A worker does not have the engine of a run that is carried out."""
+
+    def __init__(self, run: str, engine: str | None) -> None:
+        package = " and ".join(ENGINE_PACKAGES[name] for name in engine_names(engine))
+        super().__init__(
+            f"run '{run}' is simulated in {package}, which is not installed there; install it, or start the "
+            "worker where it is."
+        )
 
 
 def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
@@ -75,9 +103,27 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
 
 
 def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
-    """The part of a platform that concerns the rows of an engine; None: Bullet."""
-    others = ENGINE_NAMES.difference(ENGINE_ENTRIES.get(engine or "", ()))
+    """The part of a platform that concerns the rows of an engine, or of two; None: Bullet."""
+    others = ENGINE_NAMES.difference(*(ENGINE_ENTRIES[name] for name in engine_names(engine)))
     return {name: value for name, value in platform.items() if name not in others}
+
+
+def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
+    """Entries of its engines that a platform lacks, on which rows were made; None: Bullet.
+
+    They were recorded before these entries were, or have no engine, but an evaluator of one's own.
+    """
+    entries = [ENGINE_ENTRIES[name] for name in engine_names(engine)]
+    return [name for own in entries if own[0] in platform for name in own if name not in platform]
+
+
+def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
+    """Return whether a worker's platform has engines, and not this one or these; None: Bullet.
+
+    Rows of a device are leased to workers that have it alone; others may serve a job beside them.
+    """
+    wanted = {ENGINE_ENTRIES[name][0] for name in engine_names(engine) if name != DEVICE_ENGINE}
+    return not ENGINE_NAMES.isdisjoint(platform) and not wanted <= platform.keys()
 
 
 def journal_digest(journal: Journal) -> str:

@@ -52,6 +52,8 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
     platform: dict[str, str]
     differences: str
     """Entries that this platform has instead, in words; empty where it is the same."""
+    not_recorded: list[str] = []
+    """Entries of its engine that were not recorded then, so that they are not compared."""
 
     @property
     def words(self) -> str:
@@ -60,6 +62,8 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
             which = "a platform that is not recorded"
         else:
             which = f"another platform; here is {self.differences}" if self.differences else "this platform"
+            if self.not_recorded:
+                which += f" ({', '.join(self.not_recorded)} was not recorded then)"
         return f"{self.rows} of them were made on {which}"
 
 

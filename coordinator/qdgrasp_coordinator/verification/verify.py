@@ -30,8 +30,8 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
 from qdgrasp_coordinator.verification.comparison import (
     DifferentRow,
@@ -43,7 +43,7 @@ from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import run_spec, to_values
+from qdgrasp_protocol.spec import check_engine, engine_names, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]
@@ -187,6 +187,8 @@ def verify_rows(
 
     Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
     """
+    for selection in selections:
+        check_engine(selection.found_by.spec.engine)
     found = ReevaluationQueue(selections)
     run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
@@ -220,13 +222,19 @@ def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
     """Yield the platforms that rows were made on, those of most rows first."""
-    counts: Counter[tuple[tuple[str, str], ...]] = Counter()
+    counts: Counter[tuple[str | None, tuple[tuple[str, str], ...]]] = Counter()
     for selection in selections:
-        counts[tuple(sorted(selection.found_by.platform.items()))] += len(selection.numbers)
-    for items, rows in counts.most_common():
+        engine = selection.found_by.spec.engine
+        platform = run_folder.platform_of(engine, selection.found_by.platform)
+        counts[engine, tuple(sorted(platform.items()))] += len(selection.numbers)
+    for (simulated_in, items), rows in counts.most_common():
         platform = dict(items)
-        differences = run_folder.platform_differences(platform, now)
-        yield PlatformShare(rows=rows, platform=platform, differences=differences)
+        yield PlatformShare(
+            rows=rows,
+            platform=platform,
+            differences=run_folder.platform_differences(platform, now),
+            not_recorded=run_folder.missing_entries(simulated_in, platform),
+        )
 
 
 class EngineComparison(Struct, frozen=True, kw_only=True):
@@ -268,13 +276,16 @@ def compare_engine(
     display: ProgressDisplay,
     stop: Stop,
 ) -> EngineComparison | None:
-    """Simulate successes of a run in another engine, and write a table into its folder.
+    """Simulate successes of a run in another engine, and write the table in its folder.
 
     Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
-    InputError for a run of another protocol, of several runs, or without successes.
+    InputError for a run of another protocol, of several runs, or without successes, and for two engines.
     """
+    if len(engine_names(engine)) > 1:
+        raise InputError(f"verify compares with one engine, and '{engine}' names two; name one of them.")
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
+    check_engine(spec.engine)
     with folder.journal() as journal:
         if journal.sources:
             raise InputError(
@@ -296,8 +307,7 @@ def compare_engine(
     run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
     if stop.is_set:
         return None
-    table = OutFile(folder.path / f"engine-{engine}.csv", force=True)
-    table.write(engine_table(places, rows[places], memory.rows).encode())
+    table = write_table(folder, engine, places, rows[places], memory.rows)
     pairs = Counter(zip(rows["outcome"][places].tolist(), memory.rows["outcome"].tolist(), strict=True))
     outcomes: dict[str, dict[str, int]] = {}
     for (recorded, now), number in sorted(pairs.items(), reverse=True):
@@ -305,16 +315,5 @@ def compare_engine(
     robust = [each["outcome"] >= Outcome.HELD for each in (rows[places], memory.rows)]
     same = int((robust[0] == robust[1]).sum())
     return EngineComparison(
-        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table.path)
+        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table)
     )
-
-
-def engine_table(numbers: NDArray[np.int64], recorded: Rows, now: Rows) -> str:
-    """CSV of both verdicts of each row, by its number in the journal."""
-    lines = ["row,outcome,fitness,outcome_now,fitness_now"]
-    for number, one, other in zip(numbers.tolist(), recorded, now, strict=True):
-        verdicts = (
-            f"{Outcome(each['outcome']).name.lower()},{int(each['fitness'])}" for each in (one, other)
-        )
-        lines.append(",".join([str(number), *verdicts]))
-    return "\n".join(lines) + "\n"

@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.cli import job_commands, run_commands
+from qdgrasp_coordinator.cli import job_commands, options, run_commands
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.cli.run_commands import rerank_spec
 from qdgrasp_coordinator.search.registry import check_spec
@@ -155,3 +155,25 @@ def test_what_it_answers_to_an_order_is_escaped(
     monkeypatch.setattr(job_commands, "open_session", session)
     job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
     assert capsys.readouterr().out == "Done. \\x1b[2J\n"
+
+
+ON_DEVICE = ("--gripper", "panda", "--object", "mug", "--protocol", "physical", "--engine", "mujoco-warp")
+
+
+@pytest.mark.parametrize("given", [(), ("--workers", "2")])
+def test_a_run_of_which_no_worker_would_have_the_engine_is_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: tuple[str, ...]
+) -> None:
+    monkeypatch.delenv("QDGRASP_DEVICE", raising=False)
+    refused = CliRunner().invoke(app, ["run", *ON_DEVICE, *given, "--out", str(tmp_path / "run")]).exception
+    assert isinstance(refused, InputError)
+    assert "The engine mujoco-warp needs a worker with a device: set QDGRASP_DEVICE=cuda" in str(refused)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_one_worker_is_started_for_a_device_and_none_is_needed_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("QDGRASP_DEVICE", "cuda")
+    assert options.worker_count(None, None, "mujoco-warp") == 1
+    monkeypatch.delenv("QDGRASP_DEVICE")
+    assert options.worker_count(0, "mujoco-warp") == 0
+    assert options.worker_count(3, "mujoco") == 3

@@ -28,6 +28,7 @@ from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export import grasp_reader, grasp_set
 from qdgrasp_coordinator.export.dataset_card import ObjectFacts
 from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, read_run
+from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
@@ -387,3 +388,20 @@ def test_no_more_than_a_part_of_a_run_is_read_at_a_time(campaign, tmp_path, monk
     assert counts(tmp_path / "parts", name) == counts(tmp_path / "whole", name)
     if name == "graspgen":
         assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+
+
+def test_verdicts_of_another_engine_are_columns_of_all_runs_where_any_has_them(campaign, tmp_path) -> None:
+    run = RunFolder.open(campaign.run_path("jaw-cup-s0"))
+    found = read_run(run)[:3]
+    now = found.rows.copy()
+    now["outcome"] = (Outcome.HELD, Outcome.OVERLAP, Outcome.HELD)
+    write_table(run, "mujoco", found.numbers, found.rows, now)
+    export_campaign(campaign.path, tmp_path / "out", "parquet", GraspChoice(min_fitness=0))
+    table = pandas.read_parquet(tmp_path / "out" / "data").set_index(["run", "number"]).mujoco_outcome
+    assert table["jaw-cup-s0"][found.numbers].tolist() == ["held", "overlap", "held"]
+    assert table.notna().sum() == 3
+    assert len(list((tmp_path / "out" / "data" / "jaw").glob("train-*"))) == 1
+    export_campaign(
+        campaign.path, tmp_path / "both", "parquet", GraspChoice(min_fitness=0, holds_in="mujoco")
+    )
+    assert pandas.read_parquet(tmp_path / "both" / "data").number.tolist() == found.numbers[[0, 2]].tolist()

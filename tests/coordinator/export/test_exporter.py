@@ -1,5 +1,6 @@
 """`qdgrasp export`: what it takes from which folders, what it writes, and what it refuses."""
 
+import csv
 import os
 import shutil
 from contextlib import nullcontext
@@ -7,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from tests.coordinator.export.conftest import MakeRun, random_rows
 from tests.coordinator.export.independent_readers import READERS
@@ -18,6 +20,7 @@ from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
 from qdgrasp_coordinator.export.grasp_reader import GraspReader, read_run
+from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -239,3 +242,56 @@ def test_grasps_read_by_number_are_those_of_the_whole_with_their_etas(scene, tmp
     assert found.origins.tolist() == [1, 0, 1, 0, 1, 0]
     for name in ("rows", "eta", "trials", "starts", "numbers"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[order])
+
+
+def judge(run: RunFolder, *now: Outcome) -> None:
+    """Give the first successes of a run these verdicts in MuJoCo."""
+    found = read_run(run)[: len(now)]
+    rows = found.rows.copy()
+    rows["outcome"], rows["fitness"] = now, [max(0, one - Outcome.DROPPED) for one in now]
+    write_table(run, "mujoco", found.numbers, found.rows, rows)
+
+
+def test_only_what_holds_in_the_other_engine_is_written_and_what_is_not_known_is_counted(make_run, tmp_path):
+    run = make_run(*[Outcome.HELD] * 4, Outcome.SHAKEN, Outcome.DROPPED)
+    assert "run 'qdgrasp verify DIR --engine mujoco --all' first" in refusal(
+        run.path, "csv", tmp_path / "out.csv", "--holds-in", "mujoco"
+    )
+    judge(run, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
+    said = command(run.path, "--format", "csv", "-o", tmp_path / "out.csv", "--holds-in", "mujoco")
+    assert said.stdout.startswith("2 grasps written")
+    assert said.stdout.endswith("Left out: 2 grasps whose verdict in mujoco is not known.\n")
+    lines = [line for line in (tmp_path / "out.csv").read_text().splitlines() if not line.startswith("#")]
+    assert [line.split(",")[0] for line in lines] == ["number", "0", "2"]
+    judge(run, Outcome.OVERLAP, Outcome.SHAKEN, Outcome.DROPPED)
+    refused = refusal(run.path, "csv", tmp_path / "none.csv", "--holds-in", "mujoco")
+    assert "of 5 grasps 0 hold in mujoco, 2 are not known" in refused
+    assert "Unknown engine 'mujoca'" in refusal(run.path, "csv", tmp_path / "a", "--holds-in", "mujoca")
+
+
+@pytest.mark.parametrize("name", ["csv", "parquet"])
+def test_a_table_has_the_verdict_of_the_other_engine(make_run, tmp_path, name):
+    run = make_run(*[Outcome.HELD] * 3)
+    judge(run, Outcome.HELD, Outcome.OVERLAP)
+    export_run(run, tmp_path / "out", name)
+    if name == "csv":
+        lines = (tmp_path / "out").read_text().splitlines()
+        found = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+        values = [(each["mujoco_outcome"], each["mujoco_fitness"]) for each in found]
+        assert values == [("held", "2.0"), ("overlap", "0.0"), ("", "")]
+    else:
+        found = pq.read_table(tmp_path / "out")
+        assert found["mujoco_outcome"].to_pylist() == ["held", "overlap", None]
+        assert found["mujoco_fitness"].to_pylist() == [2, 0, None]
+
+
+def test_of_a_run_in_two_engines_those_that_hold_hold_in_both(make_run, tmp_path):
+    outcomes = [Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
+    run = make_run(*outcomes, protocol="physical", engine="mujoco,bullet")
+    for engine in ("bullet", "mujoco"):
+        said = export_run(run, tmp_path / engine, "csv", holds_in=engine)
+        assert said.startswith("2 grasps")
+        assert said.endswith(f"Left out: 1 grasp whose verdict in {engine} is not known.")
+    alone = make_run(*outcomes, name="alone", protocol="physical", engine="mujoco")
+    said = export_run(alone, tmp_path / "alone.csv", "csv", holds_in="mujoco")
+    assert said.endswith("Left out: 0 grasps whose verdict in mujoco is not known.")

@@ -29,10 +29,12 @@ class Dispatch(Dispatcher):
         self.workers = WorkerRegistry()
         super().__init__(epoch, self.workers, batch_size)
 
-    def admit(self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float) -> list[bytes]:
-        """Let a worker join whose token is there."""
+    def admit(
+        self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float, rows: int = 0
+    ) -> list[bytes]:
+        """Let a worker join whose token is there; its device evaluates so many rows at once."""
         self.workers.on_token(wid, True, now)
-        return self.join(join_message(wid, number, credit, held), now)
+        return self.join(join_message(wid, number, credit, held, rows=rows), now)
 
     def give_up(self, now: float) -> list[LostWorker]:
         """Queue again what overdue workers hold."""
@@ -42,9 +44,17 @@ class Dispatch(Dispatcher):
         return lost
 
 
-def submit(dispatch: Dispatch, n: int, run: str = "run", scene: str = SCENE, generation: int = 0) -> None:
+def submit(
+    dispatch: Dispatch,
+    n: int,
+    run: str = "run",
+    scene: str = SCENE,
+    generation: int = 0,
+    engine: str | None = None,
+) -> None:
     indices, trials = np.arange(n, dtype=np.uint32), np.zeros(n, dtype=np.uint16)
-    dispatch.submit(RunRef(run, scene, "contact"), Generation(generation, indices, trials, genomes(n)))
+    rows = Generation(generation, indices, trials, genomes(n))
+    dispatch.submit(RunRef(run, scene, "contact", engine), rows)
 
 
 def with_work(n: int = 10, batch_size: int | None = 2, workers: tuple[str, ...] = (ANN,)) -> Dispatch:

@@ -56,6 +56,39 @@ def test_a_worker_is_leased_as_many_batches_as_it_has_credit() -> None:
     assert indices(dispatch.leases(0.2)) == [[4, 5]]
 
 
+def test_rows_of_a_device_go_to_workers_that_have_one_as_many_as_it_takes_at_once() -> None:
+    dispatch = Dispatch(EPOCH)
+    submit(dispatch, 40, run="plain")
+    submit(dispatch, 250, run="on-device", engine="mujoco-warp")
+    dispatch.admit(ANN, 1, 2, [], 0.0)
+    dispatch.admit(BOB, 1, 2, [], 0.0, rows=100)
+    first = dispatch.leases(0.0)
+    assert {(lease.wid, lease.batch.run.run) for lease in first} == {(ANN, "plain"), (BOB, "on-device")}
+    assert [len(lease.batch) for lease in first if lease.wid == BOB] == [100, 100]
+    for lease in first:
+        settle(dispatch, lease, 0.1)
+    assert next(len(lease.batch) for lease in dispatch.leases(0.1) if lease.wid == BOB) == 50
+
+
+def test_without_a_device_its_rows_wait_and_others_do_not() -> None:
+    dispatch = Dispatch(EPOCH, batch_size=2)
+    submit(dispatch, 4, run="on-device", engine="mujoco-warp")
+    dispatch.admit(ANN, 1, 2, [], 0.0)
+    assert dispatch.leases(0.0) == []
+    submit(dispatch, 2, run="plain")
+    assert [lease.batch.run.run for lease in dispatch.leases(0.0)] == ["plain"]
+    dispatch.admit(BOB, 1, 2, [], 0.0, rows=64)
+    assert [(lease.wid, len(lease.batch)) for lease in dispatch.leases(0.1)] == [(BOB, 2), (BOB, 2)]
+
+
+def test_a_device_takes_rows_of_other_engines_when_its_own_are_done() -> None:
+    dispatch = Dispatch(EPOCH, batch_size=2)
+    submit(dispatch, 2, run="plain")
+    submit(dispatch, 2, run="on-device", engine="mujoco-warp")
+    dispatch.admit(BOB, 1, 2, [], 0.0, rows=64)
+    assert [lease.batch.run.run for lease in dispatch.leases(0.0)] == ["on-device", "plain"]
+
+
 def test_workers_take_turns() -> None:
     assert with_work(workers=()).leases(0.0) == []
     dispatch = with_work(workers=(ANN, BOB))

@@ -5,7 +5,8 @@ from math import inf
 
 import msgspec
 import pytest
-from tests.fakes.job import FakeRunQueue, scheduler_of
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan
+from tests.fakes.job import FakeRunQueue, assignment, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
@@ -20,11 +21,13 @@ from qdgrasp_coordinator.scheduler.job_scheduler import (
     MOST_STOP_SECONDS,
     EarlyStop,
 )
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import Cancelled
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Heartbeat, Join
+from qdgrasp_protocol.messages import Heartbeat, Join, Opened
 
 KEYS = Keys(JOB)
 
@@ -118,6 +121,19 @@ def test_a_refused_worker_is_told_of_with_the_reason(job: SchedulerWithoutRuns) 
     assert (refused.kind, refused.worker) == ("worker", BOB)
     assert "was refused" in refused.words
     assert "pybullet" in refused.words
+
+
+def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_run_begins() -> None:
+    scheduler = scheduler_of(FakeRunQueue({"run-0": Plan()}), lambda _event: None)
+    without = msgspec.structs.replace(join_message(ANN), platform={"mujoco": "4.0.1"})
+    scheduler.workers.join(without, 0.0)
+    run = ActiveRun(assignment("run-0", Plan()), MemorySink(SHAPE))
+    scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
+    (worker,) = scheduler.workers
+    assert worker.is_drained
+    request = JoinRequest(msgspec.structs.replace(without, wid=BOB))
+    scheduler.handle(request, 2.0)
+    assert "run 'run-0' is simulated in pybullet" in str(request.answer.exception())
 
 
 def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWithoutRuns) -> None:

@@ -18,8 +18,6 @@ from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines import bullet_world
-from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, HandBody, ObjectBody
 from qdgrasp_worker.engines.mujoco_model import SceneModel, couplings, reach_of
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, SimulationDiverged
 from qdgrasp_worker.evaluation_protocols import PHYSICAL, Physics, TrialSetup
@@ -44,6 +42,8 @@ def world(scene) -> MujocoPhysicalWorld:
 
 @pytest.fixture
 def bullet(scene):
+    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld
+
     with closing(BulletPhysicalWorld(scene, PHYSICS)) as made:
         yield made
 
@@ -61,14 +61,15 @@ URDF_OF_A_LINKAGE = """<robot name="hand"><link name="palm"/><link name="one"/><
 </robot>"""
 
 
-class UndrivenWorld(BulletPhysicalWorld):
-    """A world of Bullet whose links have their own inertia alone."""
-
-    def _add_inertia(self, index: int, inertia: float, *, slides: bool) -> None:
-        pass
-
-
 def test_masses_and_moments_are_those_of_bullet(hand_scene):
+    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, HandBody, ObjectBody
+
+    class UndrivenWorld(BulletPhysicalWorld):
+        """A world of Bullet whose links have their own inertia alone."""
+
+        def _add_inertia(self, index: int, inertia: float, *, slides: bool) -> None:
+            pass
+
     model = SceneModel(hand_scene, PHYSICS.time_step)
     with closing(UndrivenWorld(hand_scene, PHYSICS)) as world:
         bullet, hand, target = world._bullet, world._hand, world._target
@@ -82,9 +83,11 @@ def test_masses_and_moments_are_those_of_bullet(hand_scene):
 
 
 def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
+    from qdgrasp_worker.engines import bullet_world
+
     model = SceneModel(hand_scene, PHYSICS.time_step)
     opened = {joint.name: joint.opened for joint in hand_scene.gripper.joints}
-    with closing(BulletPhysicalWorld(hand_scene, PHYSICS)) as world:
+    with closing(bullet_world.BulletPhysicalWorld(hand_scene, PHYSICS)) as world:
         bullet, hand = world._bullet, world._hand
         links = bullet.links(hand.body)
         world._place_away(hand_scene.gripper, world.opened)

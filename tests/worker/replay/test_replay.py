@@ -14,8 +14,9 @@ from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome
+from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.hand_geometry import HandKinematics
-from qdgrasp_worker.replay import renderer
+from qdgrasp_worker.replay import renderer, replay
 from qdgrasp_worker.replay.episode_recorder import still_snapshot
 from qdgrasp_worker.replay.renderer import (
     FILLED_SHARE,
@@ -92,6 +93,23 @@ def test_so_it_does_with_other_hands_and_protocols(make_scene, gripper, protocol
     found = record_evaluation(make_scene(gripper, "rubiks_cube", protocol), 12, trial)
     for row in found.rows[np.argsort(-found.rows["outcome"], kind="stable")[:2]]:
         assert_same(row, EpisodeReplay(found.scene, request(row)))
+
+
+def test_a_replay_in_two_engines_shows_the_first_one_and_judges_in_both(make_scene, monkeypatch):
+    scene = msgspec.structs.replace(make_scene("panda", "rubiks_cube", "physical"), engine="bullet,mujoco")
+    row = record_evaluation(scene, 12).one(Outcome.HELD)
+    assert_same(row, EpisodeReplay(scene, request(row)))
+    slippery = msgspec.structs.replace(scene.object, lateral_friction=0.005)
+    other = msgspec.structs.replace(scene, object=slippery)
+    monkeypatch.setattr(
+        replay,
+        "make_world",
+        lambda first, protocol, name="": make_world(other if name else first, protocol, name),
+    )
+    judged = EpisodeReplay(scene, request(row))
+    assert judged.verdict.outcome is Outcome.DROPPED
+    assert judged.verdict.joints == pytest.approx(row["joints"].tolist())
+    assert judged.snapshots[-1].phase == "pushes"
 
 
 @pytest.mark.parametrize("engine", [None, "mujoco"])

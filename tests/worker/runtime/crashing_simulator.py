@@ -24,7 +24,7 @@ ENDS = (os.abort, fail, lambda: os._exit(1))
 class CrashingEvaluator:
     """A pure function of genome and trial; on poison the process ends, one way or the other."""
 
-    at_once = ROWS_AT_ONCE
+    at_once, weight = ROWS_AT_ONCE, 1
 
     def __init__(self, bundle: bytes) -> None:
         """Every scene is alike."""

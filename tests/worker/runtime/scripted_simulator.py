@@ -116,7 +116,7 @@ def work(
 class ScriptedEvaluator:
     """Its fitness is the first gene."""
 
-    at_once = ROWS_AT_ONCE
+    at_once, weight = ROWS_AT_ONCE, 1
 
     def __init__(self, bundle: bytes) -> None:
         match bundle:

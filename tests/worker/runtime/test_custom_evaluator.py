@@ -14,6 +14,7 @@ from tests.worker.runtime.evaluators import Height, Squeamish, Wrong
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, RowShape, pack
+from qdgrasp_worker.engines import Device
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.custom_evaluator import CustomEvaluator, custom_platform, load_evaluator
@@ -178,7 +179,11 @@ def test_the_platform_changes_with_the_evaluators_file(tmp_path: Path) -> None:
 
 
 def test_a_worker_starts_the_simulator_that_it_is_told_to() -> None:
-    assert simulator_supervisor.simulator_command(None) == simulator_supervisor.SIMULATOR_COMMAND
+    usual = simulator_supervisor.SIMULATOR_COMMAND
+    assert simulator_supervisor.simulator_command(None) == usual
+    assert simulator_supervisor.simulator_command(None, Device("cuda", 64)) == [*usual, "cuda", "64"]
+    with pytest.raises(InputError, match="leave out --device or --evaluator"):
+        simulator_supervisor.simulator_command(f"{HERE}:Height", Device("cuda", 64))
     assert simulator_supervisor.simulator_command(f"{HERE}:Height")[-2:] == [
         "qdgrasp_worker.runtime.custom_evaluator",
         f"{HERE}:Height",

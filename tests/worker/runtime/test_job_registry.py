@@ -124,6 +124,14 @@ def member() -> Iterator[Membership]:
         yield member
 
 
+def test_a_worker_says_how_many_rows_its_device_evaluates_at_once(member):
+    member.jobs = JobRegistry(member.bus, member.requests, "a" * 32, None, rows=64)
+    member.meet("job", 1, 0.0)
+    member.join("job", 1, 0.0)
+    (asked,) = [call.args[1] for call in member.requests.join.call_args_list]
+    assert asked.rows == 64
+
+
 def test_a_thousand_jobs_that_ended_leave_nothing_behind(member):
     for i in range(1000):
         member.meet(f"job-{i}", 1, float(i))

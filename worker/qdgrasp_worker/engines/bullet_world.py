@@ -41,6 +41,7 @@ from qdgrasp_worker.world import (
     Touch,
     WorldState,
     indices_by_name,
+    seen_from,
 )
 
 HAND_GROUP, OBJECT_GROUP = 1, 2
@@ -202,18 +203,14 @@ class BulletWorld(GraspWorld):
 
         Bullet finds contacts before it moves the bodies: they go with the pose that the object had then.
         """
-        origin, turn = (np.array(part) for part in self._detected_at)
-        back = conjugate(turn)
-        return [
-            GraspContact(
-                self._hand.link_numbers[contact.link],
-                rotate(back, np.array(contact.point) - origin).tolist(),
-                rotate(back, np.array(contact.normal)).tolist(),
-                contact.force,
-            )
+        numbers = self._hand.link_numbers
+        found = [
+            (numbers[contact.link], contact.point, contact.normal, contact.force)
             for contact in self._bullet.contact_forces(self._hand.body, self._target.body)
-            if contact.link in self._hand.link_numbers and (contact.force > 0 or contact.distance < NEAR)
+            if contact.link in numbers and (contact.force > 0 or contact.distance < NEAR)
         ]
+        position, quaternion = self._detected_at
+        return seen_from(np.array(position), np.array(quaternion), found)
 
     def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""

@@ -25,6 +25,7 @@ from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_worker.evaluation_protocols import Physics
 from qdgrasp_worker.finger_drive import FingerDrive
 
 HULL_MARGIN = 1e-3  # Distance from its surface at which a hull is met, as in Bullet [m]
@@ -327,6 +328,22 @@ class SceneModel:
             ET.SubElement(body, "freejoint")
         group = {"contype": OBJECT_GROUP, "conaffinity": HAND_GROUP, "condim": "6", "priority": "1"}
         add_shape(body, meshes, self._shape, group)
+
+
+def finger_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
+    """The drives of the finger joints, in the gripper's order."""
+    opened = {joint.name: joint.opened for joint in gripper.joints}
+    return [
+        FingerDrive.of(
+            joint,
+            reach_of(model.robot, model.links, opened, found),
+            slides=found.kind == "prismatic",
+            limits=(found.lower, found.upper),
+            in_jaw=gripper.jaw is not None,
+            haste=physics.haste,
+        )
+        for joint, found in zip(gripper.joints, model.joints, strict=True)
+    ]
 
 
 def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:

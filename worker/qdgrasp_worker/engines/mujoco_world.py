@@ -24,7 +24,7 @@ from qdgrasp_assets.scene import Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import HULL_MARGIN, OBJECT, SceneModel, reach_of
+from qdgrasp_worker.engines.mujoco_model import HULL_MARGIN, OBJECT, SceneModel, finger_drives
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
@@ -46,6 +46,7 @@ from qdgrasp_worker.world import (
     Touch,
     WorldState,
     indices_by_name,
+    seen_from,
 )
 
 FREE_DOFS = 6
@@ -79,8 +80,8 @@ class Simulation:
         self.object = int(self.model.body(OBJECT).id)
         self._is_free = is_free
         self._couplings = scene.couplings
-        self._is_object = self.model.geom_bodyid == self.object
-        self._of_object = np.flatnonzero(self._is_object)
+        self.is_object = self.model.geom_bodyid == self.object
+        self.of_object = np.flatnonzero(self.is_object)
         self._force = np.zeros(6)
         moving = [self.model.joint(i) for i in range(self.model.njnt)]
         self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
@@ -91,7 +92,7 @@ class Simulation:
         `friction` is that of hand and object: sliding, spinning, rolling.
         """
         mujoco.mj_resetData(self.model, self.data)
-        self.model.geom_friction[self._of_object] = friction
+        self.model.geom_friction[self.of_object] = friction
         self.damp(0.0)
         self.data.qpos[self.places] = posture
 
@@ -102,8 +103,11 @@ class Simulation:
 
     def couple(self, closing: Sequence[str]) -> None:
         """Couple the joints that close together, where both close, and no others."""
-        for i, coupling in enumerate(self._couplings):
-            self.data.eq_active[i] = {coupling.joint, coupling.leader} <= {*closing}
+        self.data.eq_active[:] = self.coupled(closing)
+
+    def coupled(self, closing: Sequence[str]) -> list[bool]:
+        """Return which of the couplings hold while these joints close."""
+        return [{coupling.joint, coupling.leader} <= {*closing} for coupling in self._couplings]
 
     def place(self, position: Floats, quaternion: Floats) -> None:
         """Put the object at a position (3,) [m] and quaternion (4,)."""
@@ -134,12 +138,17 @@ class Simulation:
 
     def hand_boxes(self) -> list[Box]:
         """The axis-aligned box around each collision shape of the hand [m]."""
-        model, shapes = self.model, np.flatnonzero(~self._is_object)
+        model, shapes = self.model, np.flatnonzero(~self.is_object)
         turn = self.data.geom_xmat[shapes].reshape(-1, 3, 3)
         middle = self.data.geom_xpos[shapes] + np.einsum("gij,gj->gi", turn, model.geom_aabb[shapes, :3])
         half = np.einsum("gij,gj->gi", np.abs(turn), model.geom_aabb[shapes, 3:]) + HULL_MARGIN
         corners = np.stack([middle - half, middle + half], axis=1).tolist()
         return [((a, b, c), (x, y, z)) for (a, b, c), (x, y, z) in corners]
+
+    @property
+    def buffers_used(self) -> tuple[int, int]:
+        """The most contacts, and constraints, that there were at a time since it was reset."""
+        return int(self.data.maxuse_con), int(self.data.maxuse_efc)
 
     def hand_contacts(self, nearest: float = NEAR) -> list[tuple[int, int, float]]:
         """Number, body of the hand and distance [m] of each contact with the object.
@@ -152,7 +161,7 @@ class Simulation:
         contact = data.contact
         distance = contact.dist - contact.includemargin
         geoms = contact.geom
-        is_object = self._is_object[geoms]
+        is_object = self.is_object[geoms]
         chosen = np.flatnonzero((distance < nearest) & is_object.any(axis=1))
         links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
         return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
@@ -161,7 +170,7 @@ class Simulation:
         """Point (3,) on the object, unit normal (3,) into it, and force along it [N]; world frame."""
         found = self.data.contact[contact]
         mujoco.mj_contactForce(self.model, self.data, contact, self._force)
-        normal = found.frame[:3] * (-1.0 if self._is_object[found.geom[0]] else 1.0)
+        normal = found.frame[:3] * (-1.0 if self.is_object[found.geom[0]] else 1.0)
         return found.pos + normal * found.dist / 2, normal, float(self._force[0])
 
     def touches(self) -> list[Touch]:
@@ -185,38 +194,38 @@ class Simulation:
 class MujocoWorld(GraspWorld):
     """A hand at the world's origin and an object; an AssetError if the scene cannot be taken."""
 
-    _free: Simulation
+    free: Simulation
     """With an object that is free."""
     _now: Simulation
 
     def _prepare(self, scene: Scene, free: Simulation) -> None:
         gripper = scene.gripper
-        self._free = self._now = free
+        self.free = self._now = free
         self._target = scene.object
         bodies = {free.model.body(i).name: i for i in range(free.model.nbody)}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, bodies))
-        self._link_numbers = {bodies[name]: number for number, name in enumerate(gripper.links, start=1)}
+        self.link_numbers = {bodies[name]: number for number, name in enumerate(gripper.links, start=1)}
 
     def close(self) -> None:
         """Do nothing: the models are freed with the world."""
 
     @abstractmethod
-    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+    def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object: sliding, spinning [m], rolling [m]."""
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before."""
-        self._friction = self._friction_of(trial)
+        self._friction = self.friction(trial)
         self._posture = list(posture)
-        self._now = self._free
+        self._now = self.free
         self._now.reset(posture, self._friction)
         self.place_hand(trial.pose)
 
     def place_hand(self, pose: HandPose) -> None:
         """Put the hand's base link at a pose: the object comes to where the hand sees it."""
         back = conjugate(unit(np.array(pose.quaternion)))
-        self._free.place(rotate(back, -np.array(pose.position)), back)
-        self._free.detect()
+        self.free.place(rotate(back, -np.array(pose.position)), back)
+        self.free.detect()
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
@@ -244,19 +253,14 @@ class MujocoWorld(GraspWorld):
 
         They were found before the last step: they go with the pose that the object had then.
         """
-        now, found = self._now, []
-        origin = now.data.xpos[now.object].copy()
-        back = conjugate(now.data.xquat[now.object][[1, 2, 3, 0]])
-        for contact, link, _ in now.hand_contacts():
-            if link in self._link_numbers:
-                point, normal, force = now.force(contact)
-                point, normal = rotate(back, point - origin), rotate(back, normal)
-                found.append(GraspContact(self._link_numbers[link], point.tolist(), normal.tolist(), force))
-        return found
+        now, numbers = self._now, self.link_numbers
+        seen = [(contact, numbers[link]) for contact, link, _ in now.hand_contacts() if link in numbers]
+        found = [(number, *now.force(contact)) for contact, number in seen]
+        return seen_from(now.data.xpos[now.object], now.data.xquat[now.object][[1, 2, 3, 0]], found)
 
     def object_pose(self) -> tuple[Vector, Quaternion]:
         """The object's position and quaternion, in the frame of the hand's root."""
-        position, quaternion = self._free.object_pose()
+        position, quaternion = self.free.object_pose()
         (x, y, z), (a, b, c, w) = position.tolist(), quaternion.tolist()
         return (x, y, z), (a, b, c, w)
 
@@ -280,7 +284,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         rows = indices_by_name("joint", joints, {self._joint_at(row): row for row in range(len(joints))})
         self._row = dict(zip(joints, rows, strict=True))
         """Of each joint its row among the motors, which is its place among the hand's degrees of freedom."""
-        n, data = len(joints), self._free.data
+        n, data = len(joints), self.free.data
         self._gripper, self._motors = gripper, n
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
         self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
@@ -288,11 +292,11 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self._sweep = self.measure_sweep(gripper, STILL, self._scene.radius)
 
     def _joint_at(self, row: int) -> str:
-        model = self._free.model
+        model = self.free.model
         name: str = model.joint(int(model.dof_jntid[row])).name
         return name
 
-    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+    def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, as Bullet makes it of that of both."""
         target = self._target
         rolling, spinning = trial.frictions or (target.rolling_friction, target.spinning_friction)
@@ -304,7 +308,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         super().reset(trial, posture)
         for each in (self._goals, self._gains, self._damping, self._least, self._most):
             each[:] = 0.0
-        self._free.model.dof_frictionloss[: self._motors] = BRAKE
+        self.free.model.dof_frictionloss[: self._motors] = BRAKE
 
     def close_fingers(self, synergy: int) -> None:
         """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
@@ -318,7 +322,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
             if joint.driven:
                 target = joint.closed if joint.name in closing else joint.opened
                 self._drive(joint.name, target, joint.effort, joint.velocity, HOLD)
-        self._free.couple(closing)
+        self.free.couple(closing)
 
     def shake_to(self, target: float, shake: Shake) -> None:
         """Command the carrier joint that `shake` moves to `target` [m or rad]."""
@@ -332,14 +336,14 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         row, (position_gain, velocity_gain) = self._row[joint], gains
         self._goals[row], self._least[row], self._most[row] = target, -velocity, velocity
         self._gains[row], self._damping[row] = position_gain / TIME_STEP, 1.0 - velocity_gain
-        self._free.model.dof_frictionloss[row] = max(force, LEAST_FORCE)
+        self.free.model.dof_frictionloss[row] = max(force, LEAST_FORCE)
 
     def step(self) -> None:
         """Move on by 1/240 s.
 
         A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
         """
-        model, data, wanted, velocity = self._free.model, self._free.data, self._wanted, self._velocity
+        model, data, wanted, velocity = self.free.model, self.free.data, self._wanted, self._velocity
         mujoco.mj_step1(model, data)
         np.subtract(self._goals, self._at, wanted)
         np.multiply(wanted, self._gains, wanted)
@@ -352,31 +356,31 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
 
     def is_touching(self) -> bool:
         """Return whether any link of the hand touches the object; links pass through each other."""
-        return bool(self._free.data.ncon)
+        return bool(self.free.data.ncon)
 
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object, from 1 mm on."""
-        return [Contact(link, distance) for _, link, distance in self._free.hand_contacts(np.inf)]
+        return [Contact(link, distance) for _, link, distance in self.free.hand_contacts(np.inf)]
 
     def finger_positions(self) -> list[float]:
         """The positions of the finger joints; a SimulationDiverged where they are not to be trusted."""
-        self._free.check()
+        self.free.check()
         return super().finger_positions()
 
     def has_lost_object(self, pose: HandPose) -> bool:
         """Return whether the hand, while it closes, can touch the object no more."""
-        data = self._free.data
+        data = self.free.data
         x, y, z = data.qpos[-7:-4].tolist()
         u, v, w = data.qvel[-6:-3].tolist()
         return self._sweep.is_left(AT_ORIGIN, (x, y, z), (u, v, w))
 
     def link_boxes(self) -> list[Box]:
         """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
-        return self._free.hand_boxes()
+        return self.free.hand_boxes()
 
     def hand_pose(self) -> HandFrame:
         """The hand's base link in the object's frame, as both are now."""
-        joints = {name: float(self._free.data.qpos[row]) for name, row in self._row.items()}
+        joints = {name: float(self.free.data.qpos[row]) for name, row in self._row.items()}
         frame = self._scene.robot.forward(joints)[self._gripper.base_link]
         origin, turn = (np.array(part) for part in self.object_pose())
         back = conjugate(turn)
@@ -392,14 +396,18 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         super().__init__(gripper)
         self.physics, self.steps_at_once = physics, physics.look_every
         model = SceneModel(scene, physics.time_step)
-        drives = finger_drives(gripper, model, physics)
-        self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
-        passing = passing_links(gripper, model, drives)
-        self._fixed = Simulation(model, model.driven(drives, passing, is_free=False), is_free=False)
-        self._prepare(scene, Simulation(model, model.driven(drives, passing, is_free=True)))
-        self._moments = model.moments
+        self.drives, self.is_coupled = finger_drives(gripper, model, physics), gripper.jaw is not None
+        self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
+        passing = passing_links(gripper, model, self.drives)
+        self.fixed = Simulation(model, model.driven(self.drives, passing, is_free=False), is_free=False)
+        """With an object that is fixed."""
+        self._prepare(scene, Simulation(model, model.driven(self.drives, passing, is_free=True)))
+        self.damping = physics.damping * np.array([*[scene.object.mass] * 3, *model.moments])
+        """(6,): forces by which a released object's velocity is damped [N s/m, Nm s/rad]."""
+        self.push_force = scene.object.mass * physics.weight
+        """Of each push [N]."""
 
-    def _friction_of(self, trial: TrialSetup) -> tuple[float, float, float]:
+    def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, which is the object's alone."""
         return trial.grip * self._target.lateral_friction, self.physics.spinning, self.physics.rolling
 
@@ -407,21 +415,21 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
         self._closing = self.closing_joints(synergy)
         self._control.start(self._posture, self._closing)
-        place = self._free.object_pose()
-        self._now = self._fixed
+        place = self.free.object_pose()
+        self._now = self.fixed
         self._now.reset(self._posture, self._friction)
         self._now.place(*place)
         self._now.couple(self._closing)
 
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""
-        free, fixed = self._free, self._fixed
+        free, fixed = self.free, self.fixed
         place = free.object_pose()
         free.reset(fixed.data.qpos[fixed.places], self._friction)
         free.data.qvel[free.dofs] = fixed.data.qvel[fixed.dofs]
         free.place(*place)
         free.couple(self._closing)
-        free.damp(self.physics.damping * np.array([*[self._target.mass] * 3, *self._moments]))
+        free.damp(self.damping)
         self._now = free
         if not self._control.is_coupled:
             self._control.stop()
@@ -433,8 +441,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
 
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next steps, along a direction in hand frame."""
-        force = self._target.mass * self.physics.weight
-        self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, force)
+        self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, self.push_force)
 
     def step(self) -> None:
         """Move on to the next look, with the targets of the fingers on their way."""
@@ -463,22 +470,6 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         origin, turn = (np.array(part) for part in self.object_pose())
         back = conjugate(turn)
         return rotate(back, -origin), back
-
-
-def finger_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
-    """The drives of the finger joints, in the gripper's order."""
-    opened = {joint.name: joint.opened for joint in gripper.joints}
-    return [
-        FingerDrive.of(
-            joint,
-            reach_of(model.robot, model.links, opened, found),
-            slides=found.kind == "prismatic",
-            limits=(found.lower, found.upper),
-            in_jaw=gripper.jaw is not None,
-            haste=physics.haste,
-        )
-        for joint, found in zip(gripper.joints, model.joints, strict=True)
-    ]
 
 
 def passing_links(

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from qdgrasp_assets.geometry.primitives import geodesic
-from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid
@@ -194,7 +194,7 @@ class BoundingBalls:
 
 def coarseness(solid: ObjectSolid) -> float:
     """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
-    surface = sum(float(hull.areas.sum()) for hull in solid.hulls)
+    surface = running_sum(float(hull.areas.sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
 

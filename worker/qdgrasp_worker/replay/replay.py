@@ -8,7 +8,7 @@ end where an evaluation would know by then that it misses.
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from itertools import product
 from pathlib import Path
 
@@ -34,11 +34,11 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import GIVEN
+from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
-from qdgrasp_worker.evaluator import contact_columns, make_episode
+from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
@@ -65,8 +65,13 @@ class EpisodeReplay:
         with closing(make_world(scene, protocol)) as world:
             recorder = EpisodeRecorder(world, scene.gripper)
             episode = make_episode(world, protocol, stops_early=False)
-            self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
+            trial = requested_trial(scene, request)
+            verdict = episode.run(trial)
         self.snapshots = recorder.snapshots
+        with ExitStack() as opened:
+            names = engine_names(scene.engine)[1:]
+            others = [opened.enter_context(closing(make_world(scene, protocol, name))) for name in names]
+            self.verdict = verdict_in_all(verdict, others, protocol, trial)
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
     def frames(self) -> list[TimedSnapshot]:

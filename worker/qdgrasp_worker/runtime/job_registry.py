@@ -220,13 +220,19 @@ class RefusedByJob(Refused):
 
 
 class JobRegistry:
-    """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens."""
+    """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
-    def __init__(self, bus: Bus, requests: BackgroundRequests, wid: str, only: str | None) -> None:
+    `rows` are those that its device evaluates at once; 0: it has none.
+    """
+
+    def __init__(
+        self, bus: Bus, requests: BackgroundRequests, wid: str, only: str | None, rows: int = 0
+    ) -> None:
         self._bus = bus
         self._requests = requests
         self._wid = wid
         self._only = only
+        self._rows = rows
         self._sessions: dict[str, JobSession] = {}  # By job; the one that was served last stands last
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
@@ -305,6 +311,7 @@ class JobRegistry:
                     wid=self._wid,
                     number=session.ask(credit),
                     credit=credit,
+                    rows=self._rows,
                     held=session.held,
                     host=socket.gethostname(),
                     pid=os.getpid(),

@@ -135,7 +135,8 @@ class WorkerService:
     """Serves the jobs on a bus until it is asked to stop.
 
     The simulator's events come to `inbox`, which this service waits on. It serves one `job`, or every job
-    there is. After SIGTERM the batch in work may still take `grace` seconds.
+    there is. After SIGTERM the batch in work may still take `grace` seconds. Its device evaluates so many
+    `rows` at once; 0: it has none.
     """
 
     def __init__(
@@ -148,6 +149,7 @@ class WorkerService:
         store: SceneStore,
         job: str | None,
         grace: float,
+        rows: int = 0,
     ) -> None:
         self.wid = secrets.token_hex(16)
         self._bus = bus
@@ -155,7 +157,7 @@ class WorkerService:
         self._simulator = simulator
         self._inbox = inbox
         requests = BackgroundRequests(bus, store, inbox.put)
-        self._jobs = JobRegistry(bus, requests, self.wid, job)
+        self._jobs = JobRegistry(bus, requests, self.wid, job, rows)
         self._scenes = SceneCache(requests)
         self._keys = Keys(job) if job else AnyJob()
         self._shutdown = GracefulShutdown(grace)

@@ -1,13 +1,15 @@
 """The simulator's process: evaluates what its worker sends, and may die of it.
 
 It holds Bullet and no session on the bus. Started as `python -m qdgrasp_worker.runtime.simulator_main`, with
-the socket to its worker as standard input; whatever prints, prints to standard error.
+name and worlds of a device where there is one, and the socket to its worker as standard input; whatever
+prints, prints to standard error.
 """
 
 import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TypeVar
 
 from setproctitle import setproctitle
@@ -17,7 +19,8 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
-from qdgrasp_worker.evaluator import BatchEvaluator, Evaluator, EvaluatorCache
+from qdgrasp_worker.engines import Device
+from qdgrasp_worker.evaluator import BatchEvaluator, EvaluatorCache, make_evaluator
 from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime import process_limits
 from qdgrasp_worker.runtime.simulator_messages import (
@@ -108,10 +111,10 @@ def slices(n: int, most: int) -> Iterator[slice]:
         yield slice(start, min(start + most, n))
 
 
-def load_scene(bundle: bytes) -> BatchEvaluator:
+def load_scene(bundle: bytes, device: Device | None = None) -> BatchEvaluator:
     """Return the evaluator of a scene, whose bundle is checked for its unpacked size first."""
     messages.check_bundle(bundle)
-    return Evaluator(unpack_scene(bundle))
+    return make_evaluator(unpack_scene(bundle), device)
 
 
 def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -> None:
@@ -121,7 +124,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
         return
     process_limits.limit_memory(settings.memory)
     process_limits.lower_priority(settings.nice)
-    with process_limits.time_limit(process_limits.PROBE_SECONDS):
+    with process_limits.time_limit(max(process_limits.PROBE_SECONDS, settings.row_seconds)):
         found = probe()
     connection.send(SimulatorReady(platform=found))
     simulator = SimulatorMain(connection, settings.row_seconds, load)
@@ -151,4 +154,5 @@ def _receive(connection: FramedSocket, kind: type[M]) -> M | None:
 
 
 if __name__ == "__main__":
-    main()
+    asked = Device(sys.argv[1], int(sys.argv[2])) if len(sys.argv) > 1 else None
+    main(partial(load_scene, device=asked), partial(platform, asked))

@@ -22,6 +22,7 @@ from typing import Self
 import structlog
 
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
+from qdgrasp_worker.engines import Device
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.process_limits import (
     CPU_LIMIT_SIGNAL,
@@ -180,13 +181,15 @@ MAX_LOAD_CRASHES = 3  # A scene that ended so many simulators while it was loade
 SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
 
 
-def simulator_command(evaluator: str | None) -> list[str]:
+def simulator_command(evaluator: str | None, device: Device | None = None) -> list[str]:
     """The command of our simulator, or of one with an evaluator FILE.py:NAME or MODULE:NAME.
 
-    An InputError if the name is of another form, or there is no such file.
+    An InputError if the name is of another form, or there is no such file, or a device too.
     """
     if evaluator is None:
-        return SIMULATOR_COMMAND
+        return [*SIMULATOR_COMMAND, *(map(str, device) if device else ())]
+    if device:
+        raise InputError("A device is for the package's own simulator: leave out --device or --evaluator.")
     where, mark, name = evaluator.rpartition(":")
     if not (mark and where and name):
         raise InputError(f"An evaluator is named FILE.py:NAME or MODULE:NAME, got '{evaluator}'.")

@@ -30,6 +30,7 @@ from qdgrasp_coordinator.monitor.web.scene_data import (
     grasp_view,
 )
 from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
+from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 
@@ -117,6 +118,8 @@ class JournalReading:
 
     origin: JournalId
     voxels: VoxelPages
+    tables: dict[str, EngineTable]
+    """Verdicts of other engines, by engine."""
     rows: SuccessTable | None = None
     """Successes with their contacts, read to compute margins; some have theirs by now."""
 
@@ -125,8 +128,8 @@ class JournalReading:
         voxels, last = copy(self.voxels), pages[-1]
         before = pages[-2].next if len(pages) > 1 else voxels.next
         found = np.concatenate([page.found for page in pages])
-        voxels.insert(found, last.next, is_whole=last.is_last(before))
-        return JournalReading(self.origin, voxels, self.rows)
+        voxels.insert(found, last.next, is_whole=last.is_last(before), tables=self.tables)
+        return JournalReading(self.origin, voxels, self.tables, self.rows)
 
     def with_margins(
         self, rows: SuccessTable, numbers: NDArray[np.uint32], margins: Floats
@@ -134,7 +137,15 @@ class JournalReading:
         """Return this with margins (n,) by journal number (n,), which are of some of the rows."""
         voxels = copy(self.voxels)
         voxels.add_margins(numbers, margins)
-        return JournalReading(self.origin, voxels, rows)
+        return JournalReading(self.origin, voxels, self.tables, rows)
+
+
+def same_tables(some: dict[str, EngineTable], others: dict[str, EngineTable]) -> bool:
+    """Return whether tables are the very same ones.
+
+    `read_table` gives the same table as long as its file does not change.
+    """
+    return some.keys() == others.keys() and all(table is others[name] for name, table in some.items())
 
 
 class RunCache:
@@ -154,7 +165,8 @@ class RunCache:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
         reading = self._reading.get()
         _, scene, _ = self._scenes(reading.origin.scene).get()
-        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
+        engines = [*scene.engines, *reading.tables]
+        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin, engines=engines))
 
     def cells(self, first: int, *, margins: bool) -> bytes:
         """Return a page of voxels from the serial `first` on, with the successes read until now.
@@ -209,20 +221,24 @@ class RunCache:
         return reading.with_margins(rows, found["number"][: len(known)], known)
 
     def _read_successes(self, before: JournalReading | None) -> JournalReading:
-        """Read the successes since then; all of them where the journal is another, or fell back."""
+        """Read the successes since then.
+
+        All of them where the journal or a table is another, or the journal fell back.
+        """
+        tables = self._records.engine_tables(self._job, self._run)
         pages = self._pages(before.voxels.next if before else 0)
         if before:
-            first = pages[0]
-            if first.origin == before.origin and first.rows >= before.voxels.next:
+            first, same = pages[0], same_tables(before.tables, tables)
+            if first.origin == before.origin and first.rows >= before.voxels.next and same:
                 return before.with_pages(pages)
             pages = self._pages(0)
         origin = pages[0].origin
-        if before and before.origin == origin:  # the same journal fell back: its number must be another
+        if before and before.origin == origin:  # the same journal, read anew: its number must be another
             number = (before.voxels.origin + 1) % (1 << 32)
         else:
             number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
         voxels = VoxelPages(number)
-        return JournalReading(origin, voxels).with_pages(pages)
+        return JournalReading(origin, voxels, tables).with_pages(pages)
 
     def _pages(self, first: int) -> list[RecordPage]:
         """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""

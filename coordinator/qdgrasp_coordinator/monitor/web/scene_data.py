@@ -8,7 +8,7 @@ A page of voxels is little-endian: the header `HEADER`, then of `n` voxels the c
 
 import struct
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -21,8 +21,10 @@ from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry
+from qdgrasp_coordinator.storage.engine_table import EngineTable, holding_in_all
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, trial_count
+from qdgrasp_protocol.spec import engine_names
 
 
 class TriangleMesh(Struct, frozen=True):
@@ -64,6 +66,7 @@ class BrowserScene(Struct, frozen=True):
     kinds: Sequence[SuccessKind]  # From worst to best
     mesh: TriangleMesh  # Of the object
     links: Sequence[LinkMesh]  # Of the hand
+    engines: Sequence[str] = ()  # Those that successes were tried in, the first one first
     origin: int = 0  # The same number as that of its voxels
 
 
@@ -130,6 +133,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
         com_in_mesh=body.com_in_mesh,
         synergies=[synergy.name for synergy in scene.gripper.synergies],
         scored=trial_count(scene.protocol) > 0,
+        engines=engine_names(scene.engine),
         cell=1 / PER_METRE,
         low=scene.object_low,
         high=scene.object_high,
@@ -244,7 +248,7 @@ def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tr
 
 HEADER = struct.Struct("<4s5I")
 """Mark, n, next serial, 1 if there is more at once, number of all voxels, origin."""
-MARK = b"QDG3"
+MARK = b"QDG4"
 PAGE_COLUMNS = (
     ("number", "<u4"),  # Of the row in the journal
     ("eta", "<f4"),  # -1 where there is none
@@ -255,12 +259,16 @@ PAGE_COLUMNS = (
     ("synergy", "<i2"),  # -1 for none
     ("outcome", "u1"),
     ("contacts", "u1"),  # Finger links that touch the object after closing
+    ("in_all", "u1"),  # 1 if it holds in each engine that the scene names
 )
 """Columns of a page, in their order."""
 MAX_PAGE_VOXELS = 1 << 15  # The most voxels on a page: about 1 MiB
 MAX_VOXELS = 1 << 18  # The most voxels that are kept, 12 MiB; of more, the best of each cell come first
 MAX_CELL = np.iinfo(np.int16).max  # Cells; farther out than about 300 m there is no success
 VOXEL = np.dtype([("key", "<i8"), ("serial", "<u4"), *PAGE_COLUMNS])
+
+
+NO_TABLES: Mapping[str, EngineTable] = {}
 
 
 class VoxelPages:
@@ -281,11 +289,21 @@ class VoxelPages:
         """Number of voxels."""
         return len(self._kept)
 
-    def insert(self, found: SuccessTable, upto: int, *, is_whole: bool = True) -> None:
-        """Add successes (n,), all up to journal number `upto`; they may come again."""
+    def insert(
+        self,
+        found: SuccessTable,
+        upto: int,
+        *,
+        is_whole: bool = True,
+        tables: Mapping[str, EngineTable] = NO_TABLES,
+    ) -> None:
+        """Add successes (n,), all up to journal number `upto`; they may come again.
+
+        `tables` are the verdicts of other engines on them.
+        """
         self.next, self.is_whole = upto, is_whole
         if len(found):
-            voxels = _voxels_of(found)
+            voxels = _voxels_of(found, tables)
             _, known, again = np.intersect1d(self._kept["number"], voxels["number"], return_indices=True)
             voxels["margin"][again] = self._kept["margin"][known]
             voxels["serial"] = self._serial + np.arange(len(voxels))
@@ -325,13 +343,14 @@ class VoxelPages:
         return header + b"".join(shown[name].tobytes() for name, *_ in PAGE_COLUMNS)
 
 
-def _voxels_of(found: SuccessTable) -> NDArray[np.void]:
+def _voxels_of(found: SuccessTable, tables: Mapping[str, EngineTable]) -> NDArray[np.void]:
     places = cells(found["descriptor"])
     near = (np.abs(places) <= MAX_CELL).all(axis=1)
     voxels, found = np.zeros(int(near.sum()), VOXEL), found[near]
     voxels["cell"] = places[near]
     for name in ("number", "eta", "penetration", "synergy", "outcome", "contacts"):
         voxels[name] = found[name]
+    voxels["in_all"] = holding_in_all(tables, found["number"], found["outcome"])
     voxels["motion"] = object_motion(found)[:, 0]
     voxels["margin"] = np.nan  # of thousands of grasps it takes many seconds: `add_margins`
     voxels["key"] = _keys(voxels)
@@ -339,11 +358,15 @@ def _voxels_of(found: SuccessTable) -> NDArray[np.void]:
 
 
 def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
-    """Return one number for each cell, outcome and synergy: (n,), packed into bit fields."""
+    """Return one number for each cell, outcome and synergy: (n,), packed into bit fields.
+
+    What holds in all engines is an outcome of its own, 0.
+    """
     cell = voxels["cell"].astype(np.int64) + MAX_CELL
     synergy = voxels["synergy"].astype(np.int64) - NO_SYNERGY
+    outcome = np.where(voxels["in_all"], 0, voxels["outcome"])
     place = (cell[:, 0] << 32) | (cell[:, 1] << 16) | cell[:, 2]
-    keys: NDArray[np.int64] = (((place << 3) | voxels["outcome"]) << 12) | synergy
+    keys: NDArray[np.int64] = (((place << 3) | outcome) << 12) | synergy
     return keys
 
 

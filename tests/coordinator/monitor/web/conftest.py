@@ -31,6 +31,7 @@ from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_coordinator.monitor.web.routes import Site, live_site
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_coordinator.monitor.web.server import application, serve
+from qdgrasp_coordinator.storage.engine_table import TABLE, EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, success_dtype
 from qdgrasp_protocol.errors import NoReply, UnknownName
 from qdgrasp_protocol.keys import Keys
@@ -234,6 +235,15 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> SuccessTable:
 ORIGIN = JournalId("1" * 64, 1.0)
 
 
+def engine_table(found: SuccessTable, now: list[Outcome]) -> EngineTable:
+    """Verdicts of another engine on the first finds."""
+    table = np.zeros(len(now), TABLE)
+    for name, column in (("row", "number"), ("outcome", "outcome"), ("fitness", "fitness")):
+        table[name] = found[column][: len(now)]
+    table["outcome_now"] = now
+    return table
+
+
 @dataclass
 class HandMadeRecords:
     """A single run, of whose finds each page has a few, and a clock; counts what it was asked."""
@@ -246,6 +256,7 @@ class HandMadeRecords:
     run: str = "run"
     origin: JournalId = ORIGIN
     listed: int = 0
+    tables: dict[str, EngineTable] = field(default_factory=dict)
     now: float = 100.0
 
     def record(self, found: SuccessTable) -> None:
@@ -282,6 +293,9 @@ class HandMadeRecords:
 
     def place(self, job: str, run: str) -> RunLocation:
         return RunLocation("runs/mug")
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        return self.tables
 
 
 @pytest.fixture(scope="module")

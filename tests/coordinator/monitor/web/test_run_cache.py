@@ -7,7 +7,13 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import ORIGIN, HandMadeRecords, finds, random_finds
+from tests.coordinator.monitor.web.conftest import (
+    ORIGIN,
+    HandMadeRecords,
+    engine_table,
+    finds,
+    random_finds,
+)
 from tests.coordinator.monitor.web.test_scene_data import columns_of, in_cells, read, settled
 
 from qdgrasp_assets.scene import Scene, SceneObject
@@ -109,6 +115,24 @@ def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, library
     after = library.cells("job", "run", 0)
     assert origin(after) != origin(before)
     assert in_cells(after) == {(9, 9, 9): (3, Outcome.DROPPED)}
+
+
+def test_what_holds_in_all_engines_is_flagged_as_soon_as_there_is_a_table(
+    records: HandMadeRecords, library: RunCaches
+) -> None:
+    found = finds([2, 5, 7], [(k, 0, 0) for k in range(3)], [Outcome.HELD, Outcome.HELD, Outcome.DROPPED])
+    records.record(found)
+    before = library.cells("job", "run", 0)
+    assert json.loads(library.scene("job", "run"))["engines"] == ["bullet"]
+    records.tables = {"mujoco": engine_table(found, [Outcome.HELD, Outcome.SHAKEN, Outcome.HELD])}
+    records.now += FRESH_SECONDS
+    after = library.cells("job", "run", 0)
+    assert json.loads(library.scene("job", "run"))["engines"] == ["bullet", "mujoco"]
+    assert origin(after) != origin(before)
+    assert columns_of(before)["in_all"].tolist() == [1, 1, 0]
+    assert columns_of(after)["in_all"].tolist() == [1, 0, 0]
+    records.now += FRESH_SECONDS
+    assert library.cells("job", "run", 0) == after
 
 
 def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alone(

@@ -20,6 +20,7 @@ from tests.coordinator.monitor.web.conftest import (
     STEP,
     FakeFeed,
     HandMadeRecords,
+    engine_table,
     finds,
     random_finds,
     serving,
@@ -470,6 +471,20 @@ def test_only_grasps_with_the_least_eta_are_shown(filtered: Page) -> None:
     expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 1 in use")
     slide(filtered, "eta at least", 0.75)
     expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+
+
+def test_what_holds_in_two_engines_is_shown_alone_where_there_is_a_table(
+    filtered: Page, scored: HandMadeRecords
+) -> None:
+    expect(filtered.get_by_label("Holds in")).to_be_hidden()
+    scored.tables = {"mujoco": engine_table(SCORED, [Outcome.HELD, Outcome.HELD, Outcome.SHAKEN])}
+    filtered.get_by_label("Holds in bullet and mujoco").check()
+    expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+    expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 1 in use")
+    assert "all=1" in filtered.url
+    filtered.get_by_role("button", name="Show all").click()
+    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+    assert "all" not in filtered.url.partition("#")[2]
 
 
 def test_a_box_shows_what_is_in_it(filtered: Page) -> None:

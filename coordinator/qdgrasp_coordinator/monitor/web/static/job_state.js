@@ -24,7 +24,7 @@ export class Selection {
   }
 }
 
-const FILTERS = ["eta", "synergy", "penetration", "motion", "contacts", "margin"];
+const FILTERS = ["eta", "synergy", "penetration", "motion", "contacts", "margin", "all"];
 
 /** The filters in the address, numbers by their names: those in use. */
 export function addressFilters() {

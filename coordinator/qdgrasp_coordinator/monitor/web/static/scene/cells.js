@@ -16,6 +16,8 @@ export class CellFilter {
     this.motion = Infinity;
     this.contacts = 0;
     this.margin = 0;
+    /** Whether those alone are shown that hold in all engines. */
+    this.all = false;
     /** The synergy by its place in the gripper; `ANY`: all. */
     this.synergy = ANY;
     /** The box of cells that are shown, both ends in it. */
@@ -24,8 +26,8 @@ export class CellFilter {
   }
 
   /** Whether a grasp is shown. */
-  passes({ kind, eta, synergy, penetration, motion, contacts, margin }) {
-    return this.kinds[kind] && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy)
+  passes({ kind, eta, synergy, penetration, motion, contacts, margin, inAll }) {
+    return this.kinds[kind] && (!this.all || inAll) && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy)
       && penetration <= this.penetration && (this.motion === Infinity || motion <= this.motion)
       && contacts >= this.contacts && (!this.margin || margin >= this.margin);
   }
@@ -44,7 +46,7 @@ export class CellFilter {
   /** The number of criteria in use, the kinds apart. */
   get narrowed() {
     const sides = [0, 1, 2].filter((axis) => Number.isFinite(this.low[axis]) || Number.isFinite(this.high[axis]));
-    const bounds = [this.eta > 0, this.synergy !== ANY, this.penetration < Infinity, this.motion < Infinity, this.contacts > 0, this.margin > 0];
+    const bounds = [this.eta > 0, this.synergy !== ANY, this.penetration < Infinity, this.motion < Infinity, this.contacts > 0, this.margin > 0, this.all];
     return bounds.filter(Boolean).length + sides.length;
   }
 }
@@ -65,6 +67,7 @@ export class Cells {
   #motions = new Float32Array(0);
   #contacts = new Uint8Array(0);
   #margins = new Float32Array(0);
+  #inAll = new Uint8Array(0);
   #nexts = new Int32Array(0); // the next grasp in the same slot
   #best = new Int32Array(0); // the grasp that is shown in each slot
 
@@ -176,7 +179,7 @@ export class Cells {
   #grasp(place) {
     return {
       kind: this.#kinds[place], eta: this.#etas[place], synergy: this.#synergies[place], penetration: this.#penetrations[place],
-      motion: this.#motions[place], contacts: this.#contacts[place], margin: this.#margins[place],
+      motion: this.#motions[place], contacts: this.#contacts[place], margin: this.#margins[place], inAll: this.#inAll[place],
     };
   }
 
@@ -198,6 +201,7 @@ export class Cells {
     this.#motions[grasp] = page.motions[i];
     this.#contacts[grasp] = page.contacts[i];
     this.#margins[grasp] = page.margins[i];
+    this.#inAll[grasp] = page.inAll[i];
     this.hasMotions ||= !Number.isNaN(page.motions[i]);
   }
 
@@ -231,6 +235,7 @@ export class Cells {
     this.#motions = grown(this.#motions, grasps);
     this.#contacts = grown(this.#contacts, grasps);
     this.#margins = grown(this.#margins, grasps);
+    this.#inAll = grown(this.#inAll, grasps);
     this.#nexts = grown(this.#nexts, grasps);
   }
 }

@@ -67,7 +67,7 @@ const BOUNDS = [
   { name: "margin", words: "Least margin", unit: 1, open: 0, step: 0.01, isKnown: (cells) => cells.hasMotions },
 ];
 const ALL = Object.fromEntries(BOUNDS.map(({ name, open }) => [name, open]));
-const OPEN = { eta: 0, synergy: ANY, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
+const OPEN = { eta: 0, synergy: ANY, all: false, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
 
 /** Filters of grasps by eta, by synergy, by how closing went, and by the hand's position. */
 export class FilterControls {
@@ -86,12 +86,16 @@ export class FilterControls {
     this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
     this.sorts = element("div", { hidden: true }, this.scores, this.synergies);
     this.bounds = BOUNDS.map((bound) => this.#bound(bound));
-    const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node));
+    this.all = element("input", { type: "checkbox" });
+    this.allWords = element("span");
+    this.allEngines = element("label", { class: "bound" }, this.allWords, this.all);
+    const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node), this.allEngines);
     const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
     const region = element("fieldset", {}, legend, ...this.spans.map((span) => span.node));
     node.append(element("div", { class: "filter-form" }, this.sorts, after, region, this.reset));
     this.eta.addEventListener("input", () => this.#apply({ eta: Number(this.eta.value) }));
     this.synergy.addEventListener("change", () => this.#apply({ synergy: this.synergy.value === "" ? ANY : Number(this.synergy.value) }));
+    this.all.addEventListener("change", () => this.#apply({ all: this.all.checked }));
     this.reset.addEventListener("click", () => this.#showAll());
   }
 
@@ -101,8 +105,9 @@ export class FilterControls {
     this.node.hidden = !view;
     this.#reset();
     this.eta.value = filters.eta ?? 0;
+    this.all.checked = Boolean(filters.all);
     for (const { bound, input } of this.bounds) input.value = filters[bound.name] ?? "";
-    if (view) view.filter = { eta: Number(this.eta.value), synergy: filters.synergy ?? ANY, ...this.#given() };
+    if (view) view.filter = { eta: Number(this.eta.value), synergy: filters.synergy ?? ANY, all: this.all.checked, ...this.#given() };
   }
 
   /** Show the state of the view's filter. */
@@ -111,6 +116,8 @@ export class FilterControls {
     this.scores.hidden = !description.scored;
     this.synergies.hidden = !description.synergies.length;
     this.sorts.hidden = this.scores.hidden && this.synergies.hidden;
+    this.allEngines.hidden = description.engines.length < 2 && !filter.all;
+    setText(this.allWords, `Holds in ${description.engines.join(" and ")}`);
     const names = [{ value: "", name: "any" }, ...description.synergies.map((name, value) => ({ value, name }))];
     for (const { bound, node } of this.bounds) node.hidden = bound.isKnown?.(cells) === false && filter[bound.name] === bound.open;
     updateChildren(this.synergy, names, ({ value }) => value, ({ value, name }) => element("option", { value }, name), (option, { name }) => setText(option, name));
@@ -135,9 +142,9 @@ export class FilterControls {
   #apply(part) {
     if (!this.#view) return;
     this.#view.applyFilter(part);
-    const { eta, synergy } = this.#view.cells.filter;
+    const { eta, synergy, all } = this.#view.cells.filter;
     const bounds = this.bounds.map(({ bound, input }) => [bound.name, number(input)]);
-    keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, ...Object.fromEntries(bounds) });
+    keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, all: all ? 1 : NaN, ...Object.fromEntries(bounds) });
   }
 
   /** What the bounds stand for, as a part of a filter: float32, as the quantities are. */
@@ -158,6 +165,7 @@ export class FilterControls {
   #reset() {
     this.eta.value = 0;
     this.synergy.value = "";
+    this.all.checked = false;
     for (const { input } of this.bounds) input.value = "";
     for (const span of this.spans) span.open();
   }

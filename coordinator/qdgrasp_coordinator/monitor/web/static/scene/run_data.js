@@ -39,17 +39,19 @@ function unreachable(error) {
   throw error.name === "AbortError" ? error : new Error("Nobody answers: the page's server has ended, or cannot be reached.");
 }
 
-const MARK = 0x33474451; // "QDG3"
+const MARK = 0x34474451; // "QDG4"
 const HEADER = 24; // bytes
 /** Columns of a page, in their order: the type of their items, and how many of them a voxel has. */
 const COLUMNS = {
   numbers: [Uint32Array, 1], etas: [Float32Array, 1], penetrations: [Float32Array, 1], motions: [Float32Array, 1],
   margins: [Float32Array, 1], cells: [Int16Array, 3], synergies: [Int16Array, 1], outcomes: [Uint8Array, 1], contacts: [Uint8Array, 1],
+  inAll: [Uint8Array, 1],
 };
-const WIDTH = 30; // bytes of each voxel
+const WIDTH = 31; // bytes of each voxel
 
 /** Unpack a page of voxels, little-endian as the server packs it: `n` voxels with journal numbers, etas (-1: none), penetrations
- *  [m], motions [m] and margins (NaN: not known), cells (three each), synergies (-1: none), outcomes and finger links in contact;
+ *  [m], motions [m] and margins (NaN: not known), cells (three each), synergies (-1: none), outcomes, finger links in contact, and 1 where
+ *  it holds in all engines;
  *  the serial to ask from `next`, whether there is `more` at once, and the `origin` of all of it. */
 function readVoxelPage(buffer) {
   const [mark, n, next, more, total, origin] = buffer.byteLength < HEADER ? [] : new Uint32Array(buffer, 0, 6);

@@ -1,0 +1,104 @@
+"""Without PyBullet: runs in MuJoCo to their end, and refusals of all that needs Bullet."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.system.commands import Commands, end_of
+from typer.testing import CliRunner
+
+import qdgrasp as api
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.spec import MissingEngine, check_engine
+
+RECORDED = Path(__file__).parents[1] / "golden" / "recorded_0_1_0"
+SCENE = ("--gripper", "panda", "--object", "tennis_ball")
+IN_MUJOCO = ("--protocol", "physical", "--engine", "mujoco")
+CAMPAIGN = """
+[defaults]
+gripper = "panda"
+evaluations = 20
+protocol = "physical"
+[[cross]]
+object = ["tennis_ball"]
+engine = ["mujoco", "bullet"]
+"""
+
+
+@pytest.fixture
+def without_bullet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder with two runs in Bullet, poses and a campaign; PyBullet cannot be imported."""
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    monkeypatch.chdir(tmp_path)
+    for name in ("finished", "begun"):
+        shutil.copytree(RECORDED / name, tmp_path / name)
+    np.savez("poses.npz", base_position=np.zeros((1, 3)), base_quaternion_xyzw=np.eye(4)[3:])
+    Path("both.toml").write_text(CAMPAIGN)
+    return tmp_path
+
+
+def files_in(folder: Path) -> list[Path]:
+    """All files but those that SQLite makes to read."""
+    return sorted(path for path in folder.rglob("*") if not path.name.startswith("run.sqlite-"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", *SCENE, "--evaluations", "20", "--out", "made"),
+        ("resume", "begun"),
+        ("rerank", "finished", "--out", "made"),
+        ("evaluate", *SCENE, "--poses", "poses.npz", "--out", "made/scores.npz"),
+        ("verify", "finished"),
+        ("campaign", "both.toml", "--out", "made"),
+        ("bench", "--seconds", "0.1"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_what_needs_bullet_is_refused_before_anything_is_written(without_bullet: Path, words) -> None:
+    before = files_in(without_bullet)
+    refused = CliRunner().invoke(app, list(words)).exception
+    assert isinstance(refused, MissingEngine), refused
+    assert refused.exit_code == 2
+    assert "PyBullet is not installed" in str(refused)
+    assert "--engine mujoco" in str(refused)
+    assert files_in(without_bullet) == before
+
+
+def test_a_program_is_refused_too_unless_others_evaluate(without_bullet: Path) -> None:
+    with pytest.raises(MissingEngine):
+        api.evaluate(np.zeros((1, 3)), np.eye(4)[3:], gripper="panda", object="tennis_ball")
+    elsewhere = api.Place(workers=0, connect="tcp/localhost:1")
+    api.Evaluations(gripper="panda", object="tennis_ball", place=elsewhere)
+
+
+@pytest.mark.parametrize(
+    ("version", "words"), [((3, 11), "or install it"), ((3, 13), "no wheel for Python 3.13")]
+)
+def test_the_sentence_says_how_bullet_is_had(monkeypatch, without_bullet: Path, version, words: str) -> None:
+    monkeypatch.setattr(sys, "version_info", (*version, 0))
+    with pytest.raises(MissingEngine, match=words):
+        check_engine("bullet")
+    check_engine("mujoco")
+
+
+def test_a_run_in_mujoco_is_carried_out_verified_and_exported(qdgrasp: Commands) -> None:
+    (qdgrasp.home / "absent").mkdir()
+    (qdgrasp.home / "absent" / "sitecustomize.py").write_text("import sys; sys.modules['pybullet'] = None")
+    paths = os.pathsep.join([str(qdgrasp.home / "absent"), os.environ.get("PYTHONPATH", "")])
+
+    def said(*words: object) -> str:
+        return end_of(qdgrasp.start(*words, PYTHONPATH=paths))[0]
+
+    said("run", *SCENE, *IN_MUJOCO, "--evaluations", 20, "--workers", 1, "--out", "run")
+    with RunFolder.open(qdgrasp.home / "run").journal() as journal:
+        assert {"mujoco", "mujoco_code", "mujoco_probes"} <= journal.platform.keys()
+        assert not {"pybullet", "probes"} & journal.platform.keys()
+    assert "this platform" in said("verify", "run", "--workers", 1)
+    grasps = qdgrasp.home / "grasps.yaml"
+    CliRunner().invoke(app, ["export", str(qdgrasp.home / "run"), "--format", "isaac", "-o", str(grasps)])
+    assert "confidence" in grasps.read_text()

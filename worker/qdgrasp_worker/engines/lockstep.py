@@ -1,0 +1,346 @@
+"""Episodes of `physical` in lockstep: the worlds of a batch go through its phases together.
+
+`PhysicalEpisode` simulates one pose after the other; here each phase is carried out for all poses of a batch,
+and `BatchWorlds` moves those on that are still in it. The state of all worlds stands in arrays here, so that
+a world that has ended costs nothing more, and no result depends on the worlds beside it.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, multiply, rotate, unit
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.engines.mujoco_world import FREE_DOFS, MujocoPhysicalWorld, Simulation
+from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
+from qdgrasp_worker.evaluation_protocols import TrialSetup
+from qdgrasp_worker.finger_drive import FingerDrive
+from qdgrasp_worker.physical_episode import (
+    PUSHES,
+    REST_SPEED,
+    REST_SPIN,
+    RESTING_LOOKS,
+)
+from qdgrasp_worker.world import GraspContact
+
+Rows: TypeAlias = NDArray[np.intp]
+"""Places (k,) of worlds among those of a batch, ascending."""
+States: TypeAlias = dict[str, NDArray[np.generic]]
+"""Arrays (n, ...) of n worlds, by their names in MuJoCo's data, and three more:
+
+`force` (n, 3) on the object [N], `friction` (n, 3) of hand and object, `damping` (n, 6) of a free object.
+"""
+MOVING = ("qpos", "qvel", "act", "qacc_warmstart")
+"""The states that a step changes."""
+
+
+class WorldContacts(NamedTuple):
+    """Contacts of hands with the object, nearer than `NEAR`, in the order of their worlds."""
+
+    worlds: NDArray[np.intp]
+    """(c,), ascending."""
+    links: NDArray[np.intp]
+    """(c,): bodies of the hand."""
+    distances: Floats
+    """(c,): 0 where forces begin [m]."""
+    points: Floats
+    """(c, 3): on the object [m], world frame."""
+    normals: Floats
+    """(c, 3): unit, into the object."""
+    forces: Floats
+    """(c,): along the normals [N]."""
+
+    def of(self, world: int) -> "WorldContacts":
+        """Those of one world."""
+        first, last = np.searchsorted(self.worlds, [world, world + 1])
+        return WorldContacts._make(column[first:last] for column in self)
+
+
+class StepResult(NamedTuple):
+    """Worlds after some steps."""
+
+    states: States
+    """Those of `MOVING`."""
+    contacts: WorldContacts
+    """As the last step found them: they go with the poses before it."""
+    object_poses: tuple[Floats, Floats]
+    """Positions (n, 3) [m] and quaternions (n, 4) of the object at that time."""
+    failed: NDArray[np.bool_]
+    """(n,): worlds that are not to be trusted."""
+
+
+class BufferSizes(NamedTuple):
+    """Sizes of the buffers of worlds, or how much of them was used."""
+
+    contacts: int
+    """`nconmax`: of a world in the mean, as well as pairs of shapes that come near."""
+    constraints: int
+    """`njmax`: of a world at most."""
+
+
+class BatchWorlds(ABC):
+    """Worlds of one model of a scene that move on together."""
+
+    @abstractmethod
+    def advance(self, states: States, steps: int) -> StepResult:
+        """Move n worlds on by some steps; 0: find the contacts of the poses as they are."""
+
+
+class FingerControls:
+    """`FingerControl` of n worlds: the same numbers, each line for all of them.
+
+    `closing` (n, j) says which joints close from the postures (n, j) [m or rad]; the others stay.
+    """
+
+    def __init__(
+        self, drives: Sequence[FingerDrive], postures: Floats, closing: NDArray[np.bool_], *, is_coupled: bool
+    ) -> None:
+        def column(name: str) -> Floats:
+            return np.array([getattr(drive, name) for drive in drives], dtype=np.float64)
+
+        self._opened, self._lead, self._speed = column("opened"), column("lead"), column("speed")
+        self._rest_speed, self._is_coupled = column("rest_speed"), is_coupled
+        closed = column("closed")
+        self._way = closed - self._opened
+        self._senses = np.where(closing, np.sign(closed - postures), 0.0)
+        ends = np.minimum(np.maximum(closed + self._senses * self._lead, column("lowest")), column("highest"))
+        self._ends = np.where(closing, ends, postures)
+        self.targets = postures.copy()
+        """(n, j): where each joint is to be [m or rad]."""
+
+    def stop(self) -> None:
+        """Let all targets stay where they are."""
+        self._senses[:] = 0.0
+
+    def walk(self, rows: Rows, positions: Floats, seconds: float) -> Floats:
+        """Move the targets of these worlds on by their joints' positions (k, j); the targets (k, j)."""
+        senses, targets = self._senses[rows], self.targets[rows]
+        places = self._mean_places(senses, positions) if self._is_coupled else positions
+        ahead = np.minimum(senses * targets + self._speed * seconds, senses * places + self._lead)
+        ahead = np.minimum(ahead, senses * self._ends[rows])
+        self.targets[rows] = walked = np.where(senses != 0.0, senses * ahead, targets)
+        return walked
+
+    def _mean_places(self, senses: Floats, positions: Floats) -> Floats:
+        """Places (k, j) of joints that all had gone the mean share of the moving ones."""
+        total, moving = np.zeros(len(positions)), senses != 0.0
+        for i in np.flatnonzero(moving.any(axis=0)):
+            total += np.where(moving[:, i], (positions[:, i] - self._opened[i]) / self._way[i], 0.0)
+        share = total / np.maximum(moving.sum(axis=1), 1)
+        return np.asarray(self._opened + share[:, None] * self._way)
+
+    def rests(self, before: Floats, after: Floats, seconds: float) -> NDArray[np.bool_]:
+        """Return in which worlds no joint moved faster than at rest between two looks (n, j)."""
+        return np.asarray((np.abs(after - before) < self._rest_speed * seconds).all(axis=1))
+
+
+class LockstepEpisodes:
+    """Episodes of some setups; `is_trusted` (n,) says which worlds were simulated well."""
+
+    def __init__(
+        self, world: MujocoPhysicalWorld, fixed: BatchWorlds, free: BatchWorlds, setups: Sequence[TrialSetup]
+    ) -> None:
+        self._world, self._physics = world, world.physics
+        self._fixed, self._free = fixed, free
+        self._setups, poses = setups, [setup.pose for setup in setups]
+        self.is_trusted = np.ones(len(setups), dtype=bool)
+        self._joints = np.array([pose.joints for pose in poses], dtype=np.float64)
+        self._turns = conjugate(unit(np.array([pose.quaternion for pose in poses])))
+        self._places = rotate(self._turns, -np.array([pose.position for pose in poses]))
+        self._friction = np.array([world.friction(setup) for setup in setups])
+
+    def overlaps(self) -> NDArray[np.bool_]:
+        """Return in which worlds (n,) a link of the open hand is inside the object."""
+        moved = self._free.advance(self._start(self._world.free), 0)
+        self.is_trusted &= ~moved.failed
+        inside = np.zeros(len(self._setups), dtype=bool)
+        inside[moved.contacts.worlds[moved.contacts.distances < 0.0]] = True
+        return inside
+
+    def run(self) -> list[EpisodeResult]:
+        """Close, release, read the grasp and push; those that are not trusted are of no use."""
+        touched = self._close()
+        results = [
+            EpisodeResult(Outcome.BRUSHED if each else Outcome.MISSED, setup.pose.joints)
+            for each, setup in zip(touched, self._setups, strict=True)
+        ]
+        grasps = self._settle(np.flatnonzero(touched & self.is_trusted))
+        for row, survived in zip(grasps, self._push(np.array([*grasps], dtype=np.intp)), strict=True):
+            outcome = outcome_of(survived, len(PUSHES))
+            results[row] = grasps[row]._replace(outcome=outcome, fitness=survived)
+        return results
+
+    def _start(self, simulation: Simulation) -> States:
+        """Worlds at rest, with the fingers where they start and the object where the hand sees it."""
+        n, model = len(self._setups), simulation.model
+        sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "qacc_warmstart": model.nv}
+        states: States = {name: np.zeros((n, size)) for name, size in (sizes | {"ctrl": model.nu}).items()}
+        couplings = [simulation.coupled(self._closing(setup)) for setup in self._setups]
+        states["eq_active"] = np.array(couplings, dtype=bool).reshape(n, -1)
+        states["force"], states["friction"] = np.zeros((n, 3)), self._friction
+        states["mocap_pos"], states["mocap_quat"] = np.zeros((n, 0, 3)), np.zeros((n, 0, 4))
+        states["qpos"][:, simulation.places] = self._joints
+        turns = self._turns[:, [3, 0, 1, 2]]
+        if simulation is self._world.free:
+            states["qpos"][:, -7:] = np.concatenate([self._places, turns], axis=1)
+            states["damping"] = np.zeros((n, FREE_DOFS))
+        else:
+            states["mocap_pos"], states["mocap_quat"] = self._places[:, None], turns[:, None]
+            states["damping"] = np.zeros((n, 0))
+        return states
+
+    def _closing(self, setup: TrialSetup) -> list[str]:
+        return self._world.closing_joints(setup.pose.synergy)
+
+    def _close(self) -> NDArray[np.bool_]:
+        """Close on the fixed object; whether a finger touched it (n,)."""
+        names = [self._closing(setup) for setup in self._setups]
+        drives = self._world.drives
+        closing = np.array([[drive.name in each for drive in drives] for each in names])
+        self._control = FingerControls(drives, self._joints, closing, is_coupled=self._world.is_coupled)
+        self._enter(self._fixed, self._world.fixed)
+        touched = np.zeros(len(names), dtype=bool)
+
+        def look(rows: Rows, moved: StepResult) -> None:
+            touched[rows] |= self._fingers(moved.contacts, len(rows)) > 0
+
+        most = np.array([self._world.closing_steps(setup.pose.synergy) for setup in self._setups])
+        self._step_to_rest(np.arange(len(names)), most, look)
+        return touched
+
+    def _settle(self, rows: Rows) -> dict[int, EpisodeResult]:
+        """Release the object and let it come to rest; the grasps, of those that fingers still touch."""
+        speeds = self._states["qvel"][:, self._world.fixed.dofs]
+        self._joints = self._finger_positions()
+        self._enter(self._free, self._world.free)
+        self._states["qvel"][:, self._world.free.dofs] = speeds
+        self._states["damping"][:] = self._world.damping
+        if not self._world.is_coupled:
+            self._control.stop()
+        last: dict[int, tuple[int, StepResult]] = {}
+
+        def look(rows: Rows, moved: StepResult) -> None:
+            last.update({row: (world, moved) for world, row in enumerate(rows.tolist())})
+
+        self._step_to_rest(rows, np.full(len(self._setups), self._steps(self._physics.settling)), look)
+        grasps = {row: self._read(row, *last[row]) for row in rows.tolist() if self.is_trusted[row]}
+        return {row: grasp for row, grasp in grasps.items() if grasp.finger_links}
+
+    def _read(self, row: int, world: int, moved: StepResult) -> EpisodeResult:
+        """Read a grasp after it has settled, `world` among those that moved last."""
+        contacts = moved.contacts.of(world)
+        origin, back = moved.object_poses[0][world], conjugate(moved.object_poses[1][world])
+        position, quaternion = self._object_poses()
+        now = conjugate(quaternion[row])
+        numbers, found = self._world.link_numbers, []
+        for _, link, _, point, normal, force in zip(*contacts, strict=True):
+            if (number := numbers.get(int(link))) is not None:
+                place, way = rotate(back, point - origin), rotate(back, normal)
+                found.append(GraspContact(number, place.tolist(), way.tolist(), float(force)))
+        return EpisodeResult(
+            Outcome.DROPPED,
+            self._finger_positions()[row].tolist(),
+            len({*contacts.links.tolist()} & self._world.finger_links),
+            max(0.0, float(-contacts.distances.min(initial=0.0))),
+            settled=settled_pose((rotate(now, -position[row]), now), self._setups[row].pose),
+            contacts=found,
+        )
+
+    def _push(self, rows: Rows) -> list[int]:
+        """Push the objects along their hands' axes; how many pushes the hands hold them through."""
+        self._states["damping"][:] = 0.0
+        self._control.stop()
+        survived = np.zeros(len(self._setups), dtype=np.intp)
+        most = np.full(len(survived), self._steps(self._physics.push_time))
+        lost = np.zeros(len(survived), dtype=bool)
+        start = self._object_poses()
+
+        def look(rows: Rows, moved: StepResult) -> None:
+            touching = np.bincount(moved.contacts.worlds, minlength=len(rows)) > 0
+            apart, angle = displacement(start, self._object_poses())
+            is_far = (apart > self._physics.lost_distance) | (angle > self._physics.lost_angle)
+            lost[rows] = is_far[rows] | ~touching
+
+        held = rows
+        for direction in PUSHES:
+            self._states["force"][:] = np.multiply(direction, self._world.push_force)
+            self._step_to_rest(held, most, look, lost)
+            held = held[~lost[held]]
+            survived[held] += 1
+        return [int(number) for number in survived[rows]]
+
+    def _steps(self, seconds: float) -> int:
+        return self._physics.steps(seconds)
+
+    def _enter(self, worlds: BatchWorlds, simulation: Simulation) -> None:
+        """Begin to step worlds of another model."""
+        self._now, self._simulation, self._states = worlds, simulation, self._start(simulation)
+
+    def _finger_positions(self) -> Floats:
+        return np.asarray(self._states["qpos"][:, self._simulation.places], dtype=np.float64)
+
+    def _object_poses(self) -> tuple[Floats, Floats]:
+        """Positions (n, 3) and quaternions (n, 4) of the objects."""
+        if self._simulation is self._world.fixed:
+            return self._places, self._turns
+        poses = np.asarray(self._states["qpos"][:, -7:], dtype=np.float64)
+        return poses[:, :3].copy(), poses[:, [4, 5, 6, 3]]
+
+    def _fingers(self, contacts: WorldContacts, n: int) -> NDArray[np.intp]:
+        """The number (n,) of contacts with finger links in each world."""
+        is_finger = np.isin(contacts.links, [*self._world.finger_links])
+        return np.bincount(contacts.worlds[is_finger], minlength=n)
+
+    def _step_to_rest(
+        self,
+        rows: Rows,
+        most: NDArray[np.intp],
+        look: Callable[[Rows, StepResult], None],
+        ended: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Move worlds on until each rests, `most` (n,) steps at most, or has `ended` (n,) at a look."""
+        every = self._physics.look_every
+        seconds = every * self._physics.time_step
+        resting, before = np.zeros(len(most), dtype=np.intp), None
+        step = 0
+        while True:
+            now = self._finger_positions(), self._object_poses()
+            if before is not None:
+                apart, angle = displacement(before[1], now[1])
+                rests = self._control.rests(before[0], now[0], seconds)
+                rests &= (apart < REST_SPEED * seconds) & (angle < REST_SPIN * seconds)
+                resting = np.where(rests, resting + 1, 0)
+            before = now
+            goes_on = (resting < RESTING_LOOKS) & (step < most) & self.is_trusted
+            rows = rows[goes_on[rows] if ended is None else (goes_on & ~ended)[rows]]
+            if not len(rows):
+                return
+            moved = self._advance(rows, every)
+            look(rows, moved)
+            step += every
+
+    def _advance(self, rows: Rows, steps: int) -> StepResult:
+        """Move worlds on, with the targets of their fingers on their way."""
+        states, seconds = self._states, steps * self._physics.time_step
+        states["act"][rows] = started = self._control.targets[rows]
+        walked = self._control.walk(rows, self._finger_positions()[rows], seconds)
+        states["ctrl"][rows] = (walked - started) / seconds
+        moved = self._now.advance({name: values[rows] for name, values in states.items()}, steps)
+        for name in MOVING:
+            states[name][rows] = moved.states[name]
+        self.is_trusted[rows[moved.failed]] = False
+        return moved
+
+
+def displacement(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    """Distances (n,) [m] and angles (n,) [rad] between positions (n, 3) and quaternions (n, 4).
+
+    The angle is not taken from the cosine, which near 1 has no digits left for it where quaternions were
+    rounded to float32.
+    """
+    offsets, turn = after[0] - before[0], multiply(conjugate(before[1]), after[1])
+    half = np.arctan2(np.sqrt(dot(turn, turn)), np.abs(turn[:, 3]))
+    return np.sqrt(dot(offsets, offsets)), np.asarray(2.0 * half)
