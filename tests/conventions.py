@@ -18,12 +18,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = (
-    250  # 5 for recorded contacts, margins and `physical`, 6 for value, kinds and trials, 6 for engines
-)
-MOST_LINES = 50_000
-MOST_TEST_FILES = 281
-MOST_TEST_LINES = 49_500
+MOST_MODULES = 255
+"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 5 for libraries."""
+MOST_LINES = 51_900
+MOST_TEST_FILES = 284
+MOST_TEST_LINES = 50_450
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500

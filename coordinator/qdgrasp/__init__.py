@@ -2,7 +2,8 @@
 
 What a program needs of it (docs/python.md):
 
-* `open(path)`            a run's folder: its spec, its scene, its figures, its grasps as arrays
+* `open(path)`            a run's folder: its spec, its scene, its figures, its grasps as arrays; or a
+                         campaign's: its runs, one after the other
 * `evaluate(...)`         scores of hand poses
 * `Evaluations(...)`      rows of genomes, whenever an optimiser of one's own wants some
 * `optimise(search, ...)` a run with a search of one's own, asked and told in order, and its folder
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from qdgrasp.evaluations import Evaluations, evaluate
     from qdgrasp.evaluator_worker import serve
     from qdgrasp.optimisation import Search, optimise
-    from qdgrasp.runs import Run, open  # noqa: A004  # said as qdgrasp.open
+    from qdgrasp.runs import CampaignRuns, Run, open  # noqa: A004  # said as qdgrasp.open
     from qdgrasp_assets.scene import Scene
     from qdgrasp_coordinator.export.grasp_set import Grasp, Grasps
     from qdgrasp_protocol.errors import InputError, QdgraspError
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from qdgrasp_worker.runtime.evaluator_api import Hands, Verdicts
 
 HOMES = {
+    "CampaignRuns": "qdgrasp.runs",
     "Evaluations": "qdgrasp.evaluations",
     "Genomes": "qdgrasp_protocol.rows",
     "Grasp": "qdgrasp_coordinator.export.grasp_set",
@@ -50,6 +52,7 @@ HOMES = {
 """The module of each name, loaded when the name is used first."""
 
 __all__ = [
+    "CampaignRuns",
     "Evaluations",
     "Genomes",
     "Grasp",

@@ -1,18 +1,25 @@
-"""Reads a run: its folder, its grasps, and every row of its journal."""
+"""Reads a run, its grasps and every row of its journal; and the runs of a campaign."""
 
 import os
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from qdgrasp.arguments import path_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.campaign.campaign_folder import open_campaign
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
-from qdgrasp_coordinator.export.grasp_set import Grasps, read_run, select_grasps
+from qdgrasp_coordinator.export.frames import frame_of
+from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, choose_grasps, read_run
+from qdgrasp_coordinator.export.grasp_set import Grasps, select_grasps
+from qdgrasp_coordinator.export.tabular import grasp_table
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -100,6 +107,16 @@ class Run:
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
         return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits, holds_in)
 
+    def tables(self, *, min_fitness: int = 1, frame: str = "mesh") -> Iterator[Any]:
+        """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.
+
+        The columns are those of `qdgrasp export --format parquet`, with poses in the object's `frame`.
+        """
+        with self._folder.journal() as journal:
+            chosen = choose_grasps(GraspReader(self._folder, journal), GraspChoice(min_fitness))
+            for part in chosen:
+                yield grasp_table(part, frame_of(frame), {})
+
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.
 
@@ -117,13 +134,51 @@ class Run:
             yield from journal.kept()
 
 
-def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.open
-    """Open the folder of a run, to read; raises as `Run`.
+class CampaignRuns:
+    """The runs of a campaign's folder, for reading: iterated by object and hand, one at a time.
+
+    Only the names of the runs are in memory. Raises ImpossibleValue if `path` is no path, FolderError if
+    there is no campaign in it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = path_of("path", path)
+        self._folder = open_campaign(self.path)
+
+    def __repr__(self) -> str:
+        return f"qdgrasp.open({str(self.path)!r})"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names of its runs, sorted by object, hand and name."""
+        found = []
+        for path in filter(RunFolder.is_run, self._folder.run_paths):
+            spec = RunFolder(path).spec
+            found.append((Path(spec.object).stem, Path(spec.gripper).stem, path.name))
+        return tuple(name for *_, name in sorted(found))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[Run]:
+        return map(self.__getitem__, self.names)
+
+    def __getitem__(self, name: str) -> Run:
+        """Return the run of a name; raises FolderError without one."""
+        return Run(self._folder.run_path(name))
+
+
+def open(path: str | os.PathLike[str]) -> Any:  # noqa: A001  # said as qdgrasp.open
+    """Open a folder to read: of a run `Run`, of a campaign `CampaignRuns`; raises as these.
 
     Examples
     --------
     >>> run = qdgrasp.open("runs/mug")
     >>> run.summary.robust, run.grasps(min_fitness=2).poses("mesh").shape
     (214, (214, 7))
+    >>> for run in qdgrasp.open("runs/campaign"):
+    ...     for table in run.tables(min_fitness=2):
+    ...         print(run.spec.object, run.spec.gripper, table.num_rows)
     """
-    return Run(path)
+    folder = path_of("path", path)
+    return CampaignRuns(folder) if JobFolder.is_job(folder) and JobFolder(folder).is_campaign else Run(folder)

@@ -14,6 +14,7 @@ from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
 
 
 def export(
-    directory: options.RunDir,
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
     name: Annotated[
-        str, typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, moveit, csv.")
+        str,
+        typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, webdataset, moveit, csv."),
     ],
     out: Annotated[
         Path,
@@ -36,12 +38,15 @@ def export(
             "--out",
             "-o",
             metavar="OUT",
-            help="The file, for graspgen a folder; those that it lies in are made.",
+            help="The file, for graspgen and campaigns a folder; those that it lies in are made.",
         ),
     ],
     min_fitness: Annotated[
         int, typer.Option(min=0, max=6, help="Disturbances survived, at least; 0 takes all successes.")
     ] = 1,
+    min_quality: Annotated[
+        float, typer.Option(min=0, max=1, metavar="Q", help="Least quality: eta, or the share survived.")
+    ] = 0.0,
     top: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, penetration.")
     ] = None,
@@ -63,27 +68,66 @@ def export(
             min=0, metavar="N", help="Failures written too, at most; default: all in graspgen, else 0."
         ),
     ] = None,
+    meshes: Annotated[
+        str | None, typer.Option(metavar="copy|name", help="Of a campaign: copy meshes; default: name them.")
+    ] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(metavar="SHARES", help="Of a campaign: share objects out, as in 80,10,10 (train, ...)."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
 ) -> None:
-    """Write the grasps of a run to a file that other tools read.
+    """Write the grasps of a run to a file that other tools read,
+    or those of all runs of a campaign to one data set.
 
     Every file says which frames its poses are told in, the order of quaternions, scale, what success means,
-    and under which licence the assets are. A run that goes on gives what it has recorded by now.
+    and under which licence the assets are. A run that goes on gives what it has recorded by now. Of a
+    campaign OUT is a folder with an index and a card; flags choose from each run. If that is ended before,
+    the same command goes on.
 
     Example: qdgrasp export runs/demo --format isaac -o grasps.yaml
-    """
+    """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.export.exporter import export_run  # takes its time to load
+    from qdgrasp_coordinator.export.grasp_reader import GraspChoice
     from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 
+    limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    if JobFolder.is_job(directory) and JobFolder(directory).is_campaign:
+        from qdgrasp_coordinator.campaign import campaign_export  # takes its time to load
+
+        choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
+        shares = () if split is None else campaign_export.parse_shares(split)
+        with progress_messages() as tell, lifetime("qdgrasp export") as stop:
+            written = campaign_export.export_campaign(
+                directory,
+                out,
+                name,
+                choice,
+                frame=frame,
+                negatives=negatives,
+                meshes=meshes or campaign_export.NAME,
+                shares=shares,
+                force=force,
+                tell=tell,
+                is_stopped=lambda: stop.is_set,
+            )
+        if not written:
+            typer.echo(f"Stopped. What is complete stands in {out}.part; the same command goes on.", err=True)
+            raise typer.Exit(stop.exit_code)
+        typer.echo(written)
+        return
+    if meshes is not None or split is not None:
+        raise InputError("--meshes and --split are for a campaign's folder; leave them out.")
     with progress_messages() as tell:
         written = export_run(
             RunFolder.open(directory),
             out,
             name,
             min_fitness=min_fitness,
+            min_quality=min_quality,
             top=top,
             diverse=diverse,
-            limits=GraspLimits(max_penetration, max_motion, min_margin, min_links),
+            limits=limits,
             holds_in=holds_in,
             frame=frame,
             negatives=negatives,
@@ -96,7 +140,10 @@ def export(
 def import_(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="ACRONYM, GraspGen JSON, Isaac Grasp YAML, or Parquet of ours."),
+        typer.Argument(
+            metavar="FILE",
+            help="ACRONYM, GraspGen JSON, Isaac Grasp YAML, or Parquet of ours, also a data set's folder.",
+        ),
     ],
     gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")],
     object_: Annotated[str, typer.Option("--object", help="Object: a built-in name or a mesh file.")],
@@ -112,6 +159,10 @@ def import_(
         str | None,
         typer.Option(help="Where poses are told, mesh or com; default: as the file says, else mesh."),
     ] = None,
+    of: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The object in a data set; default: as --object is called."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
 ) -> None:
     """Turn a file of grasps, of ours or of others,
@@ -121,7 +172,8 @@ def import_(
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_coordinator.export.frames import frame_of  # takes its time to load
+    from qdgrasp_coordinator.campaign.campaign_export import asset_name, is_dataset  # takes its time to load
+    from qdgrasp_coordinator.export.frames import frame_of
     from qdgrasp_coordinator.export.importer import hand_named, import_poses, object_frame
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
@@ -130,7 +182,8 @@ def import_(
     told_in = None if frame is None else frame_of(frame)
     with progress_messages() as tell:
         tell(f"reading {file}")
-        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in)
+        name = of or (asset_name(object_) if is_dataset(file) else "")
+        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in, name)
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(output)

@@ -4,12 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
 from qdgrasp_coordinator.export.frames import frame_of
-from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
+from qdgrasp_coordinator.export.grasp_reader import (
+    ALL_FAILURES,
+    ChosenGrasps,
+    GraspChoice,
+    GraspReader,
+    choose_grasps,
+    read_run,
+)
+from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
@@ -18,26 +24,37 @@ from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
 
-ALL_FAILURES = -1  # So many failures as there are
-
 
 @dataclass(frozen=True)
 class ExportFormat:
     """One format of files of grasps."""
 
     name: str
-    write: Callable[[Path, Grasps, GraspMetadata], None]
+    write: Callable[[Path, ChosenGrasps, GraspMetadata], None]
     suffix: str
     """Ending of its files; empty: it is a folder."""
     places: PosePlaces
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
 
+    def failures(self, negatives: int | None) -> int:
+        """Return how many failures are written at most, where so many are asked for."""
+        if negatives and self.default_failures is None:
+            raise InputError(f"{self.name} has no place for failures; leave --negatives out.")
+        return negatives if negatives is not None else self.default_failures or 0
+
     def output(self, path: Path, *, force: bool = False) -> WholeOutput:
         """Return the file or folder at a path; `force` replaces one of the same format."""
         if self.suffix:
             return OutFile(path, force=force)
         return OutFolder(path, force=force, is_kind=graspgen.is_ours)
+
+
+def _at_once(
+    write: Callable[[Path, Grasps, GraspMetadata], None],
+) -> Callable[[Path, ChosenGrasps, GraspMetadata], None]:
+    """Have grasps written by a function that takes them all at once, in memory."""
+    return lambda path, chosen, metadata: write(path, chosen.whole, metadata)
 
 
 ISAAC_PLACES = PosePlaces(
@@ -61,14 +78,26 @@ MOVEIT_PLACES = PosePlaces("qdgrasp.grasps.pregrasp_poses, pre_grasp_posture", "
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("isaac", isaac_moveit.write_isaac, ".yaml", ISAAC_PLACES, default_failures=None),
-        ExportFormat("acronym", acronym.write, ".h5", ACRONYM_PLACES),
+        ExportFormat(
+            "isaac", _at_once(isaac_moveit.write_isaac), ".yaml", ISAAC_PLACES, default_failures=None
+        ),
+        ExportFormat("acronym", _at_once(acronym.write), ".h5", ACRONYM_PLACES),
         ExportFormat("graspgen", graspgen.write, "", GRASPGEN_PLACES, default_failures=ALL_FAILURES),
         ExportFormat("parquet", tabular.write_parquet, ".parquet", PARQUET_PLACES),
-        ExportFormat("moveit", isaac_moveit.write_moveit, ".yaml", MOVEIT_PLACES, default_failures=None),
-        ExportFormat("csv", tabular.write_csv, ".csv", CSV_PLACES),
+        ExportFormat("webdataset", tabular.write_tar, ".tar", PARQUET_PLACES),
+        ExportFormat(
+            "moveit", _at_once(isaac_moveit.write_moveit), ".yaml", MOVEIT_PLACES, default_failures=None
+        ),
+        ExportFormat("csv", _at_once(tabular.write_csv), ".csv", CSV_PLACES),
     )
 }
+
+
+def format_of(name: str) -> ExportFormat:
+    """Return the format of that name; raises UnknownName."""
+    if name not in FORMATS:
+        raise UnknownName("format", name, FORMATS)
+    return FORMATS[name]
 
 
 def export_run(
@@ -77,6 +106,7 @@ def export_run(
     name: str,
     *,
     min_fitness: int = 1,
+    min_quality: float = 0.0,
     top: int | None = None,
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
@@ -89,67 +119,57 @@ def export_run(
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
     The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
-    `diverse`, `limits` and `holds_in` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or
-    "com". At most `negatives` failures are written behind the grasps; None: as many as is usual in the
-    format. `tell` is called with each step that begins. Raises InputError if there is no such format or
-    frame, there is nothing to write, or it cannot be read or written.
+    `diverse`, `limits` and `holds_in` are as in `select_grasps`; `min_quality` is a least confidence; poses
+    are in the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps;
+    None: as many as is usual in the format. `tell` is called with each step that begins. Raises InputError if
+    there is no such format or frame, there is nothing to write, or it cannot be read or written.
     """
-    if name not in FORMATS:
-        raise UnknownName("format", name, FORMATS)
-    form, object_frame = FORMATS[name], frame_of(frame)
-    if negatives and form.default_failures is None:
-        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
-    wanted = negatives if negatives is not None else form.default_failures or 0
+    form, object_frame = format_of(name), frame_of(frame)
+    wanted = form.failures(negatives)
+    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
     output = form.output(out, force=force)
     output.check()
     tell(f"reading {folder.path}")
-    every = read_run(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
-    tell(f"choosing from {counted(len(every), 'evaluation')}")
-    chosen = select_grasps(every, min_fitness, top, diverse, limits, holds_in)
-    if not len(chosen):
-        raise InputError(_no_grasps(folder, every, min_fitness, limits, holds_in))
-    failures = _failures(every, chosen, wanted)
-    written = join_grasps([chosen, failures])
-    tell(f"writing {counted(len(written), 'evaluation')} to {out}")
-    metadata = grasp_metadata(folder, written, object_frame, form.places)
-    with output.writing() as made:
-        form.write(made, written, metadata)
-    beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
-    grasps_written = f"{counted(len(chosen), 'grasp')}{beside} written to {out}"
+    with folder.journal() as journal:
+        chosen = choose_grasps(GraspReader(folder, journal), choice, wanted)
+        if len(chosen) == chosen.failures:
+            raise InputError(_no_grasps(folder, choice))
+        tell(f"writing {counted(len(chosen), 'evaluation')} to {out}")
+        metadata = grasp_metadata(folder, chosen, object_frame, form.places)
+        with output.writing() as made:
+            form.write(made, chosen, metadata)
+    beside = f" and {counted(chosen.failures, 'failure')}" if wanted else ""
+    grasps_written = f"{counted(len(chosen) - chosen.failures, 'grasp')}{beside} written to {out}"
     note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
     if holds_in is not None:
-        good = select_grasps(every, min_fitness)
-        unknown = counted(int((good.verdicts_in(holds_in) < 0).sum()), "grasp")
+        unknown = counted(chosen.unknown, "grasp")
         note += f" Left out: {unknown} whose verdict in {holds_in} is not known."
     return f"{grasps_written}, poses in the object's {object_frame} frame.{note}"
 
 
-def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
-    """Return evaluations that were no grasps, at most `most`, spread over the journal."""
-    places = np.flatnonzero(~every.is_grasp & ~np.isin(every.numbers, chosen.numbers))
-    if most != ALL_FAILURES and most < len(places):
-        places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
-    return every[places if most else places[:0]]
-
-
-def _no_grasps(
-    folder: RunFolder, every: Grasps, min_fitness: int, limits: GraspLimits, holds_in: str | None
-) -> str:
-    successes = every[every.is_success]
+def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
+    successes, min_fitness = read_run(folder), choice.min_fitness
     if not len(successes):
         with folder.journal() as journal:
             rows = counted(journal.count, "row")
         return f"{folder.path} has no grasp to write: there is no success among {rows}."
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
     if best >= min_fitness:
-        good = every[every.is_success & (every.fitness >= min_fitness)]
-        if holds_in is not None:
-            found = good.verdicts_in(holds_in)
-            here = f"of {counted(len(good), 'grasp')} {int((found == Outcome.HELD).sum())} hold in {holds_in}"
+        good = successes[successes.fitness >= min_fitness]
+        if choice.holds_in is not None:
+            found = good.verdicts_in(choice.holds_in)
+            held = int((found == Outcome.HELD).sum())
+            here = f"of {counted(len(good), 'grasp')} {held} hold in {choice.holds_in}"
             good = good[found == Outcome.HELD]
             if not len(good):
                 return f"{folder.path} has no such grasp: {here}, {int((found < 0).sum())} are not known."
-        return f"{folder.path} has no grasp within these limits: {limits.reason(good.rows, good.scene)}."
+        admitted = choice.limits.admitted(good.rows, good.scene)
+        if admitted.any():
+            highest = good.confidence[admitted].max()
+            return f"{folder.path} has no grasp of this quality: the best has {highest:.3g} (--min-quality)."
+        return (
+            f"{folder.path} has no grasp within these limits: {choice.limits.reason(good.rows, good.scene)}."
+        )
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
         f"{many} has {best}, and --min-fitness {best} writes those."

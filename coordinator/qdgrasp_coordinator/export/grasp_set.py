@@ -21,13 +21,12 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.scores import TrialSums, best_first, genome_numbers
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds, eta_error
+from qdgrasp_coordinator.metrics.scores import best_first
+from qdgrasp_coordinator.metrics.trial_schedule import eta_bounds, eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage.engine_table import Verdicts, other_tables, verdicts
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
+from qdgrasp_coordinator.storage.engine_table import Verdicts
+from qdgrasp_coordinator.storage.run_folder import Provenance
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
@@ -329,54 +328,6 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
             name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
         },
     )
-
-
-def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
-    """Read the nominal evaluations of a run that got as far as `least`, in journal order.
-
-    The run may go on: what is recorded by now is read. `DROPPED` gives all successes, `MISSED` all that were
-    simulated; a pruned or merged folder has kept successes alone. Raises FolderError if the folder cannot be
-    read, or has no scene yet.
-    """
-    scene, spec = folder.scene(), folder.spec
-    with folder.journal() as journal:
-        sources = tuple(provenances(folder, journal))
-        parts = []
-        for origin, source in enumerate(sources):
-            numbers, rows, etas, trials = _source_grasps(journal, source, least)
-            origins = np.full(len(rows), origin)
-            parts.append(Grasps(scene, spec, sources, origins, numbers, rows, etas, trials))
-    found = join_grasps(parts)
-    tables = other_tables(folder)
-    outcomes = found.rows["outcome"]
-    return replace(
-        found, elsewhere={name: verdicts(table, found.numbers, outcomes) for name, table in tables.items()}
-    )
-
-
-def _source_grasps(
-    journal: Journal, source: Provenance, least: Outcome
-) -> tuple[NDArray[np.int64], Rows, Floats, NDArray[np.int64]]:
-    """Read the rows of one run that got far enough: numbers, rows, etas, trials.
-
-    Eta is NaN where it is not known.
-    """
-    plan = TrialPlan.of(source.spec)
-    scores, first = TrialSums(plan), source.rows.start
-    numbers, rows, scored = [np.zeros(0, np.int64)], [journal.shape.empty(0)], [journal.shape.empty(0)]
-    for block in journal.kept(source.rows.start, source.rows.stop) if source.rows else ():
-        here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
-        numbers.append(first + here)
-        rows.append(take_rows(block, here))
-        if plan.stages:
-            scored.append(scores.take(block))
-        first += len(block)
-    found, known = join_rows(rows), join_rows([*scored, *scores.rest()])
-    etas, trials = np.full(len(found), np.nan), np.zeros(len(found), np.int64)
-    if plan.stages:
-        places = np.searchsorted(genome_numbers(found), genome_numbers(known))
-        etas[places], trials[places] = plan.eta(known["fitness"]), known["trial"]
-    return np.concatenate(numbers), found, etas, trials
 
 
 def select_grasps(

@@ -9,10 +9,13 @@ has
 * `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
 """
 
-from collections.abc import Iterable, Iterator
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from tempfile import TemporaryFile
+from typing import IO, Annotated, Any
 
 import msgspec
 import numpy as np
@@ -20,6 +23,7 @@ from msgspec import Struct
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_coordinator.export.frames import Frame, from_matrices, object_solid
+from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import CONTACT_FIELDS, Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     ImportedGrasps,
@@ -42,19 +46,38 @@ BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
 
 
-def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
+def write(path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
     """Write grasps and failures as a GraspGen folder."""
-    for folder in (DATA, SPLITS, OBJECTS):
-        (path / folder).mkdir(parents=True)
-    name = f"{metadata.object}.obj"
-    data = f"{metadata.object}.json"
-    (path / OBJECTS / name).write_bytes(
-        parts_to_obj([object_solid(grasps.scene.object, metadata.frame).mesh])
-    )
-    (path / DATA / data).write_bytes(msgspec.json.encode(_values(name, grasps, metadata)))
-    (path / DATA / INDEX_FILE).write_bytes(msgspec.json.encode({name: data}))
-    for split in ("train", "valid"):
-        (path / SPLITS / f"{split}.txt").write_text(f"{name}\n", encoding="utf-8")
+    path.mkdir(parents=True)
+    write_object(path, metadata.object, chosen, metadata)
+    write_index(path, {metadata.object: ("train", "valid")})
+
+
+def write_object(path: Path, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
+    """Write the JSON and the mesh of one object into a folder, part by part."""
+    for folder in (DATA, OBJECTS):
+        (path / folder).mkdir(exist_ok=True)
+    mesh = object_solid(chosen.scene.object, metadata.frame).mesh
+    (path / OBJECTS / f"{name}.obj").write_bytes(parts_to_obj([mesh]))
+    with ExitStack() as stack, (path / DATA / f"{name}.json").open("wb") as file:
+        lists: dict[str, IO[bytes]] = {}
+        for part in chosen:
+            for key, values in _lists(part, metadata.frame).items():
+                is_first = key not in lists
+                if is_first:
+                    lists[key] = stack.enter_context(TemporaryFile(dir=path))
+                lists[key].write((b"" if is_first else b",") + msgspec.json.encode(values)[1:-1])
+        _write_json(file, _values(f"{name}.obj", chosen, metadata), lists)
+
+
+def write_index(path: Path, objects: Mapping[str, Iterable[str]]) -> None:
+    """Write the lists of a folder: objects with the splits that they are in."""
+    (path / SPLITS).mkdir(exist_ok=True)
+    files = {f"{name}.obj": f"{name}.json" for name in objects}
+    (path / DATA / INDEX_FILE).write_bytes(msgspec.json.encode(files))
+    for split in sorted({"train", "valid"}.union(*objects.values())):
+        names = [f"{name}.obj\n" for name, splits in objects.items() if split in splits]
+        (path / SPLITS / f"{split}.txt").write_text("".join(names), encoding="utf-8")
 
 
 def is_ours(path: Path) -> bool:
@@ -64,33 +87,65 @@ def is_ours(path: Path) -> bool:
     }  # fmt: skip
 
 
-def _values(name: str, grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
-    names, hand = (*grasps.synergy_names, ""), grasps.scene.gripper
-    settled = settled_jaw_transforms(grasps, metadata.frame).tolist()
+LIST = "list of the grasps"
+"""Stands in `_values` for a list with an item for each grasp."""
+
+
+def _values(name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> dict[str, Any]:
+    hand = chosen.scene.gripper
     return {
         "object": {"file": name, "scale": 1.0},
-        "grasps": {
-            "transforms": jaw_transforms(grasps.poses(metadata.frame), hand).tolist(),
-            "object_in_gripper": grasps.is_grasp.tolist(),
-        },
+        "grasps": dict.fromkeys(("transforms", "object_in_gripper"), LIST),
         "qdgrasp": jaw_metadata(metadata, hand).values
         | {
             "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
-            "joint_names": grasps.joint_names,
-            "grasps": {
-                "number": grasps.numbers.tolist(),
-                "fitness": grasps.fitness.tolist(),
-                "eta": grasps.eta.tolist(),
-                "joint_positions": grasps.joints.tolist(),
-                "pregrasp_joint_positions": grasps.pregrasp.tolist(),
-                "synergy": [names[label] for label in grasps.synergies.tolist()],
-                "penetration": grasps.rows["penetration"].tolist(),
-                "margin": grasps.margin.tolist(),
-                "settled_transforms": _where_settled(grasps, settled),
-                "contacts": _where_settled(grasps, _contacts(grasps, metadata.frame)),
-            },
+            "joint_names": [joint.name for joint in hand.joints],
+            "grasps": dict.fromkeys(EXTRA_LISTS, LIST),
         },
     }
+
+
+EXTRA_LISTS = (
+    *("number", "fitness", "eta", "joint_positions", "pregrasp_joint_positions"),
+    *("synergy", "penetration", "margin", "settled_transforms", "contacts"),
+)
+
+
+def _lists(grasps: Grasps, frame: Frame) -> dict[str, list[Any]]:
+    """Return the lists with an item for each grasp."""
+    names, hand = (*grasps.synergy_names, ""), grasps.scene.gripper
+    settled = settled_jaw_transforms(grasps, frame).tolist()
+    return {
+        "transforms": jaw_transforms(grasps.poses(frame), hand).tolist(),
+        "object_in_gripper": grasps.is_grasp.tolist(),
+        "number": grasps.numbers.tolist(),
+        "fitness": grasps.fitness.tolist(),
+        "eta": grasps.eta.tolist(),
+        "joint_positions": grasps.joints.tolist(),
+        "pregrasp_joint_positions": grasps.pregrasp.tolist(),
+        "synergy": [names[label] for label in grasps.synergies.tolist()],
+        "penetration": grasps.rows["penetration"].tolist(),
+        "margin": grasps.margin.tolist(),
+        "settled_transforms": _where_settled(grasps, settled),
+        "contacts": _where_settled(grasps, _contacts(grasps, frame)),
+    }
+
+
+def _write_json(file: IO[bytes], values: dict[str, Any], lists: Mapping[str, IO[bytes]]) -> None:
+    """Write a mapping as JSON, with the items of lists from files."""
+    file.write(b"{")
+    for place, (key, value) in enumerate(values.items()):
+        file.write(b"," * (place > 0) + msgspec.json.encode(key) + b":")
+        if value is LIST:
+            lists[key].seek(0)
+            file.write(b"[")
+            shutil.copyfileobj(lists[key], file)
+            file.write(b"]")
+        elif isinstance(value, dict):
+            _write_json(file, value, lists)
+        else:
+            file.write(msgspec.json.encode(value))
+    file.write(b"}")
 
 
 def _where_settled(grasps: Grasps, values: Iterable[object]) -> list[object]:

@@ -19,6 +19,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
+from qdgrasp_coordinator.export.dataset_card import INDEX_CSV, INDEX_PARQUET, read_index
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
 from qdgrasp_coordinator.export.imported_grasps import (
     LONGEST,
@@ -27,6 +28,7 @@ from qdgrasp_coordinator.export.imported_grasps import (
     check_grasps,
     check_positions,
     decode_json,
+    decode_metadata,
 )
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -89,9 +91,40 @@ def read_grasp_file(path: Path) -> ImportedGrasps:
     raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
 
 
+def read_dataset(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+    """Read and check the grasps of a hand on an object in a data set of Parquet.
+
+    `gripper` and `object_` are as its index has them. Raises UnreadableGrasps.
+    """
+    import pyarrow as pa
+
+    try:
+        found = [
+            line
+            for line in read_index(folder)
+            if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
+        ]
+        if not found:
+            reason = f"its {INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
+            raise UnreadableGrasps(folder, reason)
+        told = [decode_metadata(folder, line["about"]) for line in found]
+        if len({each.object_sha256 for each in told}) > 1:
+            raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
+        runs = tuple(run for each in told for run in each.runs)
+        files = dict.fromkeys(name for line in found for name in line["files"])
+        metadata = msgspec.structs.replace(told[0], runs=runs)
+        imported = tabular.read_shards(folder, files, gripper, object_, metadata)
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableGrasps(folder, f"it is no data set of Parquet, or damaged ({error})") from None
+    check_grasps(folder, imported)
+    return imported
+
+
 def _read_head(path: Path) -> bytes:
     """Read the first bytes of a file, if it is one that may be read."""
     try:
+        if (path / INDEX_PARQUET).is_file():
+            raise UnreadableGrasps(path, "it is a data set of many objects; name one of them with --of")
         if path.is_dir():
             raise UnreadableGrasps(
                 path, f"it is a folder; of one that is for GraspGen name the JSON in {graspgen.DATA}"
@@ -164,15 +197,16 @@ class ImportedPoses:
 
 
 def import_poses(
-    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None
+    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None, of: str = ""
 ) -> ImportedPoses:
     """Read the grasps in a file as poses of a hand on an object.
 
-    `frame` is that of the object in which the file gives poses; None: as it says, or that of the mesh. Raises
+    Of a data set those of its object `of`. `frame` is that of the object in which the file gives poses; None:
+    as it says, or that of the mesh. Raises
     UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
     the hand does not have.
     """
-    imported = read_grasp_file(path)
+    imported = read_dataset(path, hand.name, of) if of and path.is_dir() else read_grasp_file(path)
     metadata = imported.metadata
     if metadata and frame not in (None, metadata.frame):
         reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"

@@ -14,6 +14,7 @@ from msgspec import Struct
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper, SceneObject
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
+from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
@@ -141,7 +142,7 @@ class PosePlaces:
     """Empty: the format has no place for them."""
 
 
-def settled_words(grasps: Grasps) -> str:
+def settled_words(grasps: Grasps | ChosenGrasps) -> str:
     """Say of how many successes the settled pose was recorded."""
     known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
     if not known:
@@ -151,7 +152,9 @@ def settled_words(grasps: Grasps) -> str:
     return f"recorded of {known} of {successes} successes; the grasp pose of the others is the commanded one"
 
 
-def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame, places: PosePlaces) -> GraspMetadata:
+def grasp_metadata(
+    folder: RunFolder, grasps: Grasps | ChosenGrasps, frame: Frame, places: PosePlaces
+) -> GraspMetadata:
     """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
     scene = grasps.scene
     hand, body = scene.gripper, scene.object

@@ -1,18 +1,25 @@
-"""CSV and Parquet: one table with a line for each grasp.
+"""CSV, Parquet and WebDataset tar: one table with a line for each grasp.
 
 Lines of CSV that begin with # are metadata.
 
-Parquet keeps every bit, and is read again.
+Parquet keeps every bit, and is read again. Parquet and tar are written some thousand grasps at a time.
 """
 
-from collections.abc import Iterable, Iterator
+import io
+import tarfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.export.frames import COM, Frame
+from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import CONTACT_FIELDS, Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     MOST_GRASPS,
@@ -29,6 +36,17 @@ JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SETTLED = "settled_"  # What the columns of the settled pose begin with
 CONTACTS = "contact_points"
+SAME_MEANINGS = {
+    "object": "the object",
+    "gripper": "the hand",
+    "category": "of the object; none: not known",
+    "method": "the search",
+    "seed": "of the search",
+    "protocol": "the evaluation protocol",
+    "engine": "the physics engine",
+}
+"""Columns of a data set that have one value for all grasps of a run."""
+NO_COLUMNS: Mapping[str, str | int] = MappingProxyType({})
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 
 
@@ -143,24 +161,131 @@ MOST_NUMBERS = 100_000_000
 """Numbers in all columns that are read: few bytes can stand for very many equal ones."""
 
 
-def write_parquet(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
-    """Write grasps as a Parquet file, compressed with zstd."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+ROW_GROUP = 65_536  # Rows of a row group
 
-    poses = pa.FixedSizeListArray.from_arrays(pa.array(grasps.rows[POSE_COLUMN].ravel()), 7)
-    arrays = {POSE_COLUMN: poses}
-    meanings = {POSE_COLUMN: "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"}
-    for column in grasp_columns(grasps, metadata.frame):
+
+class ParquetShard:
+    """A Parquet file that grows by tables, compressed with zstd; for a with-block."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._writer: Any = None
+        self._waiting: list[Any] = []
+        self._stack = ExitStack()
+
+    def add(self, table: Any) -> None:
+        """Add the rows of a table; all tables have the columns of the first."""
+        import pyarrow.parquet as pq
+
+        if self._writer is None:
+            writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
+            self._writer = self._stack.enter_context(writer)
+        self._waiting.append(table.cast(self._writer.schema))
+        if sum(map(len, self._waiting)) >= ROW_GROUP:
+            self._write()
+
+    def fits(self, table: Any) -> bool:
+        """Return whether a table has the columns of the first one."""
+        return self._writer is None or self._writer.schema.names == table.schema.names
+
+    @property
+    def size(self) -> int:
+        """Bytes that are in the file by now, up to a row group less than there will be."""
+        return self._path.stat().st_size if self._path.exists() else 0
+
+    def _write(self) -> None:
+        import pyarrow as pa
+
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=ROW_GROUP)
+            self._waiting.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with self._stack:
+            if kind is None:
+                self._write()
+
+
+def write_parquet(path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
+    """Write grasps as a Parquet file; memory does not grow with the grasps."""
+    with ParquetShard(path) as shard:
+        for part in chosen:
+            shard.add(grasp_table(part, metadata.frame, {METADATA_KEY: metadata.json}))
+
+
+def grasp_table(
+    grasps: Grasps, frame: Frame, metadata: Mapping[str, str], same: Mapping[str, str | int] = NO_COLUMNS
+) -> Any:
+    """Return grasps as a table of Arrow, with poses in a frame of the object.
+
+    `same` are columns that stand in front and have one value each; `metadata` is that of the schema.
+    """
+    import pyarrow as pa
+
+    count = len(grasps)
+    arrays = {name: _arrow_array(np.full(count, value)) for name, value in same.items()}
+    meanings = {name: SAME_MEANINGS[name] for name in same}
+    arrays[POSE_COLUMN] = pa.FixedSizeListArray.from_arrays(pa.array(grasps.rows[POSE_COLUMN].ravel()), 7)
+    meanings[POSE_COLUMN] = "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"
+    for column in grasp_columns(grasps, frame):
         arrays[column.name] = _arrow_array(column.values)
         meanings[column.name] = column.meaning
-    arrays[CONTACTS] = _contact_lists(grasps, metadata.frame)
+    arrays[CONTACTS] = _contact_lists(grasps, frame)
     meanings[CONTACTS] = "contacts after closing: the hand's link, point on the object [m], normal, force [N]"
     fields = [
         pa.field(name, array.type, metadata={"meaning": meanings[name]}) for name, array in arrays.items()
     ]
-    schema = pa.schema(fields, metadata={METADATA_KEY: metadata.json})
-    pq.write_table(pa.table(list(arrays.values()), schema=schema), path, compression="zstd")
+    return pa.table(list(arrays.values()), schema=pa.schema(fields, metadata=dict(metadata)))
+
+
+class TarShard:
+    """A tar file of samples, KEY.json and KEY.npz, as WebDataset reads them; for a with-block.
+
+    A sample is some thousand grasps of one run. The arrays of KEY.npz are the columns of the table, each
+    (n,), `base_to_object` (n, 7), and contacts in k slots each: `contact_links` (n, k) with places in
+    `links` of KEY.json, -1 for none, `contact_points`, `contact_normals` (n, k, 3), `contact_forces` (n, k).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._tar = tarfile.open(path, "w", format=tarfile.PAX_FORMAT)  # noqa: SIM115  # closed by __exit__
+
+    @property
+    def size(self) -> int:
+        """Bytes that are in the file by now."""
+        return self._tar.offset
+
+    def add(self, key: str, grasps: Grasps, frame: Frame, about: Mapping[str, Any]) -> None:
+        """Add a sample; its key has no point in it."""
+        contacts = grasps.contacts_in(frame)
+        arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: grasps.rows[POSE_COLUMN]}
+        arrays |= {column.name: column.values for column in grasp_columns(grasps, frame)}
+        arrays["contact_links"] = contacts.links.astype(np.int16) - 1
+        for name in ("points", "normals", "forces"):
+            arrays[f"contact_{name}"] = getattr(contacts, name).astype(np.float32)
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
+        words = dict(about) | {"links": grasps.scene.gripper.links}
+        for suffix, payload in (("json", msgspec.json.encode(words)), ("npz", packed.getvalue())):
+            member = tarfile.TarInfo(f"{key}.{suffix}")
+            member.size = len(payload)
+            self._tar.addfile(member, io.BytesIO(payload))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._tar.close()
+
+
+def write_tar(path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
+    """Write grasps as samples in a tar file; memory does not grow with the grasps."""
+    with TarShard(path) as shard:
+        for number, part in enumerate(chosen):
+            shard.add(f"{number:06}", part, metadata.frame, metadata.values)
 
 
 def _arrow_array(values: NDArray[np.generic]) -> Any:
@@ -168,7 +293,7 @@ def _arrow_array(values: NDArray[np.generic]) -> Any:
     import pyarrow as pa
 
     if values.dtype.kind == "U":
-        return pa.array(values.tolist(), pa.string(), mask=values == "").dictionary_encode()
+        return pa.array(values.tolist(), pa.string(), mask=values == "")
     return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
 
 
@@ -180,7 +305,7 @@ def _contact_lists(grasps: Grasps, frame: Frame) -> Any:
     here = contacts.links > 0
     names = np.array(["", *grasps.scene.gripper.links])
     numbers = np.column_stack([contacts.points[here], contacts.normals[here], contacts.forces[here]])
-    columns = [pa.array(names[contacts.links[here]], pa.string()).dictionary_encode()]
+    columns = [pa.array(names[contacts.links[here]], pa.string())]
     columns += [pa.array(np.ascontiguousarray(values)) for values in numbers.astype(np.float32).T]
     ends = pa.array(np.concatenate([[0], here.sum(axis=1).cumsum()]).astype(np.int32))
     values = pa.StructArray.from_arrays(columns, CONTACT_FIELDS)
@@ -208,6 +333,33 @@ def read_parquet(path: Path) -> ImportedGrasps:
         return _imported_grasps(path, table, decode_metadata(path, entries[METADATA_KEY.encode()]))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         raise UnreadableGrasps(path, f"it is a damaged Parquet file ({error})") from None
+
+
+def read_shards(
+    folder: Path, names: Iterable[str], gripper: str, object_: str, metadata: GraspMetadata
+) -> ImportedGrasps:
+    """Read the grasps of a hand on an object from the Parquet files of a data set.
+
+    They are named RUN/NUMBER. Raises UnreadableGrasps, and errors of Arrow.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables, ours = [], [("object", "==", object_), ("gripper", "==", gripper)]
+    for name in names:
+        path = folder / name
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise UnreadableGrasps(folder, f"its index names a file elsewhere, '{name}'")
+        columns = ["run", *_columns_to_read(pq.ParquetFile(path, read_dictionary=["synergy"]).schema_arrow)]
+        tables.append(pq.read_table(path, columns=columns, filters=ours, read_dictionary=["synergy"]))
+        if sum(map(len, tables)) > MOST_GRASPS:
+            raise UnreadableGrasps(
+                folder, f"it has too many rows of '{object_}'; at most {MOST_GRASPS} are read"
+            )
+    table = pa.concat_tables(tables)
+    runs = to_words(folder, "runs", [run or "" for run in table["run"].to_pylist()])
+    imported = _imported_grasps(folder, table, metadata)
+    return replace(imported, names=np.char.add(np.char.add(runs, "/"), imported.names))
 
 
 def _columns_to_read(schema: Any) -> list[str]:

@@ -1,7 +1,9 @@
 """Readers of files of grasps from public descriptions, sharing nothing with the writers."""
 
 import csv
+import io
 import json
+import tarfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -199,11 +201,48 @@ def homogeneous(positions: Any, quaternions: Any) -> np.ndarray:
     return matrices
 
 
+def webdataset(path: Path) -> Read:
+    """WebDataset: members of a tar, grouped to samples by what stands before the first point."""
+    samples: dict[str, dict[str, Any]] = {}
+    with tarfile.open(path) as tar:
+        for member in tar:
+            key, _, suffix = member.name.partition(".")
+            samples.setdefault(key, {})[suffix] = tar.extractfile(member).read()
+    columns, told = [], []
+    for sample in samples.values():
+        told.append(json.loads(sample["json"]))
+        with np.load(io.BytesIO(sample["npz"]), allow_pickle=False) as arrays:
+            columns.append({name: arrays[name] for name in arrays.files})
+    every = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+    flat = {name: values for name, values in every.items() if values.ndim == 1}
+    table = pandas.DataFrame(flat)
+    table["contact_points"] = [
+        [
+            {"link": told[0]["links"][link]} | dict(zip(CONTACT, map(float, numbers), strict=True))
+            for link, numbers in zip(links, slots, strict=True)
+            if link >= 0
+        ]
+        for links, slots in zip(every["contact_links"], numbers_of(every), strict=True)
+    ]
+    table.attrs = told[0]
+    return table_read(table)
+
+
+CONTACT = ("x", "y", "z", "nx", "ny", "nz", "force")
+
+
+def numbers_of(every: dict[str, np.ndarray]) -> np.ndarray:
+    """Point, normal and force (n, k, 7) of each contact."""
+    points, normals, forces = (every[f"contact_{kind}"] for kind in ("points", "normals", "forces"))
+    return np.concatenate([points, normals, forces[..., None]], axis=2)
+
+
 READERS = {
     "isaac": isaac,
     "acronym": acronym,
     "graspgen": graspgen,
     "parquet": lambda path: table_read(pandas.read_parquet(path)),
+    "webdataset": webdataset,
     "moveit": moveit,
     "csv": comma_separated,
 }
@@ -246,6 +285,7 @@ JOINTS = {
     "isaac": isaac_joints,
     "acronym": acronym_joints,
     "parquet": table_joints,
+    "webdataset": table_joints,
     "moveit": moveit_joints,
     "csv": table_joints,
 }
@@ -255,6 +295,7 @@ PENETRATIONS = {
     "acronym": lambda told: told["penetration"],
     "graspgen": lambda told: beside(told)["penetration"],
     "parquet": lambda told: told["penetration"].to_numpy(),
+    "webdataset": lambda told: told["penetration"].to_numpy(),
     "moveit": lambda told: beside(told)["penetration"],
     "csv": lambda told: told["penetration"].astype(float).to_numpy(),
 }
@@ -262,6 +303,7 @@ CONTACTS = {
     "acronym": lambda told: told["contacts"],
     "graspgen": lambda told: contacts_of(beside(told)["contacts"]),
     "parquet": lambda told: contacts_of(told["contact_points"]),
+    "webdataset": lambda told: contacts_of(told["contact_points"]),
 }
 TURNED = {"acronym", "graspgen"}
 """Formats whose hand axes are +z towards the object and x across the jaw."""
@@ -306,6 +348,7 @@ JOINT_NAMES = {
     "acronym": lambda told: told["joint_names"],
     "graspgen": lambda told: told["qdgrasp"]["joint_names"],
     "parquet": column_joints,
+    "webdataset": column_joints,
     "moveit": lambda told: told["grasps"][0]["grasp_posture"]["joint_names"],
     "csv": column_joints,
 }

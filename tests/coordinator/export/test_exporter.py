@@ -19,7 +19,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
-from qdgrasp_coordinator.export.grasp_set import read_run
+from qdgrasp_coordinator.export.grasp_reader import GraspReader, read_run
 from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
@@ -63,7 +63,6 @@ def test_it_is_told_what_is_begun_with(run, tmp_path, monkeypatch) -> None:
     assert command(run.path, "--format", "csv", "-o", tmp_path / "out").exit_code == 0
     assert told == [
         f"reading {run.path}",
-        "choosing from 6 evaluations",
         f"writing 4 evaluations to {tmp_path / 'out'}",
     ]
 
@@ -125,7 +124,8 @@ def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(run, t
 def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(run, tmp_path) -> None:
     out = tmp_path / "out"
     assert refusal(run.path, "isac", out) == (
-        "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet."
+        "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet, "
+        "webdataset."
     )
     assert refusal(run.path, "csv", out, "--frame", "world") == ("Unknown frame 'world'. Known: com, mesh.")
     assert "no place for failures" in refusal(run.path, "isaac", out, "--negatives", 1)
@@ -146,7 +146,7 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
 def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
     job = JobFolder.create(tmp_path / "job", "job")
     out = tmp_path / "out"
-    assert "holds a campaign; name one of its runs" in refusal(job.path, "csv", out)
+    assert "has no grasp to write" in refusal(job.path, "csv", out)
     assert "holds no run" in refusal(tmp_path, "csv", out)
     assert "There is no folder" in refusal(tmp_path / "none", "csv", out)
     (run.path / "scene.bundle").unlink()
@@ -224,6 +224,24 @@ def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Pa
     np.testing.assert_allclose(grasps.confidence, [0.75, 0.2, 1.0])
     export_run(run, tmp_path / "out", "csv", top=1)
     assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
+
+
+def test_grasps_read_by_number_are_those_of_the_whole_with_their_etas(scene, tmp_path) -> None:
+    settings = {"method": "contact_rand", "protocol": "robust", "evaluations": 3, "overlaps": "count"}
+    parts = []
+    for seed in (0, 1):
+        rows = random_rows(scene, [Outcome.HELD] * 3, seed)
+        journal = np.concatenate([rows, trials_of(rows, [150, 40 + 20 * seed, 90])])
+        parts.append(record(tmp_path / f"run{seed}", scene, journal, **settings))
+    merge_runs(parts, tmp_path / "all")
+    folder = RunFolder.open(tmp_path / "all")
+    whole, order = read_run(folder), np.array([4, 0, 5, 1, 3, 2])
+    assert np.unique(whole.eta).size > 3
+    with folder.journal() as journal:
+        found = GraspReader(folder, journal).at(whole.numbers[order])
+    assert found.origins.tolist() == [1, 0, 1, 0, 1, 0]
+    for name in ("rows", "eta", "trials", "starts", "numbers"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[order])
 
 
 def judge(run: RunFolder, *now: Outcome) -> None:

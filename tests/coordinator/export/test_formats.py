@@ -31,7 +31,8 @@ from tests.coordinator.recorded_runs import record
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.export import acronym, importer
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
-from qdgrasp_coordinator.export.grasp_set import Grasps, read_run
+from qdgrasp_coordinator.export.grasp_reader import read_run
+from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.importer import ObjectFrame
 from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, grasp_metadata
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
@@ -89,6 +90,8 @@ def words_of(path: Path, name: str) -> dict[str, object]:
             return json.loads((path / "grasp_data" / "block.json").read_text())["qdgrasp"]
         case "parquet":
             return json.loads(pyarrow.parquet.read_schema(path).metadata[b"qdgrasp"])
+        case "webdataset":
+            return dict(READERS[name](path).beside.attrs)
         case _:
             lines = [line[2:].rstrip() for line in path.read_text().splitlines() if line.startswith("# ")]
             return dict(line.split(": ", 1) for line in lines if ": " in line)

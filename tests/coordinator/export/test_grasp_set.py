@@ -9,7 +9,8 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export.conftest import COM, MakeRun
 
-from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps, spread_places
+from qdgrasp_coordinator.export.grasp_reader import read_run
+from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, select_grasps, spread_places
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 

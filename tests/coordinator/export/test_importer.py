@@ -21,7 +21,7 @@ from tests.coordinator.export.foreign_files import (
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.export import importer
 from qdgrasp_coordinator.export.exporter import export_run
-from qdgrasp_coordinator.export.grasp_set import read_run
+from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
 from qdgrasp_coordinator.export.importer import ObjectFrame
 from qdgrasp_coordinator.storage.run_folder import RunFolder

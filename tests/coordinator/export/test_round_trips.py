@@ -9,7 +9,7 @@ from tests.coordinator.export.conftest import evaluate_given
 from tests.coordinator.export.foreign_files import imported_file
 
 from qdgrasp_coordinator.export.exporter import export_run
-from qdgrasp_coordinator.export.grasp_set import read_run
+from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.export.importer import hand_named, object_frame
 from qdgrasp_coordinator.export.importer import import_poses as read_file
 from qdgrasp_coordinator.search.fixed_poses import read_poses

@@ -66,7 +66,7 @@ def test_the_version_is_the_packages() -> None:
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are() -> None:
-    with pytest.raises(AttributeError, match=r"has no attribute 'grasp'; it has Evaluations, .*optimise"):
+    with pytest.raises(AttributeError, match=r"has no attribute 'grasp'; it has CampaignRuns, .*optimise"):
         qdgrasp.grasp  # type: ignore[attr-defined]  # noqa: B018
 
 
