@@ -4,6 +4,8 @@ A new surface is made of the distance from what the file holds: what no point ou
 Lorensen's marching cubes, with one vertex for each cell (Gibson 1998, surface nets), which leaves no gaps.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,16 +92,15 @@ def remesh(mesh: Mesh) -> Mesh:
     return turn_outward(Mesh((vertices - MARGIN) * cell + low, faces))[0]
 
 
-def _distance_field(tree: object, shape: tuple[int, ...]) -> Floats:
+def _distance_field(tree: Any, shape: tuple[int, ...]) -> Floats:
     """Return the distance beyond `OFFSET` [cells] at the lattice's nodes; negative inside."""
     from scipy import ndimage
 
     occupied: Mask = np.zeros(shape, dtype=bool)
-    points = tree.data  # type: ignore[attr-defined]
-    occupied[tuple(np.round(points).astype(int).T)] = True
+    occupied[tuple(np.round(tree.data).astype(int).T)] = True
     near = np.argwhere(ndimage.binary_dilation(occupied, np.ones((3, 3, 3), dtype=bool), iterations=2))
     field = np.full(shape, 2.0)
-    field[tuple(near.T)] = tree.query(near)[0] - OFFSET  # type: ignore[attr-defined]
+    field[tuple(near.T)] = tree.query(near)[0] - OFFSET
     labels, _ = ndimage.label(field > 0)
     return np.where(labels == labels[0, 0, 0], field, -np.abs(field))
 

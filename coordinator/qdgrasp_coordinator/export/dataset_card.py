@@ -22,6 +22,7 @@ from qdgrasp_coordinator.export.metadata import (
     UNITS,
 )
 from qdgrasp_coordinator.export.tabular import JOINT, PREGRASP
+from qdgrasp_coordinator.export.text_format import yaml_block
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.text import counted
 
@@ -246,8 +247,6 @@ class DatasetFigures:
 
 
 def _head(folder: Path, options: DatasetOptions, figures: DatasetFigures) -> str:
-    import yaml
-
     configs: list[dict[str, Any]] = []
     if options.format in ("parquet", "webdataset"):
         for hand, splits in sorted(figures.files.items()):
@@ -267,7 +266,7 @@ def _head(folder: Path, options: DatasetOptions, figures: DatasetFigures) -> str
         "size_categories": [next((name for most, name in SIZES if figures.rows < most), "n>1T")],
         "configs": configs,
     }
-    return f"---\n{yaml.safe_dump(values, sort_keys=False)}---"
+    return f"---\n{yaml_block(values)}---"
 
 
 def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
