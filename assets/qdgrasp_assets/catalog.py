@@ -7,6 +7,7 @@ from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.geometry.mesh_io import check_file
 from qdgrasp_assets.geometry.surface_points import SURFACES
+from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.object_model import ObjectModel, read_object
@@ -47,6 +48,8 @@ def build_scene(spec: RunSpec) -> Scene:
     target = find_object(spec)
     mesh, parts = target.centred_mesh, target.centred_parts
     hand = gripper.on_carrier(spec.nominal_protocol)
+    if spec.engine:
+        check_convex(hand)
     surface = SURFACES[spec.protocol](mesh, parts, target.com_in_mesh, spec.surface_seed)
     low, high = mesh.bounds
     return Scene(

@@ -15,7 +15,7 @@ from qdgrasp.arguments import check_text, check_whole, path_of
 from qdgrasp_coordinator.local import session
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import LocalSession
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.local.supervisor import check_engines
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
@@ -89,7 +89,8 @@ class Place:
 
     def check_engine(self, spec: RunSpec) -> None:
         """Raise an InputError if workers are started here that lack the engine or device of a run."""
-        LocalJobConfig(self.hands).check_engines([spec])
+        if self.hands:
+            check_engines([spec])
 
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.

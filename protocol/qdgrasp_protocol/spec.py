@@ -85,7 +85,9 @@ class MissingEngine(InputError):
         if (python := sys.version_info[:2]) > LAST_WHEEL:
             why = f", and it has no wheel for Python {python[0]}.{python[1]}"
             how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
-        super().__init__(f"PyBullet is not installed{why}: add --engine mujoco, or {how}.")
+        super().__init__(
+            f"PyBullet is not installed{why}: add --engine mujoco (not for the protocol released), or {how}."
+        )
 
     def __reduce__(self) -> tuple[type[Self], tuple[()]]:
         """Come out of another process as it is."""

@@ -6,6 +6,7 @@ A worker keeps one evaluator for each scene that it lately served.
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -121,7 +122,13 @@ class Evaluator(BatchEvaluator):
         return self._worlds[0].closing(posture, synergy)
 
     def _make_worlds(self) -> list[ShakenWorld | PhysicalWorld]:
-        return [make_world(self.scene, self._protocol, name) for name in engine_names(self.scene.engine)]
+        with ExitStack() as undo:
+            worlds = []
+            for name in engine_names(self.scene.engine):
+                worlds.append(make_world(self.scene, self._protocol, name))
+                undo.callback(worlds[-1].close)
+            undo.pop_all()
+        return worlds
 
     def __enter__(self) -> Self:
         return self
@@ -184,7 +191,9 @@ class Evaluator(BatchEvaluator):
             setup = self._protocol.trial(pose, trial)
             verdict = episode.run(setup)
             if trial or verdict.outcome is not Outcome.OVERLAP:
-                return place, verdict_in_all(verdict, others, self._protocol, setup)
+                return place, verdict_in_all(
+                    verdict, others, self._protocol, setup, stops_early=self._shortcuts
+                )
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
@@ -193,6 +202,8 @@ def verdict_in_all(
     others: Sequence[ShakenWorld | PhysicalWorld],
     protocol: EvaluationProtocol,
     trial: TrialSetup,
+    *,
+    stops_early: bool,
 ) -> EpisodeResult:
     """The result of a trial in all engines, whose verdict in the first one is known.
 
@@ -201,7 +212,7 @@ def verdict_in_all(
     """
     for world in others:
         if verdict.outcome is Outcome.HELD:
-            episode = make_episode(world, protocol)
+            episode = make_episode(world, protocol, stops_early=stops_early)
             survived = episode.run(trial).fitness
             verdict = verdict._replace(outcome=outcome_of(survived, episode.disturbances), fitness=survived)
     return verdict

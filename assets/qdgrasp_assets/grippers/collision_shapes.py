@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, read_obj, stl_triangles
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 
 FORMS = ("mesh", "box", "cylinder", "sphere")  # The geometries of URDF
@@ -126,6 +127,24 @@ def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
     """Return whether every collision shape of a robot has convex parts."""
     shapes = robot.element.iterfind("link/collision")
     return all(any(True for _ in _collision_corners(robot, shape, files)) for shape in shapes)
+
+
+CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
+"""Shapes that every engine takes, meshes by the suffix of their file; Bullet takes others too."""
+
+
+def check_convex(gripper: SceneGripper) -> None:
+    """Raise an AssetError for a shape that another engine than Bullet does not take."""
+    for link in ET.fromstring(gripper.urdf).iterfind("link"):  # noqa: S314  # the scene's own
+        for collision in link.iterfind("collision"):
+            for shape in collision.iterfind("geometry/*"):
+                kind = PurePosixPath(shape.get("filename", "")).suffix.lower() or shape.tag
+                if kind not in CONVEX_KINDS or collision.get(CONCAVE) is not None:
+                    raise AssetError(
+                        "Of the engines Bullet alone takes other shapes than boxes, spheres, cylinders and "
+                        f"convex meshes (.obj, .stl), and link '{link.get('name')}' of '{gripper.name}' has "
+                        "one; simulate it in bullet."
+                    )
 
 
 def _collision_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:

@@ -29,6 +29,7 @@ from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, diversit
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.engine_table import TABLES
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity, explaining_read_errors
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors
@@ -208,6 +209,8 @@ def _prune_locked(folder: RunFolder) -> int:
         _checkpoint_journal(file)
         write_reduced_journal(part, identity, found, [(source, source_rows(folder, 0))])
         with atomic_files.writing(folder.path):
+            for table in folder.path.glob(TABLES):  # They go by the numbers that rows had
+                table.unlink()
             part.replace(file)
             atomic_files.sync(folder.path)
     finally:

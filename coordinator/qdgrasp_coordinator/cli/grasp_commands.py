@@ -10,7 +10,7 @@ from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.progress import progress_display, progress_messages
 from qdgrasp_coordinator.local.session import score_poses
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig, check_engines
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import RunSpec, check_engine, run_spec
+from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 
 if TYPE_CHECKING:
@@ -252,7 +252,7 @@ def evaluate(
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
     spec = run_spec(values, "evaluate")
-    check_engine(spec.engine)
+    check_engines([spec])
     hand_poses = read_poses(poses)
     config = LocalJobConfig(options.worker_count(workers, spec.engine), batch_size)
     with progress_display("evaluate", len(hand_poses)) as shown:

@@ -33,6 +33,7 @@ from qdgrasp_coordinator.local.benchmark_figures import (
 from qdgrasp_coordinator.local.node_benchmark import SceneBenchmark, SceneMeasurement
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.local.restart_policy import GRACE
+from qdgrasp_coordinator.local.supervisor import check_engines
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
@@ -193,8 +194,8 @@ def bench(
         method=BENCH_METHOD,
     )
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
-    check_engine(specs[0].engine)
-    count, here = options.worker_count(workers), node_info()
+    check_engines(specs)
+    count, here = options.worker_count(workers, specs[0].engine), node_info()
     found = [_measure_scene(spec, count, seconds) for spec in specs]
     figures = NodeFigures(
         date=datetime.now(UTC).isoformat(timespec="seconds"),

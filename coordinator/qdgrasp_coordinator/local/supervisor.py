@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -63,15 +64,26 @@ class LocalJobConfig:
     """After so long the job ends, done or not; None: when it is done."""
 
     def check_engines(self, specs: Iterable[RunSpec]) -> None:
-        """Raise an InputError where workers start here that lack the engine or device of a run."""
-        for spec in specs if self.workers else ():
-            check_engine(spec.engine)
-            if spec.engine == DEVICE_ENGINE and not os.environ.get(DEVICE_VARIABLE):
-                raise InputError(
-                    f"The engine {DEVICE_ENGINE} needs a worker with a device: set {DEVICE_VARIABLE}=cuda "
-                    "for those started here, or start none here (workers 0) and `qdgrasp-worker --device "
-                    "cuda` elsewhere."
-                )
+        """Raise as the function, where workers are to start here."""
+        if self.workers:
+            check_engines(specs)
+
+
+def check_engines(specs: Iterable[RunSpec]) -> None:
+    """Raise an InputError if workers that start here lack the engine or the device of a run."""
+    for spec in specs:
+        check_engine(spec.engine)
+        if spec.engine == DEVICE_ENGINE and not os.environ.get(DEVICE_VARIABLE):
+            raise InputError(
+                f"The engine {DEVICE_ENGINE} needs a worker with a device: set {DEVICE_VARIABLE}=cuda for "
+                "those started here, or start none here (workers 0) and `qdgrasp-worker --device cuda` "
+                "elsewhere."
+            )
+        if spec.engine == DEVICE_ENGINE and find_spec("mujoco_warp") is None:
+            raise InputError(
+                f"The engine {DEVICE_ENGINE} needs packages that are not installed here: "
+                "pip install 'qdgrasp[gpu]'."
+            )
 
 
 class Supervisor:

@@ -31,6 +31,7 @@ from qdgrasp_protocol.bus import DropCounter, Query, Sample
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded, shorten
+from qdgrasp_protocol.spec import read_run_spec
 
 log = structlog.get_logger()
 
@@ -262,12 +263,16 @@ class Recorder:
         return platform
 
     def _recorded_platform(self) -> dict[str, str]:
-        """The platform of any run in the folder that has rows: all of them have the same."""
+        """The platform of the runs in the folder that have rows: those of one engine have the same."""
+        platforms: dict[str | None, dict[str, str]] = {}
         for path in self._folder.run_paths:
-            with suppress(FolderError), Journal.open(path) as journal:
-                if platform := journal.platform:
-                    return platform
-        return {}
+            with suppress(FolderError, InputError):
+                engine = read_run_spec(path / "spec.toml").get("engine")
+                if engine not in platforms:
+                    with Journal.open(path) as journal:
+                        if journal.platform:
+                            platforms[engine] = dict(journal.platform)
+        return {name: value for platform in platforms.values() for name, value in platform.items()}
 
     def _begin_epoch(self, epoch: int) -> None:
         """Begin an epoch: rows of the one before are committed as far as there is room."""

@@ -18,6 +18,8 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import ENGINES, engine_names
 
+TABLES = "engine-*.csv"
+"""The files of all tables of a run."""
 VERDICT = np.dtype([("outcome", "i1"), ("fitness", "<f4")])
 """A verdict; -1 and NaN where it is not known."""
 UNKNOWN = np.array((-1, np.nan), VERDICT)
@@ -84,7 +86,7 @@ def read_table(path: Path) -> EngineTable:
     try:
         there = path.stat()
         return _read(path, there.st_mtime_ns, there.st_size)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, csv.Error) as error:
         raise InputError(
             f"{path} is no table that `qdgrasp verify --engine` wrote ({error}); remove it and write it anew."
         ) from None
@@ -96,8 +98,8 @@ def _read(path: Path, _mtime: int, _size: int) -> EngineTable:
         lines = [
             (
                 int(line["row"]),
-                *(Outcome[line["outcome"].upper()], float(line["fitness"])),
-                *(Outcome[line["outcome_now"].upper()], float(line["fitness_now"])),
+                *(Outcome[line["outcome"].upper()], int(line["fitness"])),
+                *(Outcome[line["outcome_now"].upper()], int(line["fitness_now"])),
             )
             for line in csv.DictReader(file)
         ]

@@ -15,10 +15,11 @@ from msgspec import Struct
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.session import run_temporary_job
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig, check_engines
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
@@ -43,7 +44,7 @@ from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import check_engine, engine_names, run_spec, to_values
+from qdgrasp_protocol.spec import engine_names, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]
@@ -187,8 +188,7 @@ def verify_rows(
 
     Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
     """
-    for selection in selections:
-        check_engine(selection.found_by.spec.engine)
+    check_engines(selection.found_by.spec for selection in selections)
     found = ReevaluationQueue(selections)
     run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
@@ -279,17 +279,18 @@ def compare_engine(
     """Simulate successes of a run in another engine, and write the table in its folder.
 
     Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
-    InputError for a run of another protocol, of several runs, or without successes, and for two engines.
+    InputError for a run of `released`, of several runs, or without successes, and for two engines.
     """
     if len(engine_names(engine)) > 1:
         raise InputError(f"verify compares with one engine, and '{engine}' names two; name one of them.")
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
-    check_engine(spec.engine)
+    check_engines([spec])
     with folder.journal() as journal:
         if journal.sources:
             raise InputError(
-                f"{folder.path} is merged from several runs; compare the engines on one of them."
+                f"{folder.path} is merged or pruned: compare the engines on a run that keeps all its rows, "
+                "before that."
             )
         rows = np.concatenate([journal.shape.empty(0), *journal.kept()])
     places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
@@ -300,6 +301,8 @@ def compare_engine(
     scene = msgspec.structs.replace(
         folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base
     )
+    if scene.engine:
+        check_convex(scene.gripper)
     genomes = as_given(scene, prior_of(folder.spec), rows[places])
     plan = plan_genomes(spec, PreparedScene(scene, pack_scene(scene)), GIVEN, genomes)
     memory = MemorySink(plan.shape)
@@ -307,7 +310,10 @@ def compare_engine(
     run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
     if stop.is_set:
         return None
-    table = write_table(folder, engine, places, rows[places], memory.rows)
+    judged = memory.rows["outcome"] != Outcome.ERROR
+    if not judged.any():
+        raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
+    table = write_table(folder, engine, places[judged], rows[places[judged]], memory.rows[judged])
     pairs = Counter(zip(rows["outcome"][places].tolist(), memory.rows["outcome"].tolist(), strict=True))
     outcomes: dict[str, dict[str, int]] = {}
     for (recorded, now), number in sorted(pairs.items(), reverse=True):

@@ -77,6 +77,13 @@ def test_a_pruned_run_has_its_successes_and_all_its_figures_and_takes_less_room(
     assert sorted(path.name for path in run.path.glob("run.sqlite*")) == ["run.sqlite"]
 
 
+def test_a_table_of_another_engine_goes_with_the_numbers_of_rows_that_it_names(runs) -> None:
+    table = runs[0].path / "engine-mujoco.csv"
+    table.write_text("row,outcome,fitness,outcome_now,fitness_now\n")
+    prune_run(runs[0])
+    assert not table.exists()
+
+
 def test_a_reduced_journal_says_on_what_its_rows_were_made(tmp_path, runs) -> None:
     here = {"pybullet": "3.2.7", "machine": "x86_64"}
     for run, machine in zip(runs, ("x86_64", "x86_64", "arm64"), strict=True):

@@ -221,6 +221,16 @@ class TestPlatforms:
         with Journal.open(path / "runs" / "a") as journal:
             assert journal.platform == HERE
 
+    def test_the_platform_of_runs_in_two_engines_has_the_entries_of_both(self, path: Path) -> None:
+        both, in_mujoco = HERE | {"mujoco": "4.0.1"}, msgspec.structs.replace(SPEC, engine="mujoco")
+        with recording(path) as recorder:
+            recorder.open(ask("a", spec=in_mujoco))
+            record(recorder, "a", 10, both)
+            recorder.open(ask("b", epoch=1))
+            record(recorder, "b", 10, both)
+        with recording(path) as recorder:
+            assert recorder.open(ask("c", epoch=1)).platform == both
+
     def test_a_platform_without_rows_binds_no_run(self, recorder) -> None:
         recorder.open(ask("a"))
         recorder.set_platform(Platform(epoch=1, platform=HERE))

@@ -92,7 +92,13 @@ def test_a_table_of_the_run_s_own_engine_tells_nothing_more(folder):
 
 
 @pytest.mark.parametrize(
-    "text", ["row,outcome\n1,held\n", "row,outcome,fitness,outcome_now,fitness_now\n1,x,6,held,6\n"]
+    "text",
+    ["row,outcome\n1,held\n"]
+    + [
+        f"row,outcome,fitness,outcome_now,fitness_now\n{line}\n"
+        for line in ("1,x,6,held,6", "5", "1,held,inf,held,6")
+    ]
+    + ["row,outcome,fitness,outcome_now,fitness_now\n12345678901234567890,held,6,held,6\n"],
 )
 def test_another_file_of_that_name_is_refused_in_one_sentence(folder, text):
     table_path(folder, "mujoco").write_text(text)

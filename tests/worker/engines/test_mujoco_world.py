@@ -19,8 +19,9 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_model import SceneModel, couplings, reach_of
-from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, SimulationDiverged
-from qdgrasp_worker.evaluation_protocols import PHYSICAL, Physics, TrialSetup
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, MujocoShakenWorld, SimulationDiverged
+from qdgrasp_worker.episode import ShakenEpisode
+from qdgrasp_worker.evaluation_protocols import PAPER, PHYSICAL, Physics, TrialSetup
 from qdgrasp_worker.physical_episode import PhysicalEpisode
 
 PHYSICS = PHYSICAL.physics or Physics()
@@ -180,6 +181,21 @@ def test_a_shape_without_an_inside_is_refused(scene):
     urdf = scene.gripper.urdf.replace("<collision", '<collision concave="yes"', 1)
     with pytest.raises(AssetError, match="convex meshes"):
         MujocoPhysicalWorld(with_gripper(scene, urdf=urdf), PHYSICS)
+
+
+@pytest.mark.parametrize("phase", ["closing", "shaking"])
+def test_an_episode_whose_numbers_diverge_has_no_verdict(phase, make_scene, monkeypatch):
+    world = MujocoShakenWorld(make_scene("panda", "rubiks_cube", "paper", "mujoco"))
+    begin = {"closing": "close_fingers", "shaking": "shake_to"}[phase]
+
+    def begin_badly(self, *arguments) -> None:
+        acts[begin](self, *arguments)
+        self.free.data.qvel[0] = np.nan
+
+    acts = {begin: getattr(MujocoShakenWorld, begin)}
+    monkeypatch.setattr(MujocoShakenWorld, begin, begin_badly)
+    with pytest.raises(SimulationDiverged):
+        ShakenEpisode(world, PAPER).run(TrialSetup(ABOVE))
 
 
 def test_a_scene_without_an_engine_keeps_its_format_and_one_with_it_has_its_own():

@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
+from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, obj_group_corners
 from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
@@ -154,11 +154,6 @@ def link_shapes(robot: Urdf, link: ET.Element, gripper: SceneGripper) -> Iterato
             continue
         element, frame = geometry[0], parse_origin(robot.path, collision.find("origin"))
         kind = PurePosixPath(element.get("filename", "")).suffix.lower() or element.tag
-        if kind not in INFLATIONS or collision.get(CONCAVE) is not None:
-            raise AssetError(
-                f"The engine mujoco takes boxes, spheres, cylinders and convex meshes (.obj, .stl), and link "
-                f"'{link.get('name')}' of '{gripper.name}' has another shape; leave the engine out."
-            )
         if element.tag == "mesh":
             yield mesh_shape(kind, frame, mesh_corners(kind, element, gripper))
         else:
@@ -227,6 +222,7 @@ class SceneModel:
 
     def __init__(self, scene: Scene, time_step: float) -> None:
         gripper = scene.gripper
+        check_convex(gripper)
         self._time_step = time_step
         self.robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
         self.links = hand_links(self.robot, gripper)

@@ -72,6 +72,7 @@ class Simulation:
         except ValueError as error:
             raise AssetError(f"MuJoCo cannot take this hand with this object: {error}") from None
         self.data: Any = mujoco.MjData(self.model)
+        self._warnings = self.data.warning.number  # A view: numbers of each warning since the last reset
         joints = [self.model.joint(joint.name) for joint in scene.joints]
         self.places = np.array([joint.qposadr[0] for joint in joints])
         """(j,): of the finger joints in `qpos`."""
@@ -133,8 +134,8 @@ class Simulation:
 
     def check(self) -> None:
         """Raise a SimulationDiverged where the state is not to be trusted."""
-        if self.data.warning.number.any():
-            raise SimulationDiverged(f"MuJoCo warned: {self.data.warning.number.tolist()}")
+        if any(warnings := self._warnings.tolist()):
+            raise SimulationDiverged(f"MuJoCo warned: {warnings}")
 
     def hand_boxes(self) -> list[Box]:
         """The axis-aligned box around each collision shape of the hand [m]."""
@@ -339,7 +340,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self.free.model.dof_frictionloss[row] = max(force, LEAST_FORCE)
 
     def step(self) -> None:
-        """Move on by 1/240 s.
+        """Move on by 1/240 s; a SimulationDiverged where the state is not to be trusted.
 
         A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
         """
@@ -353,6 +354,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         np.subtract(wanted, velocity, wanted)
         data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
         mujoco.mj_step2(model, data)
+        self.free.check()
 
     def is_touching(self) -> bool:
         """Return whether any link of the hand touches the object; links pass through each other."""
@@ -361,11 +363,6 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object, from 1 mm on."""
         return [Contact(link, distance) for _, link, distance in self.free.hand_contacts(np.inf)]
-
-    def finger_positions(self) -> list[float]:
-        """The positions of the finger joints; a SimulationDiverged where they are not to be trusted."""
-        self.free.check()
-        return super().finger_positions()
 
     def has_lost_object(self, pose: HandPose) -> bool:
         """Return whether the hand, while it closes, can touch the object no more."""

@@ -71,7 +71,7 @@ class EpisodeReplay:
         with ExitStack() as opened:
             names = engine_names(scene.engine)[1:]
             others = [opened.enter_context(closing(make_world(scene, protocol, name))) for name in names]
-            self.verdict = verdict_in_all(verdict, others, protocol, trial)
+            self.verdict = verdict_in_all(verdict, others, protocol, trial, stops_early=False)
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
     def frames(self) -> list[TimedSnapshot]:
