@@ -20,7 +20,7 @@ ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 255
 """5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 5 for libraries."""
-MOST_LINES = 51_950
+MOST_LINES = 52_000
 MOST_TEST_FILES = 284
 MOST_TEST_LINES = 50_450
 MOST_SCRIPTS = 24

@@ -116,7 +116,13 @@ class Evaluator(BatchEvaluator):
         if not self._shortcuts:
             return NO_CONTACT_FILTER
         follows = self._protocol.free_joints_first
-        return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
+        return ContactFilter(
+            self.scene.gripper,
+            self._object,
+            self._closing,
+            follows_free_joints=follows,
+            sight=self._worlds[0].sight,
+        )
 
     def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         return self._worlds[0].closing(posture, synergy)

@@ -34,7 +34,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"ecb36672631090defccc49a8222ac3f4404aaac9383db35758b821aea2cb9edc": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"023bdffe25c721346642f702b12dca05db2e85cf13b55d8c58f595cdeebe1e49": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

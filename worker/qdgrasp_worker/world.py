@@ -98,6 +98,8 @@ def seen_from(
 class GraspWorld(ABC):
     """A hand and an object in a physics engine, until `close`: what every episode asks of it."""
 
+    sight = 0.0
+    """Distance from which its engine sees contacts, where that is the same for all shapes [m]."""
     finger_links: frozenset[int]
     """The links, as `contacts` names them, whose contact after closing makes a success."""
 

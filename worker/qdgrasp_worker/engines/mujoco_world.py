@@ -24,7 +24,7 @@ from qdgrasp_assets.scene import Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import HULL_MARGIN, OBJECT, SceneModel, finger_drives
+from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, HULL_MARGIN, OBJECT, SceneModel, finger_drives
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
@@ -195,6 +195,7 @@ class Simulation:
 class MujocoWorld(GraspWorld):
     """A hand at the world's origin and an object; an AssetError if the scene cannot be taken."""
 
+    sight = 2 * (HULL_MARGIN + DETECTION_GAP)
     free: Simulation
     """With an object that is free."""
     _now: Simulation

@@ -8,7 +8,7 @@ pose at which each of them is farther from the shapes than Bullet sees contacts 
 It errs on one side only:
 
 - Bullet keeps a contact up to 2 % of the smaller shape's disc beyond the margins of 1 mm: balls are to be
-  farther away than that (`contact_range`).
+  farther away than that (`contact_range`). MuJoCo sees them at the same distance from all shapes.
 - Marked are voxels whose middle is within half their diagonal of a shape, and within what it moves between
   two looks, and within what round shapes reach beyond the corners that stand for them. A point is taken to be
   nearer by a diagonal than the middle of its voxel is. Shapes of many planes are replaced by larger ones.
@@ -281,11 +281,18 @@ class ContactFilter:
     """Finds poses at which a scene's hand surely misses, without the simulator.
 
     `closing` closes the hand on nothing, when a synergy is first met. The test for overlap has the free
-    joints where the grasp has them (`follows_free_joints`), or open.
+    joints where the grasp has them (`follows_free_joints`), or open. `sight` is the distance from which the
+    engine sees contacts where that is the same for all shapes [m].
     """
 
     def __init__(
-        self, gripper: SceneGripper, solid: ObjectSolid, closing: Closing, *, follows_free_joints: bool
+        self,
+        gripper: SceneGripper,
+        solid: ObjectSolid,
+        closing: Closing,
+        *,
+        follows_free_joints: bool,
+        sight: float = 0.0,
     ) -> None:
         self._gripper = gripper
         self._kinematics = HandKinematics(gripper)
@@ -297,10 +304,9 @@ class ContactFilter:
         self._at_first = [] if follows_free_joints or not gripper.free_joints else [opened]
         self._zones: dict[int, dict[str, DistanceField]] = {}
         if self.is_known:
-            cover = BoundingBalls.of(solid)
+            cover, clear = BoundingBalls.of(solid), contact_range(solid, sight)
             self._large, self._small = (
-                ClearanceBalls.of(cover.large, contact_range(solid)),
-                ClearanceBalls.of(cover.small, contact_range(solid)),
+                ClearanceBalls.of(balls, clear) for balls in (cover.large, cover.small)
             )
             self._counts = cover.counts
 
@@ -362,8 +368,8 @@ def interpolate_course(course: Floats) -> Floats:
     return np.stack([np.interp(finer, steps, joint) for joint in course.T], axis=1)
 
 
-def contact_range(solid: ObjectSolid) -> float:
+def contact_range(solid: ObjectSolid, sight: float = 0.0) -> float:
     """Distance from an object's surface [m] at which a contact may begin, and somewhat more."""
     low, high = solid.box
     disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
-    return float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY)
+    return max(float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY), sight + STRAY)
