@@ -13,8 +13,8 @@ from qdgrasp_coordinator.rendering.drawings import draw_grasps
 from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, has_bullet
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, has_bullet
 
 SPEC = {"gripper": "panda", "object": "mug", "evaluations": 3000}
 MARKER = ".qdgrasp-demo"

@@ -40,6 +40,7 @@
         * TooLarge               a scene that is larger than one can be
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * NoSimulator            a simulator that ends before it has evaluated the probes
+    * DeviceDiffers          a device on which the probes fare otherwise than in MuJoCo
     * OtherPlatform          the package was changed while a worker ran
     * ReplayFailed           the process that replays ended without an answer
     * BadVerdict             a verdict that is not one on the hands that were given

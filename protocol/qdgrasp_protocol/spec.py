@@ -9,16 +9,15 @@ there is.
 """
 
 import re
-import sys
 import tomllib
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.rows import disturbance_count, nominal_protocol, trial_count
 
@@ -50,11 +49,6 @@ ProtocolName = Literal["paper", "released", "robust", "physical"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
-EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
-"""The physics engines (docs/engines.md)."""
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
-EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
-"""An engine, or two: what holds in the first is tried in the second."""
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
@@ -69,45 +63,7 @@ DiversityName = Literal["position", "orientation", "posture"]
 """What tells grasps apart: their cell; its orientation bin too; its synergy too."""
 
 DEFAULT_METHOD = "aimed"
-DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
-DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
-DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
-ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core", DEVICE_ENGINE: "mujoco-warp"}
-LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
-
-
-class MissingEngine(InputError):
-    """Bullet is to simulate where PyBullet is not installed."""
-
-    def __init__(self) -> None:
-        why, how = "", "install it with `pip install pybullet`"
-        if (python := sys.version_info[:2]) > LAST_WHEEL:
-            why = f", and it has no wheel for Python {python[0]}.{python[1]}"
-            how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
-        super().__init__(
-            f"PyBullet is not installed{why}: add --engine mujoco (not for the protocol released), or {how}."
-        )
-
-    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
-        """Come out of another process as it is."""
-        return type(self), ()
-
-
-def engine_names(engine: str | None) -> tuple[str, ...]:
-    """The engines that a spec or scene names, in the order in which a grasp is tried in them."""
-    return tuple((engine or DEFAULT_ENGINE).split(","))
-
-
-def has_bullet() -> bool:
-    """Return whether PyBullet is installed here."""
-    return find_spec("pybullet") is not None
-
-
-def check_engine(engine: str | None) -> None:
-    """Raise `MissingEngine` if Bullet (None) is among these, and PyBullet is not installed here."""
-    if DEFAULT_ENGINE in engine_names(engine) and not has_bullet():
-        raise MissingEngine
 
 
 Weights = tuple[float, ...]

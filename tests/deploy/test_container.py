@@ -16,6 +16,7 @@ from packaging.version import Version
 from tests.deploy.commands import COMMANDS, DEPLOY, understood
 
 from qdgrasp_protocol.session import parse_endpoints
+from qdgrasp_worker.device import DEVICE_MODULE
 
 ROOT = DEPLOY.parent
 CONTAINER = DEPLOY / "container"
@@ -212,9 +213,12 @@ class Absent:
 sys.meta_path.insert(0, Absent())
 import pkgutil, importlib, qdgrasp_worker
 for module in pkgutil.walk_packages(qdgrasp_worker.__path__, "qdgrasp_worker."):
-    importlib.import_module(module.name)
+    if module.name != {DEVICE_MODULE!r}:  # of an extra
+        importlib.import_module(module.name)
 import qdgrasp_protocol.zenoh_bus
 from qdgrasp_worker.platform import platform
+
+from qdgrasp_worker.device import DEVICE_MODULE
 print(platform()["probes"])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

@@ -8,8 +8,9 @@ from dataclasses import replace
 from tests.worker.genomes import evaluated, outcomes
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_protocol.engines import has_bullet
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec, has_bullet
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker import platform as module
 from qdgrasp_worker import syntax_digest
 from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST

@@ -12,9 +12,10 @@ import typer
 from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
-from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, MAX_POPULATION
+from qdgrasp_worker.device import MOST_WORLDS, Device
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
@@ -80,7 +81,7 @@ def worker(
     worlds: Annotated[
         int | None,
         typer.Option(
-            min=1, max=MAX_POPULATION, help="Rows that the device evaluates at once; default: as fill it."
+            min=1, max=MOST_WORLDS, help="Rows that the device evaluates at once; default: as fill it."
         ),
     ] = None,
     self_test: Annotated[
@@ -98,7 +99,6 @@ def worker(
     with lifetime("qdgrasp-worker") as stop:
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(threads, "1")
-        from qdgrasp_worker.engines import Device  # after the threads are limited
 
         found = Device.find(device, worlds) if device else None
         if self_test:

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.engines import DEVICE_ENGINE, engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import DEVICE_ENGINE, engine_names
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.engines import DEVICE_MODULE, Device, make_world
+from qdgrasp_worker.device import DEVICE_MODULE, Device
+from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter

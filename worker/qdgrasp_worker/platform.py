@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineName, has_bullet
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, EngineName, RunSpec, has_bullet, run_spec
-from qdgrasp_worker.engines import DEVICE_MODULE, ENGINES, Device, Engine
+from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_worker.device import DEVICE_MODULE, Device
+from qdgrasp_worker.engines import ENGINES, Engine
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 from qdgrasp_worker.syntax_digest import Key, syntax_digest
 

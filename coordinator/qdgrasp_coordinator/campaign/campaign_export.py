@@ -42,9 +42,10 @@ from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, hold_lock
 from qdgrasp_coordinator.storage.outputs import LOCK, RUNS, OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, ENGINES
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, OutputError, UnknownName
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, ENGINES, ObjectRecord, RunSpec
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_protocol.text import counted
 
 SHARD_BYTES = 256 << 20  # A shard ends when it has so many bytes: hubs advise 100 to 500 MB

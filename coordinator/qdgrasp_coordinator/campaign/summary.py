@@ -15,7 +15,7 @@ from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
 
 FIRST_FIELDS = (

@@ -36,18 +36,18 @@ from qdgrasp_coordinator.local.restart_policy import GRACE
 from qdgrasp_coordinator.local.supervisor import check_engines
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
-from qdgrasp_protocol.process import ProcessGroup, lifetime
-from qdgrasp_protocol.session import Role, default_endpoint
-from qdgrasp_protocol.spec import (
+from qdgrasp_protocol.engines import (
     DEFAULT_ENGINE,
     DEVICE_ENGINE,
     DEVICE_VARIABLE,
     ENGINE_PACKAGES,
     MissingEngine,
-    RunSpec,
     check_engine,
 )
+from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
+from qdgrasp_protocol.process import ProcessGroup, lifetime
+from qdgrasp_protocol.session import Role, default_endpoint
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 

@@ -25,11 +25,11 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
-    DEFAULT_ENGINE,
     DEFAULT_METHOD,
     MAX_POPULATION,
     OBJECTIVE_KEYS,

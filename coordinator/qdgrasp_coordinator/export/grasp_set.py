@@ -27,9 +27,10 @@ from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts
 from qdgrasp_coordinator.storage.run_folder import Provenance
+from qdgrasp_protocol.engines import ENGINES, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
-from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice

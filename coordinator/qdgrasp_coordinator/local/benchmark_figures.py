@@ -21,10 +21,10 @@ from msgspec import Struct
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.engines import ENGINE_PACKAGES
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
-from qdgrasp_protocol.spec import ENGINE_PACKAGES
 
 BENCH_METHOD, BENCH_PRIOR = "contact_rand", "contact"
 GREATEST_NU = pi / 4  # The greatest nu of poses among which grasps are looked for: the approach prior's

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
-from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 
 @dataclass(frozen=True)

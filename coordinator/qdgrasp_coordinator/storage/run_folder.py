@@ -24,18 +24,10 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.engines import DEVICE_ENGINE, ENGINE_PACKAGES, engine_names
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import (
-    DEVICE_ENGINE,
-    ENGINE_PACKAGES,
-    RunSpec,
-    differences,
-    engine_names,
-    read_run_spec,
-    run_spec,
-    to_toml,
-)
+from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
 

@@ -41,10 +41,11 @@ from qdgrasp_coordinator.verification.comparison import (
     row_differences,
 )
 from qdgrasp_coordinator.verification.replay_client import in_own_shape
+from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import engine_names, run_spec, to_values
+from qdgrasp_protocol.spec import run_spec, to_values
 from qdgrasp_protocol.text import counted
 
 RowKinds = NDArray[np.unsignedinteger]

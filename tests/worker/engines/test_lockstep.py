@@ -14,9 +14,9 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker import engines
-from qdgrasp_worker.engines import CPU_WORLDS, Device
+from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
+from qdgrasp_worker import device
+from qdgrasp_worker.device import CPU_WORLDS, Device
 from qdgrasp_worker.engines.lockstep import BufferSizes, FingerControls, displacement
 from qdgrasp_worker.engines.lockstep_evaluator import BUFFER_FACTOR, LEAST_BUFFERS, LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
@@ -157,10 +157,10 @@ def test_a_worker_without_a_device_refuses_such_a_scene():
 
 
 def test_a_device_needs_its_packages_and_has_worlds_that_fill_it(monkeypatch):
-    monkeypatch.setattr(engines, "find_spec", lambda name: None)
+    monkeypatch.setattr(device, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"--device cuda needs .* pip install 'qdgrasp\[gpu\]'"):
         Device.find("cuda")
-    monkeypatch.setattr(engines, "find_spec", lambda name: name)
-    assert Device.find("cuda:1") == ("cuda:1", 4096)
+    monkeypatch.setattr(device, "find_spec", lambda name: name)
+    assert Device.find("cuda:1") == ("cuda:1", MAX_POPULATION)
     assert Device.find("cpu") == ("cpu", CPU_WORLDS)
     assert Device.find("cpu", 3).worlds == 3

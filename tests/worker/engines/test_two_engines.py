@@ -7,9 +7,10 @@ from tests.worker.genomes import encoded, evaluated, facing, outcomes, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, pack_scene
+from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome
-from qdgrasp_protocol.spec import RunSpec, engine_names, from_toml, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec, from_toml, run_spec, to_toml
 from qdgrasp_worker.episode import outcome_of
 
 ORDERS = ("bullet,mujoco", "mujoco,bullet")

@@ -14,7 +14,7 @@ from tests.worker.runtime.evaluators import Height, Squeamish, Wrong
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, RowShape, pack
-from qdgrasp_worker.engines import Device
+from qdgrasp_worker.device import Device
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.custom_evaluator import CustomEvaluator, custom_platform, load_evaluator

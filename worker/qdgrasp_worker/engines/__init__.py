@@ -1,12 +1,11 @@
 """Physics engines: a table of their worlds, each imported when a scene names its engine."""
 
 from importlib import import_module
-from importlib.util import find_spec
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
-from qdgrasp_protocol.spec import DEVICE_ENGINE, MAX_POPULATION, check_engine, engine_names
+from qdgrasp_protocol.engines import DEVICE_ENGINE, check_engine, engine_names
+from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld
@@ -30,8 +29,6 @@ class Engine(NamedTuple):
         return [name for name in (self.shaken_world, self.physical_world) if name]
 
 
-DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
-CPU_WORLDS = 64  # On warp's CPU device, which is for tests
 MUJOCO_WORLDS = "qdgrasp_worker.engines.mujoco_world"
 ENGINES = {
     "bullet": Engine(
@@ -41,25 +38,6 @@ ENGINES = {
     DEVICE_ENGINE: Engine("mujoco-warp", MUJOCO_WORLDS, None, "MujocoPhysicalWorld"),
 }
 """The engine of a device begins with MuJoCo's own world, and moves many of them (`engines.warp_worlds`)."""
-
-
-class Device(NamedTuple):
-    """A device that evaluates many rows together."""
-
-    name: str
-    """As warp names it: cpu, cuda, cuda:1."""
-    worlds: int
-    """Rows that it evaluates at once."""
-
-    @classmethod
-    def find(cls, name: str, worlds: int | None = None) -> Self:
-        """A device by its name; None: as many worlds as fill it. An InputError without the packages."""
-        if find_spec("mujoco_warp") is None:
-            raise InputError(
-                f"--device {name} needs the packages of the engine {DEVICE_ENGINE}, which are not installed: "
-                "pip install 'qdgrasp[gpu]'."
-            )
-        return cls(name, worlds or (CPU_WORLDS if name == "cpu" else MAX_POPULATION))
 
 
 def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> ShakenWorld | PhysicalWorld:

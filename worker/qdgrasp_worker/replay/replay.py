@@ -22,6 +22,7 @@ from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import replay_messages
 from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.replay_messages import (
@@ -34,7 +35,6 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import GIVEN
-from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol

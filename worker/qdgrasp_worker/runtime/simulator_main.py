@@ -19,7 +19,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
-from qdgrasp_worker.engines import Device
+from qdgrasp_worker.device import Device
 from qdgrasp_worker.evaluator import BatchEvaluator, EvaluatorCache, make_evaluator
 from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime import process_limits

@@ -22,7 +22,7 @@ from typing import Self
 import structlog
 
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
-from qdgrasp_worker.engines import Device
+from qdgrasp_worker.device import Device
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.process_limits import (
     CPU_LIMIT_SIGNAL,

@@ -1,0 +1,30 @@
+"""Devices that evaluate many rows together."""
+
+from importlib.util import find_spec
+from typing import NamedTuple, Self
+
+from qdgrasp_protocol.engines import DEVICE_ENGINE
+from qdgrasp_protocol.errors import InputError
+
+DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
+MOST_WORLDS = 4096  # As many as a generation has genomes at most
+CPU_WORLDS = 64  # On warp's CPU device, which is for tests
+
+
+class Device(NamedTuple):
+    """A device that evaluates many rows together."""
+
+    name: str
+    """As warp names it: cpu, cuda, cuda:1."""
+    worlds: int
+    """Rows that it evaluates at once."""
+
+    @classmethod
+    def find(cls, name: str, worlds: int | None = None) -> Self:
+        """A device by its name; None: as many worlds as fill it. An InputError without the packages."""
+        if find_spec("mujoco_warp") is None:
+            raise InputError(
+                f"--device {name} needs the packages of the engine {DEVICE_ENGINE}, which are not installed: "
+                "pip install 'qdgrasp[gpu]'."
+            )
+        return cls(name, worlds or (CPU_WORLDS if name == "cpu" else MOST_WORLDS))
