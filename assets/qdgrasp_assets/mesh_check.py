@@ -35,7 +35,6 @@ CHECKING_MODULES = (
     *("qdgrasp_assets.object_model", __name__),
 )
 CHECKING_PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
-BLOCK = 1 << 20  # Bytes of a file that are hashed at once
 
 
 class MeshCheck(Struct, frozen=True, kw_only=True):
@@ -92,11 +91,11 @@ def _content_key(path: Path, asked: str) -> str:
 
 def file_digest(path: Path) -> str:
     """Return the sha256 of a file's bytes; of no bytes where there is no such file."""
-    found = hashlib.sha256()
-    with suppress(FileNotFoundError), path.open("rb") as file:
-        while block := file.read(BLOCK):
-            found.update(block)
-    return found.hexdigest()
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        return hashlib.sha256().hexdigest()
 
 
 @cache

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene, unpack_scene
-from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineName, has_bullet
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, ENGINE_PACKAGES, EngineName, has_bullet
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec, run_spec
@@ -36,7 +36,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"023bdffe25c721346642f702b12dca05db2e85cf13b55d8c58f595cdeebe1e49": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"25ba4a855300bc693ef7878b0c9a7f25dbf23a27811c3b689341cab3f11d8c43": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
@@ -64,7 +64,7 @@ def platform(device: Device | None = None) -> dict[str, str]:
     for name, engine in ENGINES.items():
         if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
             found |= {
-                name: version(engine.package),
+                name: version(ENGINE_PACKAGES[name]),
                 f"{name}_code": syntax_digest(*worlds(engine)),
                 f"{name}_probes": physical_probe_digest(name),
             }

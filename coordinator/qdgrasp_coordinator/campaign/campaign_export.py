@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_assets.mesh_check import file_digest
 from qdgrasp_coordinator.campaign.campaign_folder import open_campaign, read_cached_totals
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.export import graspgen
@@ -458,10 +459,7 @@ def asset_name(name: str) -> str:
 def mesh_digest(name: str) -> str:
     """Return the sha256 of an object's mesh file; empty: it is built in, or not on this machine."""
     path = Path(name)
-    if not path.suffix or not path.is_file():
-        return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_digest(path) if path.suffix and path.is_file() else ""
 
 
 def run_totals(folder: RunFolder) -> RunTotals:

@@ -12,10 +12,8 @@ from qdgrasp_worker.world import ShakenWorld
 
 
 class Engine(NamedTuple):
-    """A physics engine."""
+    """The worlds of a physics engine."""
 
-    package: str
-    """The package that it comes with."""
     module: str
     """The module of its worlds."""
     shaken_world: str | None
@@ -31,11 +29,9 @@ class Engine(NamedTuple):
 
 MUJOCO_WORLDS = "qdgrasp_worker.engines.mujoco_world"
 ENGINES = {
-    "bullet": Engine(
-        "pybullet", "qdgrasp_worker.engines.bullet_world", "BulletShakenWorld", "BulletPhysicalWorld"
-    ),
-    "mujoco": Engine("mujoco-core", MUJOCO_WORLDS, "MujocoShakenWorld", "MujocoPhysicalWorld"),
-    DEVICE_ENGINE: Engine("mujoco-warp", MUJOCO_WORLDS, None, "MujocoPhysicalWorld"),
+    "bullet": Engine("qdgrasp_worker.engines.bullet_world", "BulletShakenWorld", "BulletPhysicalWorld"),
+    "mujoco": Engine(MUJOCO_WORLDS, "MujocoShakenWorld", "MujocoPhysicalWorld"),
+    DEVICE_ENGINE: Engine(MUJOCO_WORLDS, None, "MujocoPhysicalWorld"),
 }
 """The engine of a device begins with MuJoCo's own world, and moves many of them (`engines.warp_worlds`)."""
 

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +49,6 @@ def flush_streams() -> None:
 with quiet():
     import pybullet as pb
 
-VERSION = version("pybullet")
 BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
 """Bullet's default share of a shape's size at which it begins to see contacts, and forgets them."""

@@ -225,7 +225,9 @@ class LockstepEpisodes:
         def look(rows: Rows, moved: StepResult) -> None:
             last.update({row: (world, moved) for world, row in enumerate(rows.tolist())})
 
-        self._step_to_rest(rows, np.full(len(self._setups), self._steps(self._physics.settling)), look)
+        self._step_to_rest(
+            rows, np.full(len(self._setups), self._physics.steps(self._physics.settling)), look
+        )
         grasps = {row: self._read(row, *last[row]) for row in rows.tolist() if self.is_trusted[row]}
         return {row: grasp for row, grasp in grasps.items() if grasp.finger_links}
 
@@ -254,7 +256,7 @@ class LockstepEpisodes:
         self._states["damping"][:] = 0.0
         self._control.stop()
         survived = np.zeros(len(self._setups), dtype=np.intp)
-        most = np.full(len(survived), self._steps(self._physics.push_time))
+        most = np.full(len(survived), self._physics.steps(self._physics.push_time))
         lost = np.zeros(len(survived), dtype=bool)
         start = self._object_poses()
 
@@ -271,9 +273,6 @@ class LockstepEpisodes:
             held = held[~lost[held]]
             survived[held] += 1
         return [int(number) for number in survived[rows]]
-
-    def _steps(self, seconds: float) -> int:
-        return self._physics.steps(seconds)
 
     def _enter(self, worlds: BatchWorlds, simulation: Simulation) -> None:
         """Begin to step worlds of another model."""

@@ -1,8 +1,8 @@
 """The simulator's process: evaluates what its worker sends, and may die of it.
 
-It holds Bullet and no session on the bus. Started as `python -m qdgrasp_worker.runtime.simulator_main`, with
-name and worlds of a device where there is one, and the socket to its worker as standard input; whatever
-prints, prints to standard error.
+It holds the physics engines and no session on the bus. Started as `python -m
+qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, and the socket to
+its worker as standard input; whatever prints, prints to standard error.
 """
 
 import socket

@@ -142,7 +142,7 @@ def make_library(out: Path, meshes: int, seed: int) -> Path:
                 f"{friction:.2f}",
                 kind,
                 "CC0-1.0",
-                "benchmarks.library",
+                "benchmarks.object_library",
                 split,
             )
         )

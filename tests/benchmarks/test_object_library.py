@@ -3,7 +3,7 @@
 import csv
 from pathlib import Path
 
-from benchmarks.library.generator import KINDS, make_library
+from benchmarks.object_library.generator import KINDS, make_library
 
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, read_library
 

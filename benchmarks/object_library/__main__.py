@@ -1,6 +1,6 @@
 """Makes a library of varied closed meshes, and says how long it takes to take them in.
 
-`python -m benchmarks.library OUT --meshes 1000 --seed 0 --intake`; then
+`python -m benchmarks.object_library OUT --meshes 1000 --seed 0 --intake`; then
 `qdgrasp campaign OUT/library.csv --gripper panda --skip-unusable` is a campaign over all of them.
 """
 
@@ -8,7 +8,7 @@ import argparse
 import time
 from pathlib import Path
 
-from benchmarks.library.generator import make_library
+from benchmarks.object_library.generator import make_library
 
 from qdgrasp_assets.mesh_check import check_mesh
 
