@@ -129,6 +129,8 @@ class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Most batches that may be outstanding; 0: no more, as the worker is about to leave."""
     rows: Annotated[int, Meta(ge=0, le=4096)] = 0
     """Rows that its device evaluates at once: so many a batch of such an engine has; 0: it has no device."""
+    builds: Annotated[str, Meta(pattern=r"\A([0-9a-f]{64})?\Z")] = ""
+    """Digest of the code with which it builds shapes; empty: it builds none."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]

@@ -54,6 +54,10 @@ class History:
     """Rates [1/s]."""
     calm_after: float = 20.0
     """Faults end at this time [s]."""
+    has_shapes: bool = False
+    """True if each run waits for a shape that a worker builds."""
+    builders: float = 1.0
+    """Share of the workers that build shapes."""
 
     @property
     def rows(self) -> int:
@@ -79,6 +83,8 @@ def draw(number: int) -> History:
         hiccup=chance.choice([0.0, 0.0, 0.1]),
         is_embedded=chance.random() < 0.5,
         faults=_faults(chance),
+        has_shapes=chance.random() < 0.5,
+        builders=chance.choice([1.0, 1.0, 0.5, 0.0]),
     )
 
 
