@@ -7,7 +7,6 @@ and one that cannot be read is made again.
 
 import hashlib
 import sys
-import tempfile
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
@@ -17,7 +16,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_assets.asset_paths import cache_folder, write_whole
 from qdgrasp_assets.geometry.mesh_io import linked_files
 from qdgrasp_assets.geometry.mesh_repair import gap_note
 from qdgrasp_assets.object_model import ObjectDraft, check_header, read_draft
@@ -69,7 +68,8 @@ def check_mesh(
     except Exception as error:  # noqa: BLE001  # one mesh of thousands ends no campaign
         return MeshCheck(faults=(f"its check failed: {type(error).__name__}: {error}; draw it again",))
     if entry is not None:
-        _keep(entry, msgspec.json.encode(found))
+        with suppress(OSError):  # a cache that cannot be written is no error
+            write_whole(entry, msgspec.json.encode(found))
     return found
 
 
@@ -99,17 +99,13 @@ def file_digest(path: Path) -> str:
 
 
 @cache
-def _code_version() -> str:
-    """Return the digests of the modules that check, and the versions of their packages."""
-    sources: Iterable[str | None] = (sys.modules[name].__file__ for name in CHECKING_MODULES)
+def code_version(modules: tuple[str, ...], packages: tuple[str, ...]) -> str:
+    """Return the digests of imported modules, and the versions of packages."""
+    sources: Iterable[str | None] = (sys.modules[name].__file__ for name in modules)
     digests = [file_digest(Path(source)) for source in sources if source]
-    return " ".join((*digests, *(f"{name} {version(name)}" for name in CHECKING_PACKAGES)))
+    return " ".join((*digests, *(f"{name} {version(name)}" for name in packages)))
 
 
-def _keep(entry: Path, content: bytes) -> None:
-    """Write an entry whole or not at all; a cache that cannot be written is no error."""
-    with suppress(OSError):
-        entry.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=entry.parent, delete=False) as file:
-            file.write(content)
-        Path(file.name).replace(entry)
+def _code_version() -> str:
+    """Return the version of the code that checks."""
+    return code_version(CHECKING_MODULES, CHECKING_PACKAGES)

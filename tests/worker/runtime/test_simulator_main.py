@@ -39,7 +39,7 @@ print(os.nice(0))
 
 
 LIMIT = """
-from qdgrasp_worker.runtime.process_limits import limit_memory
+from qdgrasp_protocol.process import limit_memory
 limit_memory(400_000_000)
 try:
     bytearray(500_000_000)

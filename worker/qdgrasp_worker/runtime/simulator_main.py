@@ -18,6 +18,7 @@ from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
+from qdgrasp_protocol.process import end_with_parent_only, limit_memory
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.device import Device
 from qdgrasp_worker.evaluator import BatchEvaluator, EvaluatorCache, make_evaluator
@@ -122,7 +123,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
     settings = _receive(connection, SimulatorSettings)
     if settings is None:
         return
-    process_limits.limit_memory(settings.memory)
+    limit_memory(settings.memory)
     process_limits.lower_priority(settings.nice)
     with process_limits.time_limit(max(process_limits.PROBE_SECONDS, settings.row_seconds)):
         found = probe()
@@ -134,7 +135,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
 
 def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> None:
     """Entry point of the simulator."""
-    process_limits.end_with_parent_only()
+    end_with_parent_only()
     setproctitle("qdgrasp-simulator")
     connection = FramedSocket(socket.socket(fileno=sys.stdin.fileno()))
     try:
