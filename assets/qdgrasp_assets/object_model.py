@@ -14,8 +14,9 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import check_file, check_stated, read_mesh_file, stated_triangles
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import MeshPreparation, ObjectRecord
+from qdgrasp_protocol.spec import ObjectRecord
 
 log = logging.getLogger(__name__)
 

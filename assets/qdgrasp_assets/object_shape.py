@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import UNFINISHED, cache_folder, named_path, write_whole
+from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import (
+    COACD,
+    OWN_HULL,
     TIME_LIMIT,
     FingerClearance,
     PartsFit,
@@ -33,7 +36,6 @@ from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import linked_files
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
-from qdgrasp_assets.mesh_check import CHECKING_MODULES, CHECKING_PACKAGES, code_version, file_digest
 from qdgrasp_assets.object_model import (
     ObjectBody,
     check_header,
@@ -43,8 +45,9 @@ from qdgrasp_assets.object_model import (
 )
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.stand_ins import STAND_INS
+from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError
-from qdgrasp_protocol.messages import MAX_REASON, ShapeTask, unpack_values
+from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
@@ -83,6 +86,18 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Share of the surface in front of which the parts fill free space."""
     bare: Share = 0.0
     """Share of the surface that is outside all parts."""
+
+    @property
+    def warning(self) -> str:
+        """Why grasps may be lost on its convex parts, in words; empty where they fit."""
+        if self.collision_source not in (OWN_HULL, COACD):
+            return f"its convex parts are not as fine as they should be ({self.collision_source})"
+        if PartsFit(self.filled, self.bare).is_good:
+            return ""
+        return (
+            f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and leave "
+            f"{100 * self.bare:.0f} % of it out, where grasps may be lost"
+        )
 
 
 MAX_SHAPE = 32 << 20
@@ -195,12 +210,6 @@ FLEET_LIMITS = ProcessLimits(120.0, 4 << 30)
 """Limits of a shape that one of many workers builds."""
 OWN_LIMITS = ProcessLimits(TIME_LIMIT, 1 << 40)
 """Those of a shape that is built in the process that needs it, by the clock and with all memory there is."""
-BUILDING_MODULES = (
-    *CHECKING_MODULES,
-    "qdgrasp_assets.geometry.collision_parts",
-    __name__,
-)
-BUILDING_PACKAGES = (*CHECKING_PACKAGES, "coacd")
 
 
 def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask | None:
@@ -246,11 +255,6 @@ def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask
 def is_in_catalog(name: str) -> bool:
     """Return whether an object is a stand-in or a scan, and no mesh file."""
     return name in STAND_INS or name in ycb.SCAN_NAMES
-
-
-def building_code() -> str:
-    """Return the digest of the code that builds shapes, and of the versions of its packages."""
-    return hashlib.sha256(code_version(BUILDING_MODULES, BUILDING_PACKAGES).encode()).hexdigest()
 
 
 def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
@@ -326,6 +330,10 @@ class ShapeStore:
         with suppress(OSError):
             os.utime(file)
         return shape
+
+    def __contains__(self, key: str) -> bool:
+        """Return whether a file of this key is there, whole or not."""
+        return self._file(key).is_file()
 
     def put(self, key: str, payload: bytes) -> None:
         """Keep the bytes of a shape; what cannot be written is left out."""

@@ -4,11 +4,14 @@ A shape is an object's mesh, its convex parts and surface points, as scenes hold
 """
 
 import hashlib
+import zlib
+from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
+from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, Text, Wid
 
 
@@ -74,6 +77,28 @@ class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return hashlib.sha256(msgspec.msgpack.encode(self)).hexdigest()
 
 
+PIECE_SIZE = 1 << 20  # Bytes of a blob in a message, at most
+MOST_PIECES = 15  # Pieces that fit into a message
+
+
+def split_payload(payload: bytes) -> tuple[bytes, ...]:
+    """Return a payload deflated (zlib), in pieces as messages carry them."""
+    deflated = zlib.compress(payload, 1)
+    return tuple(deflated[start : start + PIECE_SIZE] for start in range(0, len(deflated), PIECE_SIZE))
+
+
+def join_payload(pieces: Iterable[bytes], most: int) -> bytes:
+    """Return the payload in deflated pieces; a MessageError if it is damaged, or has over `most` bytes."""
+    inflater = zlib.decompressobj()
+    try:
+        payload = inflater.decompress(b"".join(pieces), most)
+    except zlib.error as error:
+        raise MessageError(f"it is damaged: {error}") from None
+    if not inflater.eof:
+        raise MessageError(f"it is cut short, or has more than {most} bytes")
+    return payload
+
+
 class Build(Message, frozen=True, kw_only=True):
     """Coordinator to worker: a leased build, the shape of an object of a library."""
 
@@ -96,8 +121,8 @@ class Built(Message, frozen=True, kw_only=True):
     batch: BatchId
     attempt: Count
     wid: Wid
-    pieces: Annotated[list[bytes], Meta(max_length=15)] = []
-    """The packed shape, deflated (zlib), in pieces of 1 MiB; none if it was not built."""
+    pieces: Annotated[tuple[bytes, ...], Meta(max_length=MOST_PIECES)] = ()
+    """The packed shape (`split_payload`); none if it was not built."""
     reason: Text = ""
     """Why it was not built; empty if it was."""
     is_final: bool = False

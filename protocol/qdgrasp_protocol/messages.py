@@ -7,7 +7,6 @@ Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, 
 passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
 """
 
-import hashlib
 import zlib
 from collections.abc import Mapping
 from functools import cache
@@ -18,8 +17,6 @@ import msgspec
 from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.rows import DEFLATED_COLUMNS
-from qdgrasp_protocol.spec import MeshPreparation
 from qdgrasp_protocol.text import printable
 
 if TYPE_CHECKING:
@@ -43,6 +40,10 @@ JobId = Annotated[str, Meta(max_length=32)]
 """Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
 """Text for a person; made with `shorten`."""
+
+
+DEFLATED_COLUMNS = frozenset({"contact_links", "contact_points"})
+"""Columns of rows that are mostly zeros: they travel deflated (zlib)."""
 
 
 def deflated(columns: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -177,45 +178,6 @@ class OrderReply(Message, frozen=True, kw_only=True):
 
     words: Text
     """Result in a sentence for a person."""
-
-
-SAFE_NAME = r"\A(?!.*(?:\A|/)\.{1,2}(?:/|\Z))[^/\\\x00-\x1f]+(?:/[^/\\\x00-\x1f]+)*\Z"
-"""A relative path without `.` and `..`."""
-
-
-class MeshFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A file that the shape of an object is made of."""
-
-    name: Annotated[str, Meta(pattern=SAFE_NAME, max_length=200)]
-    """Its path in the folder in which the shape is built."""
-    sha256: Digest
-    size: Count
-    """[bytes]."""
-
-
-class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that the shape of an object depends on, its files by their content."""
-
-    files: Annotated[tuple[MeshFile, ...], Meta(min_length=1, max_length=64)]
-    """The mesh first, then the files with its geometry that it names."""
-    scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Metres to a unit of the mesh; None: 1."""
-    mesh: MeshPreparation | None = None
-    """Changes of the mesh; None: taken as it is."""
-    surface: Literal["paper", "released"] = "paper"
-    """How surface points are drawn; all protocols but `released` have those of the paper."""
-    surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
-    seconds: Annotated[float, Meta(gt=0, le=1e6)]
-    """Most CPU time for the convex parts [s]."""
-    memory: Annotated[int, Meta(ge=1 << 28, le=1 << 40)]
-    """Most memory of each process that builds the shape [bytes]."""
-    code: Digest
-    """Digest of the code that builds it, and of the versions of its packages."""
-
-    @property
-    def key(self) -> str:
-        """Its name in stores and on the bus: the sha256 of all fields."""
-        return hashlib.sha256(msgspec.msgpack.encode(self)).hexdigest()
 
 
 class Chunk(Message, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import DEFLATED_COLUMNS
 
 
 class Outcome(IntEnum):
@@ -222,8 +223,6 @@ RESULT = (
     ),
 )
 COLUMNS = KEY + GENOME + RESULT
-DEFLATED_COLUMNS = frozenset({"contact_links", "contact_points"})
-"""Columns that are mostly zeros: they travel deflated (zlib)."""
 CONTACT_VALUES = 7  # Numbers of one contact: point, normal, force
 MAX_CONTACT_SLOTS = 16
 FLOAT_ITEMS = ("<f4", "<f2")  # The item types of all columns that do not hold integers

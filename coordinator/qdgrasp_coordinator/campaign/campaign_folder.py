@@ -15,17 +15,38 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct, structs
 
+from qdgrasp_assets.asset_paths import named_path
+from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
 from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
 from qdgrasp_coordinator.campaign.object_library import skip_report
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_run, prepare_scene
+from qdgrasp_coordinator.scheduler.run_plan import (
+    JobExtent,
+    RunPlan,
+    RunQueue,
+    ShapesMissing,
+    WantedShapes,
+    plan_run,
+    prepare_scene,
+)
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
-from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
+from qdgrasp_protocol.build_messages import join_payload
+from qdgrasp_protocol.errors import (
+    DiskFull,
+    EndsTooSoon,
+    FolderError,
+    ImpossibleValue,
+    InputError,
+    MessageError,
+    RunFailed,
+)
+from qdgrasp_protocol.messages import MAX_BUNDLE
 from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
@@ -150,6 +171,7 @@ class CampaignRunQueue(RunQueue):
         self._waiting: dict[str, list[str]] = {}  # Runs by the key of the shape that they wait for
         self._wanted: deque[WantedShape] = deque()
         self._failed: deque[RunFailed] = deque()
+        self._keys: dict[str, str] = {}  # Keys of the shapes of runs that were looked at
         self._shapes = ShapeStore()
         self._scene: tuple[RunSpec, PreparedScene] | None = None
 
@@ -203,7 +225,7 @@ class CampaignRunQueue(RunQueue):
         if not reply.pieces:
             return ""
         try:
-            payload = inflate(reply.pieces)
+            payload = join_payload(reply.pieces, MAX_SHAPE)
             shape = unpack_shape(payload)
         except MessageError as error:  # `next` builds it
             return f"A worker's shape of {self._object_of(runs)} is left aside: {error}."
@@ -227,7 +249,9 @@ class CampaignRunQueue(RunQueue):
             return
         if task is None or any(file.size > MAX_BUNDLE for file in task.files):
             self._ready.append(name)
-        elif task.key in self._waiting:
+            return
+        self._keys[name] = task.key
+        if task.key in self._waiting:
             self._waiting[task.key].append(name)
         elif task.key in self._shapes:
             self._ready.append(name)
@@ -239,15 +263,16 @@ class CampaignRunQueue(RunQueue):
         path = self._folder.run_path(name) if self._folder else None
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             return plan_run(spec, RunFolder(path).prepared_scene(), name)
-        prepared = self._scene_of(spec)
+        prepared = self._scene_of(name, spec)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
             RunFolder.add(self._folder, name, spec, prepared.bundle)
         return plan_run(spec, prepared, name)
 
-    def _scene_of(self, spec: RunSpec) -> PreparedScene:
-        known = self._scene
-        if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
-            self._scene = known = spec, prepare_scene(spec)
+    def _scene_of(self, run: str, spec: RunSpec) -> PreparedScene:
+        key, known = self._keys.pop(run, ""), self._scene
+        if known is None or any(getattr(known[0], name) != getattr(spec, name) for name in SCENE_KEYS):
+            shape = self._shapes.get(key) if key else None
+            self._scene = known = spec, prepare_scene(spec, shape)
         return known[1]
 
 

@@ -11,8 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.catalog import assemble_scene, build_scene
 from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
@@ -216,12 +217,12 @@ def default_run_name(spec: RunSpec) -> str:
     return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
 
 
-def prepare_scene(spec: RunSpec) -> PreparedScene:
-    """Build the scene of a spec.
+def prepare_scene(spec: RunSpec, shape: ObjectShape | None = None) -> PreparedScene:
+    """Build the scene of a spec; `shape` is that of its object, where it was built elsewhere.
 
     Raises InputError if it cannot be built, or the method's prior is not for such a hand.
     """
-    scene = build_scene(spec)
+    scene = assemble_scene(spec, shape) if shape else build_scene(spec)
     row_shape(scene, prior_of(spec))
     return PreparedScene(scene, pack_scene(scene))
 

@@ -76,7 +76,7 @@ class BuildReply:
     @classmethod
     def of(cls, build: ShapeBuild, built: Built, superseded: str | None) -> "BuildReply":
         """Return the end of a build that a worker has answered."""
-        return cls(build.task.key, tuple(built.pieces), built.reason, built.cpu_seconds, superseded)
+        return cls(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
 
 
 class ShapeQueue:

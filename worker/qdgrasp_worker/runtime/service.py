@@ -321,8 +321,10 @@ class WorkerService:
                 session.release(under_way.batch)
         if self._builder.build is not None or self._shutdown.has_begun:
             return
-        if (session := next((session for session in self._jobs if session.builds), None)) is not None:
-            self._builder.start(session.job, session.begin_build())
+        for session in self._jobs:
+            if session.builds:
+                self._builder.start(session.job, session.begin_build())
+                return
 
     def _answer_build(self, ended: BuildEnded) -> None:
         session = self._jobs.get(ended.job)

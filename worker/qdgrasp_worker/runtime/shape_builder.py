@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import msgspec
 import structlog
 
 from qdgrasp_protocol import bundle_transfer
-from qdgrasp_protocol.build_messages import Build, Built, ShapeTask
+from qdgrasp_protocol.build_messages import MOST_PIECES, Build, Built, ShapeTask, split_payload
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import BusError, MessageError, Refused
 from qdgrasp_protocol.messages import shorten
@@ -31,8 +30,6 @@ WALL_FACTOR, WALL_MARGIN = 2.0, 120.0
 """A builder is ended after so many times the task's seconds, and so many more: it has its own limit."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
-PIECE_SIZE = 1 << 20  # Bytes in a piece of a shape
-MOST_PIECES = 15  # What fits into a message
 
 
 @dataclass(frozen=True)
@@ -50,18 +47,15 @@ class BuildEnded:
 
     def message(self, wid: str) -> Built:
         """Return the answer to the coordinator, by a worker."""
-        deflated = zlib.compress(self.shape, 1) if self.shape else b""
-        pieces = [deflated[start : start + PIECE_SIZE] for start in range(0, len(deflated), PIECE_SIZE)]
+        pieces = split_payload(self.shape) if self.shape else ()
         is_large = len(pieces) > MOST_PIECES
-        reason = (
-            f"it has {len(deflated) >> 20} MiB, more than a message may have" if is_large else self.reason
-        )
+        reason = f"its shape is larger than {MOST_PIECES} MiB, deflated" if is_large else self.reason
         return Built(
             epoch=self.build.epoch,
             batch=self.build.batch,
             attempt=self.build.attempt,
             wid=wid,
-            pieces=[] if is_large else pieces,
+            pieces=() if is_large else pieces,
             reason=shorten(reason),
             is_final=self.is_final or is_large,
             cpu_seconds=self.cpu_seconds,
