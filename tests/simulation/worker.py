@@ -17,6 +17,7 @@ from tests.fakes.messages import put
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
+from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
@@ -28,7 +29,6 @@ from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
 from qdgrasp_worker.runtime.job_registry import JobSession
-from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,

@@ -19,6 +19,7 @@ from typing import TypeAlias
 import msgspec
 import structlog
 
+from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bundle_transfer import TooLarge
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Sample
@@ -36,7 +37,6 @@ from qdgrasp_worker.runtime.background_requests import (
 )
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
-from qdgrasp_worker.runtime.process_limits import process_stats
 from qdgrasp_worker.runtime.simulator_supervisor import (
     SimulatorEnded,
     SimulatorEvent,
