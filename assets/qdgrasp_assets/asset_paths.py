@@ -61,7 +61,7 @@ def cache_folder() -> Path:
 
 
 def write_whole(file: Path, content: bytes) -> None:
-    """Write a file of the cache whole or not at all, its folder too; `OSError` where that cannot be done."""
+    """Write a file and its folder, whole or not at all; else `OSError`."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=file.parent, prefix=UNFINISHED) as folder:
         written = Path(folder) / file.name

@@ -56,7 +56,7 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
-    """Assemble the scene of a spec whose object is a mesh file of this shape; errors of `build_scene`."""
+    """Assemble the scene of a spec, a mesh file of this shape; errors of `build_scene`."""
     return _scene(spec, carried_hand(spec), _file_facts(spec), shape)
 
 

@@ -138,7 +138,7 @@ LATERAL_FRICTION = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectBody:
+class ObjectGeometry:
     """The geometry of an object in the frame of its mesh file."""
 
     collision_source: str
@@ -177,7 +177,7 @@ class ObjectFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectModel(ObjectBody, ObjectFacts):
+class ObjectModel(ObjectGeometry, ObjectFacts):
     """An object with its geometry in the frame of its mesh file."""
 
 

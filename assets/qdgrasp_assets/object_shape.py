@@ -1,4 +1,4 @@
-"""The shape of an object: its geometry as scenes have it, a value that depends on content alone.
+"""The shape of an object: its geometry in scenes, a value that depends on content alone.
 
 A task names the mesh by its content, with all else that the shape depends on. Wherever the shape is built,
 it is the same, and it is kept on the disk under the key of its task. Name, licence, mass and friction are no
@@ -37,7 +37,7 @@ from qdgrasp_assets.geometry.mesh_io import linked_files
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import (
-    ObjectBody,
+    ObjectGeometry,
     check_header,
     read_object,
     solid_draft,
@@ -56,7 +56,7 @@ Words = Annotated[str, Meta(max_length=1000)]
 
 
 class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The geometry of an object in its centre-of-mass frame: origin at the CoM, axes of the mesh."""
+    """The geometry of an object, in its CoM frame: origin at the CoM, axes of the mesh."""
 
     collision_source: Words
     """Source of the parts: "own parts", "own hull", "asset path" or "coacd", and why no finer ones."""
@@ -127,7 +127,7 @@ def pack_shape(shape: ObjectShape) -> bytes:
 
 
 def unpack_shape(payload: bytes) -> ObjectShape:
-    """Return the shape in bytes that may come from anyone; `MessageError` unless all of it can be used."""
+    """Return the shape in bytes from anyone; `MessageError` unless all of it can be used."""
     if len(payload) > MAX_SHAPE:
         raise MessageError(f"{len(payload)} bytes are more than a shape may have ({MAX_SHAPE})")
     values = unpack_values(payload, MAX_CONTAINERS, SHAPE_LIMITS)
@@ -182,8 +182,8 @@ def _has_convex_parts(text: bytes) -> bool:
     return True
 
 
-def shape_of(body: ObjectBody, protocol: str, seed: int, fit: PartsFit | None = None) -> ObjectShape:
-    """Return the shape of a body, with points on its surface as an evaluation protocol has them."""
+def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | None = None) -> ObjectShape:
+    """Return the shape of a body, with surface points as an evaluation protocol has them."""
     mesh, parts = body.centred_mesh, body.centred_parts
     cloud = SURFACES[protocol](mesh, parts, body.com_in_mesh, seed)
     low, high = mesh.bounds
@@ -269,7 +269,7 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
             raise AssetError(f"The file '{file.name}' is not the one that the shape is to be built of.")
     draft = solid_draft(folder / task.files[0].name, task.scale, task.mesh)
     source, parts, fit = limited_parts(draft.mesh, ProcessLimits(task.seconds, task.memory))
-    body = ObjectBody(
+    body = ObjectGeometry(
         collision_source=source,
         mesh=draft.mesh,
         parts=parts,
@@ -281,7 +281,7 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
 
 
 def file_shape(spec: RunSpec) -> ObjectShape:
-    """Return the shape of a spec's mesh file: from the store, or built in this process and put there.
+    """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
     What time did not suffice for is not kept, so that the next command tries again. Errors and warnings are
     those of `read_object`.
@@ -303,9 +303,10 @@ ABANDONED = 86400.0  # Seconds after which a file that is being written is one t
 
 
 class ShapeStore:
-    """Shapes on the disk by the keys of their tasks, in a folder that may be deleted at any time.
+    """Shapes on the disk by the keys of their tasks.
 
-    Several processes may use it at once. Its size is bounded: those that were not used for longest go first.
+    Its folder may be deleted at any time, and several processes may use it at once. Its size is bounded: the
+    shapes that were not used for longest go first.
     """
 
     MOST_BYTES = 8 << 30
@@ -318,7 +319,7 @@ class ShapeStore:
         self._puts = 0
 
     def get(self, key: str) -> ObjectShape | None:
-        """Return a shape; None where there is none that is whole."""
+        """Return a shape; None if it is not there, or not whole."""
         file = self._file(key)
         try:
             content = file.read_bytes()

@@ -10,10 +10,8 @@ A process group is a context manager: leaving it ends every process that is stil
 command itself be killed, each member sees its standard input end and stops by itself (`lifetime`).
 """
 
-import ctypes
 import logging
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -111,23 +109,6 @@ def _end_with_parent() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(ORPHAN_GRACE)  # what is left after it hangs in a call that never returns
     os._exit(128 + signal.SIGTERM)
-
-
-_PR_SET_PDEATHSIG = 1
-
-
-def end_with_parent_only() -> None:
-    """End with the process that started this one, and by no signal that is meant for a group."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-
-
-def limit_memory(size: int) -> None:
-    """Let this process have at most `size` bytes of memory of its own; what asks for more fails."""
-    with suppress(ValueError, OSError):  # a lower limit stands already
-        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 STANDARD_ERROR = 2

@@ -17,6 +17,7 @@ from tests.fakes.messages import put
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
+from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
@@ -28,10 +29,9 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
+from qdgrasp_worker.runtime.builder_client import BuildEnded
 from qdgrasp_worker.runtime.job_registry import JobSession
-from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
-from qdgrasp_worker.runtime.shape_builder import BuildEnded
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     EvaluateRows,
@@ -347,7 +347,7 @@ class Worker(Process):
     def _new_service(self) -> WorkerService:
         with (
             patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
-            patch.object(serving, "ShapeBuilder", lambda *_: SimulatedBuilder(self, self._mishaps)),
+            patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._mishaps)),
             patch.object(serving.secrets, "token_hex", lambda _: self.wid),
         ):
             how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}

@@ -38,8 +38,8 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
 from qdgrasp_assets.geometry.primitives import heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.process_limits import limit_memory
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.process import limit_memory
 
 CLEARANCE_POINTS = 10_000
 AHEAD = 3e-3  # Distance in front of the surface at which free space is checked [m]

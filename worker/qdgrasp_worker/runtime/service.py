@@ -19,6 +19,7 @@ from typing import TypeAlias
 import msgspec
 import structlog
 
+from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bundle_transfer import TooLarge
@@ -36,9 +37,8 @@ from qdgrasp_worker.runtime.background_requests import (
     SceneStore,
 )
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.builder_client import BuildEnded, BuilderClient
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
-from qdgrasp_worker.runtime.process_limits import process_stats
-from qdgrasp_worker.runtime.shape_builder import BuildEnded, ShapeBuilder
 from qdgrasp_worker.runtime.simulator_supervisor import (
     SimulatorEnded,
     SimulatorEvent,
@@ -164,7 +164,7 @@ class WorkerService:
         requests = BackgroundRequests(bus, store, inbox.put)
         self._jobs = JobRegistry(bus, requests, self.wid, job, rows, builds)
         self._scenes = SceneCache(requests)
-        self._builder = ShapeBuilder(bus, inbox.put, nice)
+        self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
         self._shutdown = GracefulShutdown(grace)
         self._drops = DropCounter()

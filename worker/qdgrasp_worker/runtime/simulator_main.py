@@ -14,16 +14,15 @@ from typing import TypeVar
 
 from setproctitle import setproctitle
 
+from qdgrasp_assets import process_limits
 from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
-from qdgrasp_protocol.process import end_with_parent_only, limit_memory
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.device import Device
 from qdgrasp_worker.evaluator import BatchEvaluator, EvaluatorCache, make_evaluator
 from qdgrasp_worker.platform import platform
-from qdgrasp_worker.runtime import process_limits
 from qdgrasp_worker.runtime.simulator_messages import (
     BatchRejected,
     EvaluateRows,
@@ -123,7 +122,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
     settings = _receive(connection, SimulatorSettings)
     if settings is None:
         return
-    limit_memory(settings.memory)
+    process_limits.limit_memory(settings.memory)
     process_limits.lower_priority(settings.nice)
     with process_limits.time_limit(max(process_limits.PROBE_SECONDS, settings.row_seconds)):
         found = probe()
@@ -135,7 +134,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
 
 def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> None:
     """Entry point of the simulator."""
-    end_with_parent_only()
+    process_limits.end_with_parent_only()
     setproctitle("qdgrasp-simulator")
     connection = FramedSocket(socket.socket(fileno=sys.stdin.fileno()))
     try:

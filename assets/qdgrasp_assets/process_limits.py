@@ -1,14 +1,17 @@
-"""Limits of a simulator's process, and what it takes of processor and memory.
+"""Limits of a process that computes for another one, and its use of processor and memory.
 
-Limits are held by the kernel and by the worker: a call into C cannot put them off. Usage is read from /proc.
+Limits are held by the kernel and by the other process: a call into C cannot put them off.
+Usage is read from /proc.
 """
 
+import ctypes
 import os
+import resource
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +21,7 @@ CPU_LIMIT_SIGNAL, STALL_SIGNAL = signal.SIGPROF, signal.SIGALRM
 """Signals that end a simulator past its limit: of CPU, by the kernel; of silence, by us."""
 AUTOGROUP = Path("/proc/self/autogroup")
 AUTOGROUP_TRIES, AUTOGROUP_INTERVAL = 100, 0.13  # how often a wish is repeated, and after how many seconds
+_PR_SET_PDEATHSIG = 1
 
 
 @contextmanager
@@ -28,6 +32,13 @@ def time_limit(seconds: float) -> Iterator[None]:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process have at most `size` bytes of memory of its own; what asks for more fails."""
+    with suppress(ValueError, OSError):  # a lower limit stands already
+        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def lower_priority(nice: int) -> None:
@@ -52,6 +63,13 @@ def _lower_session_priority(nice: int) -> None:
             return
         else:
             return
+
+
+def end_with_parent_only() -> None:
+    """End with the process that started this one, and by no signal that is meant for a group."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 TICKS = os.sysconf("SC_CLK_TCK")

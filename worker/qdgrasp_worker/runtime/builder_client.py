@@ -32,6 +32,13 @@ UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
 
 
+class BuilderReport(msgspec.Struct):
+    """The part of a builder's report that is read here."""
+
+    shape: bytes
+    """Packed."""
+
+
 @dataclass(frozen=True)
 class BuildEnded:
     """A builder has ended: with a shape, or with a reason why there is none."""
@@ -62,7 +69,7 @@ class BuildEnded:
         )
 
 
-class ShapeBuilder:
+class BuilderClient:
     """Builds one shape at a time; `report` takes the end of each, in a thread of its own."""
 
     def __init__(self, bus: Bus, report: Callable[[BuildEnded], None], nice: int = 0) -> None:
@@ -124,6 +131,8 @@ class _Attempt:
             return BuildEnded(self.job, self.build, reason=str(error), is_final=True)
         except (BusError, MessageError, Refused) as error:
             return BuildEnded(self.job, self.build, reason=f"its files cannot be fetched: {error}")
+        except msgspec.MsgspecError as error:
+            return BuildEnded(self.job, self.build, reason=f"its builder's report cannot be read: {error}")
         except OSError as error:
             return BuildEnded(
                 self.job, self.build, reason=f"it cannot be built here: {error.strerror or error}"
@@ -160,8 +169,9 @@ class _Attempt:
             errors.seek(0)
             said = " ".join(errors.read().decode(errors="replace").split())[-200:]
         cpu_seconds = usage.ru_utime + usage.ru_stime
-        if code == 0 and found.is_file():
-            return BuildEnded(self.job, self.build, found.read_bytes(), cpu_seconds=cpu_seconds)
+        if code == 0:
+            shape = msgspec.msgpack.decode(found.read_bytes(), type=BuilderReport).shape
+            return BuildEnded(self.job, self.build, shape, cpu_seconds=cpu_seconds)
         reason = said or (
             f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         )
