@@ -258,8 +258,10 @@ class DispatchChecker:
             require(
                 lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
             )
-            held = len(self._workers._workers[lease.wid].batches)
+            worker = self._workers._workers[lease.wid]
+            held = len(worker.batches)
             require(held <= CREDIT, "bounded work", "worker", lease.wid, "is leased", held)
+            require(not worker.is_building, "bounded work", "worker", lease.wid, "builds a shape")
             self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
             self._host.note(
                 f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"

@@ -21,7 +21,7 @@ from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.build_messages import MOST_PIECES, Build, Built, ShapeTask, split_payload
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import BusError, MessageError, Refused
-from qdgrasp_protocol.messages import shorten
+from qdgrasp_protocol.messages import MAX_REASON, shorten
 
 log = structlog.get_logger()
 
@@ -167,7 +167,7 @@ class _Attempt:
                 limit.cancel()
             process.returncode = code = os.waitstatus_to_exitcode(status)
             errors.seek(0)
-            said = " ".join(errors.read().decode(errors="replace").split())[-200:]
+            said = " ".join(errors.read().decode(errors="replace").split())
         cpu_seconds = usage.ru_utime + usage.ru_stime
         if code == 0:
             shape = msgspec.msgpack.decode(found.read_bytes(), type=BuilderReport).shape
