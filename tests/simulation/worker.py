@@ -208,7 +208,7 @@ JOB = "job"
 KEYS = Keys(JOB)
 BUILDING_CODE = "c" * 64
 """Digest of the code of workers that build shapes."""
-BUILDING = 2.0
+BUILDING = 6.0
 """Seconds that a shape takes on average."""
 GRACE = 1.5
 FETCH_SECONDS = 5.0

@@ -118,7 +118,7 @@ class _Attempt:
         with self._lock:
             self._is_killed = True
             if self._process is not None and self._process.returncode is None:
-                self._process.kill()
+                os.kill(self._process.pid, signal.SIGKILL)  # `Popen.kill` would reap it if it has ended
 
     def run(self, bus: Bus, nice: int) -> BuildEnded:
         """Build; whatever happens, it ends with an answer."""
@@ -154,27 +154,27 @@ class _Attempt:
                     return BuildEnded(self.job, self.build, reason="it was stopped")
                 self._process = process = subprocess.Popen(
                     ["nice", "-n", str(nice), *command] if nice else command,
-                    stdin=subprocess.PIPE,  # closed with this process, which ends the builder
+                    stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=errors,
                     start_new_session=True,
                 )
-            limit = threading.Timer(WALL_FACTOR * task.seconds + WALL_MARGIN, process.kill)
+            limit = threading.Timer(WALL_FACTOR * task.seconds + WALL_MARGIN, self.kill)
             limit.start()
             try:
                 _, status, usage = os.wait4(process.pid, 0)
             finally:
                 limit.cancel()
-            process.returncode = code = os.waitstatus_to_exitcode(status)
+            with self._lock:
+                process.returncode = code = os.waitstatus_to_exitcode(status)
             errors.seek(0)
             said = " ".join(errors.read().decode(errors="replace").split())
         cpu_seconds = usage.ru_utime + usage.ru_stime
         if code == 0:
             shape = msgspec.msgpack.decode(found.read_bytes(), type=BuilderReport).shape
             return BuildEnded(self.job, self.build, shape, cpu_seconds=cpu_seconds)
-        reason = said or (
-            f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        )
+        ended = f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        reason = said if code == UNUSABLE else said[-MAX_REASON:] or ended
         return BuildEnded(
             self.job, self.build, reason=reason, is_final=code == UNUSABLE, cpu_seconds=cpu_seconds
         )
