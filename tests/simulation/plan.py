@@ -71,7 +71,7 @@ def draw(number: int) -> History:
     many = chance.random() < 0.1
     workers = chance.randint(5, 30) if many else chance.randint(1, 5)
     runs = chance.choice([1, 1, 1, 2, 3])
-    return History(
+    history = History(
         number=number,
         runs=tuple(_run(chance, number * 10 + place, many) for place in range(runs)),
         workers=workers,
@@ -85,6 +85,10 @@ def draw(number: int) -> History:
         faults=_faults(chance),
         has_shapes=chance.random() < 0.5,
         builders=chance.choice([1.0, 1.0, 0.5, 0.0]),
+    )
+    more = range(runs, 3 if history.has_shapes else runs)  # others are evaluated while shapes are built
+    return replace(
+        history, runs=history.runs + tuple(_run(chance, number * 10 + place, many) for place in more)
     )
 
 
