@@ -3,11 +3,13 @@
 import errno
 import os
 import stat
+import tempfile
 from pathlib import Path
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
 DATA = "QDGRASP_DATA"
+UNFINISHED = ".unfinished-"  # Beginning of the names of files that are being written
 NOT_THERE, A_FOLDER, SPECIAL = "does not exist", "is a folder", "is no ordinary file"
 """Reasons why a path has no ordinary file, as the end of a sentence."""
 
@@ -56,6 +58,15 @@ def searched() -> str:
 def cache_folder() -> Path:
     """Return the folder of derived data, deletable at any time: `QDGRASP_CACHE`, else XDG's."""
     return _own_folder(CACHE, "XDG_CACHE_HOME", "~/.cache")
+
+
+def write_whole(file: Path, content: bytes) -> None:
+    """Write a file and its folder, whole or not at all; else `OSError`."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=file.parent, prefix=UNFINISHED) as folder:
+        written = Path(folder) / file.name
+        written.write_bytes(content)
+        written.replace(file)
 
 
 def data_folder() -> Path:

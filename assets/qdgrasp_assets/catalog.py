@@ -6,12 +6,12 @@ from pathlib import Path
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.geometry.mesh_io import check_file
-from qdgrasp_assets.geometry.surface_points import SURFACES
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
-from qdgrasp_assets.object_model import ObjectModel, read_object
-from qdgrasp_assets.scene import Scene, vector
+from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
+from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.rows import MAX_CONTACT_SLOTS
@@ -20,6 +20,8 @@ from qdgrasp_protocol.spec import RunSpec
 GRIPPERS = Path(__file__).parent / "grippers"
 ABSENT = "absent"
 REFERENCE = "ref_"  # Prefix of the names of the reference hands
+ROLLING_FRICTION = 0.01
+SPINNING_FRICTION = 0.1
 CONTACTS_PER_FINGER_LINK = 4  # What two convex shapes have in Bullet at most
 
 
@@ -41,29 +43,62 @@ class CatalogEntry:
 def build_scene(spec: RunSpec) -> Scene:
     """Build the scene of a run's spec; the same spec and files give the same bits.
 
-    Raises `UnknownName` for a gripper or object that is neither known nor a file, and `AssetError` where one
-    of its files cannot be used.
+    The shape of a mesh file is taken from the store on the disk where it is there. Raises `UnknownName` for
+    a gripper or object that is neither known nor a file, and `AssetError` where one of its files cannot be
+    used.
     """
-    gripper = find_gripper(spec.gripper)
-    target = find_object(spec)
-    mesh, parts = target.centred_mesh, target.centred_parts
-    hand = gripper.on_carrier(spec.nominal_protocol)
+    hand = carried_hand(spec)
+    if is_in_catalog(spec.object):
+        target = find_object(spec)
+        return _scene(spec, hand, target, shape_of(target, spec.protocol, spec.surface_seed))
+    check_object(spec.object)
+    return _scene(spec, hand, _file_facts(spec), file_shape(spec))
+
+
+def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
+    """Assemble the scene of a spec, a mesh file of this shape; errors of `build_scene`."""
+    return _scene(spec, carried_hand(spec), _file_facts(spec), shape)
+
+
+def carried_hand(spec: RunSpec) -> SceneGripper:
+    """Return the hand of a spec on the carrier of its protocol; errors of `build_scene`."""
+    hand = find_gripper(spec.gripper).on_carrier(spec.nominal_protocol)
     if spec.engine:
         check_convex(hand)
-    surface = SURFACES[spec.protocol](mesh, parts, target.com_in_mesh, spec.surface_seed)
-    low, high = mesh.bounds
+    return hand
+
+
+def _file_facts(spec: RunSpec) -> ObjectFacts:
+    facts = file_facts(named_path(spec.object), spec.mass, spec.scale, spec.mesh, spec.about)
+    return facts if spec.friction is None else replace(facts, lateral_friction=spec.friction)
+
+
+def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectShape) -> Scene:
     return Scene(
         protocol=spec.protocol,
         base=spec.base,
         engine=spec.engine,
         gripper=hand,
-        object=target.to_scene(),
-        points=surface.points.astype("<f4").tobytes(),
-        normals=surface.normals.astype("<f4").tobytes(),
-        finder_low=vector(surface.finder_low),
-        finder_high=vector(surface.finder_high),
-        object_low=vector(low),
-        object_high=vector(high),
+        object=SceneObject(
+            name=facts.name,
+            source=facts.source,
+            licence=facts.licence,
+            collision_source=shape.collision_source,
+            mass=facts.mass,
+            lateral_friction=facts.lateral_friction,
+            rolling_friction=ROLLING_FRICTION,
+            spinning_friction=SPINNING_FRICTION,
+            com_in_mesh=shape.com_in_mesh,
+            collision=shape.collision,
+            mesh_vertices=shape.mesh_vertices,
+            mesh_faces=shape.mesh_faces,
+        ),
+        points=shape.points,
+        normals=shape.normals,
+        finder_low=shape.finder_low,
+        finder_high=shape.finder_high,
+        object_low=shape.object_low,
+        object_high=shape.object_high,
         contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
     )
 
@@ -97,12 +132,12 @@ def gripper_path(name: str) -> Path:
 def find_object(spec: RunSpec) -> ObjectModel:
     """Return the object of a spec, with its mass and friction; errors of `build_scene`."""
     name = spec.object
-    if spec.scale is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
+    if spec.scale is not None and is_in_catalog(name):
         raise AssetError(
             f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
             "for mesh files."
         )
-    if spec.mesh is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
+    if spec.mesh is not None and is_in_catalog(name):
         raise AssetError(
             f"The object '{name}' of the catalog is taken as it is: leave --simplify, --remesh, --hull and "
             "--glued out, which are for mesh files."

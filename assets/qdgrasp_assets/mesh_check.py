@@ -6,35 +6,19 @@ and one that cannot be read is made again.
 """
 
 import hashlib
-import sys
-import tempfile
-from collections.abc import Iterable
 from contextlib import suppress
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_assets.asset_paths import cache_folder, write_whole
+from qdgrasp_assets.code_version import checking_code, file_digest
 from qdgrasp_assets.geometry.mesh_io import linked_files
 from qdgrasp_assets.geometry.mesh_repair import gap_note
 from qdgrasp_assets.object_model import ObjectDraft, check_header, read_draft
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import MeshPreparation
-
-CHECKING_MODULES = (
-    *(
-        "qdgrasp_assets.geometry.mesh",
-        "qdgrasp_assets.geometry.mesh_io",
-        "qdgrasp_assets.geometry.mesh_repair",
-    ),
-    *("qdgrasp_assets.geometry.primitives", "qdgrasp_assets.geometry.proximity"),
-    *("qdgrasp_assets.geometry.remesh", "qdgrasp_assets.geometry.surface_points"),
-    *("qdgrasp_assets.object_model", __name__),
-)
-CHECKING_PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 
 
 class MeshCheck(Struct, frozen=True, kw_only=True):
@@ -69,7 +53,8 @@ def check_mesh(
     except Exception as error:  # noqa: BLE001  # one mesh of thousands ends no campaign
         return MeshCheck(faults=(f"its check failed: {type(error).__name__}: {error}; draw it again",))
     if entry is not None:
-        _keep(entry, msgspec.json.encode(found))
+        with suppress(OSError):  # a cache that cannot be written is no error
+            write_whole(entry, msgspec.json.encode(found))
     return found
 
 
@@ -85,31 +70,5 @@ def _content_key(path: Path, asked: str) -> str:
     """Return the sha256 of a mesh file's bytes, what is asked of it, and the checking code."""
     digests = [file_digest(file) for file in (path, *linked_files(path))]
     return hashlib.sha256(
-        " ".join((*digests, path.suffix.lower(), asked, _code_version())).encode()
+        " ".join((*digests, path.suffix.lower(), asked, checking_code())).encode()
     ).hexdigest()
-
-
-def file_digest(path: Path) -> str:
-    """Return the sha256 of a file's bytes; of no bytes where there is no such file."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
-        return hashlib.sha256().hexdigest()
-
-
-@cache
-def _code_version() -> str:
-    """Return the digests of the modules that check, and the versions of their packages."""
-    sources: Iterable[str | None] = (sys.modules[name].__file__ for name in CHECKING_MODULES)
-    digests = [file_digest(Path(source)) for source in sources if source]
-    return " ".join((*digests, *(f"{name} {version(name)}" for name in CHECKING_PACKAGES)))
-
-
-def _keep(entry: Path, content: bytes) -> None:
-    """Write an entry whole or not at all; a cache that cannot be written is no error."""
-    with suppress(OSError):
-        entry.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=entry.parent, delete=False) as file:
-            file.write(content)
-        Path(file.name).replace(entry)

@@ -4,19 +4,19 @@ Closed surfaces are read from mesh files in metres, and repaired where that take
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import collision_parts
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import check_file, check_stated, read_mesh_file, stated_triangles
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh
-from qdgrasp_assets.scene import SceneObject, vector
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import MeshPreparation, ObjectRecord
+from qdgrasp_protocol.spec import ObjectRecord
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +32,10 @@ class ObjectDraft:
     repairs: tuple[str, ...]
     faults: tuple[str, ...]
     """Faults that are left, in words; empty where it can be used."""
+
+    def air(self, preparation: MeshPreparation | None) -> float:
+        """Return the distance between its bodies [m]; 0 where they meet, or are said to be glued."""
+        return 0.0 if preparation and preparation.glued else body_gap(self.mesh)
 
     @classmethod
     def unreadable(cls, why: str) -> "ObjectDraft":
@@ -99,42 +103,54 @@ def check_header(path: Path, preparation: MeshPreparation | None = None) -> None
         )
 
 
-def read_solid(path: Path, scale: float | None = None, preparation: MeshPreparation | None = None) -> Mesh:
+def solid_draft(
+    path: Path, scale: float | None = None, preparation: MeshPreparation | None = None
+) -> ObjectDraft:
     """Read a closed surface in metres from any readable mesh file; one or several bodies.
 
-    `scale` is metres to a unit of the file; None: 1. `preparation` as in `read_draft`. Repairs are reported
-    in a warning. Raises `AssetError` as `read_draft`, or if it is not of a size that a hand can grasp, open,
-    wound both ways or flat.
+    `scale` is metres to a unit of the file; None: 1. `preparation` as in `read_draft`. Raises `AssetError` as
+    `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat.
     """
     draft = read_draft(path, scale, preparation)
     if draft.faults:
         raise AssetError(f"The mesh '{path}' cannot be used: {'; and '.join(draft.faults)}.")
-    if draft.repairs:
-        log.warning("The mesh '%s' was repaired: %s.", path, "; ".join(draft.repairs))
+    return draft
+
+
+def read_solid(path: Path, scale: float | None = None, preparation: MeshPreparation | None = None) -> Mesh:
+    """Read a closed surface as `solid_draft`, and report its repairs in a warning."""
+    draft = solid_draft(path, scale, preparation)
+    warn_of_mesh(path, draft.repairs)
     return draft.mesh
 
 
+def warn_of_mesh(path: Path, repairs: tuple[str, ...], air: float = 0.0) -> None:
+    """Warn of the repairs of a mesh file, and of `air` [m] between its bodies."""
+    if repairs:
+        log.warning("The mesh '%s' was repaired: %s.", path, "; ".join(repairs))
+    if air:
+        log.warning(
+            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, air
+        )
+
+
 LATERAL_FRICTION = 0.5
-ROLLING_FRICTION = 0.01
-SPINNING_FRICTION = 0.1
 
 
-@dataclass(frozen=True)
-class ObjectModel:
-    """An object with its geometry in the frame of its mesh file."""
+@dataclass(frozen=True, kw_only=True)
+class ObjectGeometry:
+    """The geometry of an object in the frame of its mesh file."""
 
-    name: str
-    source: str
-    licence: str
     collision_source: str
-    mass: float
-    """[kg]."""
     mesh: Mesh
     parts: tuple[Mesh, ...]
     """Convex parts that together fill the mesh."""
     com_in_mesh: Floats
     """(3,) [m]: centre of mass, mesh frame."""
-    lateral_friction: float = LATERAL_FRICTION
+    repairs: tuple[str, ...] = ()
+    """Repairs and changes of the mesh, in words."""
+    air: float = 0.0
+    """Distance between its bodies [m]; 0 where they meet, or are said to be glued."""
 
     @property
     def centred_mesh(self) -> Mesh:
@@ -147,23 +163,22 @@ class ObjectModel:
         """Convex parts in the CoM frame."""
         return tuple(part.moved(-self.com_in_mesh) for part in self.parts)
 
-    def to_scene(self) -> SceneObject:
-        """Return the object in a scene's form."""
-        mesh = self.centred_mesh
-        return SceneObject(
-            name=self.name,
-            source=self.source,
-            licence=self.licence,
-            collision_source=self.collision_source,
-            mass=self.mass,
-            lateral_friction=self.lateral_friction,
-            rolling_friction=ROLLING_FRICTION,
-            spinning_friction=SPINNING_FRICTION,
-            com_in_mesh=vector(self.com_in_mesh),
-            collision=parts_to_obj(self.centred_parts),
-            mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
-            mesh_faces=mesh.faces.astype("<u4").tobytes(),
-        )
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectFacts:
+    """Facts of an object besides its geometry."""
+
+    name: str
+    source: str
+    licence: str
+    mass: float
+    """[kg]."""
+    lateral_friction: float = LATERAL_FRICTION
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectModel(ObjectGeometry, ObjectFacts):
+    """An object with its geometry in the frame of its mesh file."""
 
 
 def read_object(
@@ -179,36 +194,45 @@ def read_object(
     `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
     mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
     """
-    mesh = read_solid(path, scale, preparation)
-    if (gap := body_gap(mesh)) and not (preparation and preparation.glued):
-        log.warning(
-            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, gap
-        )
-    if mass is None:
-        raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
-    return object_of_mesh(mesh, path, mass, scale, preparation, about)
+    draft = solid_draft(path, scale, preparation)
+    air = draft.air(preparation)
+    warn_of_mesh(path, draft.repairs, air)
+    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about)
+    return replace(made, repairs=draft.repairs, air=air)
 
 
 def object_of_mesh(
     mesh: Mesh,
     path: Path,
-    mass: float,
+    mass: float | None,
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
 ) -> ObjectModel:
     """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
-    collision_source, parts = collision_parts(mesh, path.name)
+    facts = file_facts(path, mass, scale, preparation, about)
+    source, parts = collision_parts(mesh, path.name)
+    return ObjectModel(
+        **vars(facts), collision_source=source, mesh=mesh, parts=parts, com_in_mesh=mesh.centre_of_mass
+    )
+
+
+def file_facts(
+    path: Path,
+    mass: float | None,
+    scale: float | None = None,
+    preparation: MeshPreparation | None = None,
+    about: ObjectRecord | None = None,
+) -> ObjectFacts:
+    """Return the facts of an object of a mesh file; `AssetError` if there is no mass."""
+    if mass is None:
+        raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
     said = about or ObjectRecord()
     changes = ((f"scale {scale:g}",) if scale is not None else ()) + (preparation or AS_IT_IS).words
     file = f"{path.name} ({', '.join(changes)})" if changes else path.name
-    return ObjectModel(
+    return ObjectFacts(
         name=said.id or path.stem,
         source=f"{said.source}: {file}" if said.source else file,
         licence=said.licence or "not stated",
-        collision_source=collision_source,
         mass=mass,
-        mesh=mesh,
-        parts=parts,
-        com_in_mesh=mesh.centre_of_mass,
     )

@@ -24,7 +24,7 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
@@ -324,7 +324,7 @@ def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int 
     return RunPlan(run, spec, SCENE, "contact", SHAPE, pipeline)
 
 
-class Several:
+class Several(RunQueue):
     """A programme of runs that are all there, and go on as they are where they are put back."""
 
     def __init__(self, runs: list[RunPlan]) -> None:

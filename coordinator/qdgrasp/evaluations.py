@@ -19,7 +19,14 @@ from qdgrasp_coordinator.local.session import LocalSession
 from qdgrasp_coordinator.metrics.scores import nominal_scores
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_genomes, prepare_scene, row_shape
+from qdgrasp_coordinator.scheduler.run_plan import (
+    JobExtent,
+    RunPlan,
+    RunQueue,
+    plan_genomes,
+    prepare_scene,
+    row_shape,
+)
 from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
@@ -47,7 +54,7 @@ class GenomeRequest:
             self.rows.set_exception(why)
 
 
-class GenomeRequests:
+class GenomeRequests(RunQueue):
     """A run queue that is filled while it is being worked off, until it is closed."""
 
     def __init__(self) -> None:

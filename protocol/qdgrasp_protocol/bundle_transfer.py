@@ -1,6 +1,8 @@
 """Transfer of scene bundles over the bus, by their sha256, a query per chunk (docs/bus.md)."""
 
 import hashlib
+import os
+from pathlib import Path
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Query
@@ -22,12 +24,31 @@ def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
     """The chunk of a bundle that a query names by `i=<number>`; Refused if there is no such one."""
     if last_chunk(query.key) != digest:
         raise Refused("no such scene here")
-    total = max(1, -(-len(payload) // CHUNK_SIZE))
+    total, start = _place(query, len(payload))
+    return messages.encode(Chunk(total=total, data=payload[start : start + CHUNK_SIZE]))
+
+
+def answer_file_chunk(query: Query, path: Path) -> bytes:
+    """The chunk of a file that a query names by `i=<number>`; Refused if there is none, or no such file.
+
+    Whoever fetches it compares its sha256: the file may have changed.
+    """
+    try:
+        with path.open("rb") as file:
+            total, start = _place(query, os.fstat(file.fileno()).st_size)
+            file.seek(start)
+            return messages.encode(Chunk(total=total, data=file.read(CHUNK_SIZE)))
+    except OSError as error:
+        raise Refused(f"the file {path.name} cannot be read: {error.strerror or error}") from None
+
+
+def _place(query: Query, size: int) -> tuple[int, int]:
+    """The number of chunks of so many bytes, and where the one that a query names begins."""
+    total = max(1, -(-size // CHUNK_SIZE))
     place = parse_number(query.parameters.removeprefix("i="))
     if place is None or place >= total:
         raise Refused(f"chunk '{query.parameters[:20]}' is not one of {total}")
-    start = place * CHUNK_SIZE
-    return messages.encode(Chunk(total=total, data=payload[start : start + CHUNK_SIZE]))
+    return total, place * CHUNK_SIZE
 
 
 def fetch_bundle(bus: Bus, job: str, digest: str) -> bytes:

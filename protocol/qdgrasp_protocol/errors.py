@@ -11,6 +11,7 @@
             * WrongScan              a fetched file is not the one expected
             * UnusableMeshes         mesh files of which no objects can be made
             * DecompositionTimeout   a mesh that is not decomposed in time
+            * DecompositionFailure   a mesh on which CoACD fails
         * FolderError            a run folder that cannot be used
             * NoFolder               a path where no folder is
             * DiskFull               there is no room to write in it

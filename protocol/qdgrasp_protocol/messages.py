@@ -129,6 +129,8 @@ class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Most batches that may be outstanding; 0: no more, as the worker is about to leave."""
     rows: Annotated[int, Meta(ge=0, le=4096)] = 0
     """Rows that its device evaluates at once: so many a batch of such an engine has; 0: it has no device."""
+    builds: Annotated[str, Meta(pattern=r"\A([0-9a-f]{64})?\Z")] = ""
+    """Digest of the code with which it builds shapes; empty: it builds none."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]
@@ -365,7 +367,7 @@ def decode(payload: bytes, kind: type[M]) -> M:
     """The message of `kind` in `payload`; a MessageError if it is not MessagePack of the schema."""
     if len(payload) > MAX_PAYLOAD:
         raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
-    values = _unpack(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
+    values = unpack_values(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
@@ -381,11 +383,11 @@ def decode_sample(sample: "Sample", kind: type[M]) -> M:
 
 def check_bundle(payload: bytes) -> None:
     """Check that the bytes of a scene are MessagePack of limited size, or raise a MessageError."""
-    _unpack(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
+    unpack_values(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
 
 
-def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
-    """Unpack a payload, up to a number of lists and maps."""
+def unpack_values(payload: bytes, containers: int, limits: Mapping[str, Any]) -> Any:
+    """Unpack a payload of at most so many lists and maps; a MessageError past any of the limits."""
     left = containers
 
     def count(container: Any) -> Any:

@@ -17,6 +17,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 from qdgrasp_protocol.rows import disturbance_count, nominal_protocol, trial_count
@@ -80,29 +81,6 @@ class FirstWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """P(touch) in a cell, one for each of its features."""
     cell_quality: Weights | None = None
     """Quality of a grasp that touches in a cell."""
-
-
-class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Changes of a mesh file before it is an object: remeshed or its hull, then simplified."""
-
-    simplify: Annotated[int, Meta(ge=20, le=500_000)] | None = None
-    """Most triangles; None: as many as there are."""
-    remesh: bool = False
-    """A new closed surface around whatever the file holds."""
-    hull: bool = False
-    """Its convex hull in place of the mesh."""
-    glued: bool = False
-    """Bodies that are apart are meant to be one rigid object."""
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """The changes, for the provenance."""
-        said = {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued}
-        fewer = (f"simplified to {self.simplify} triangles",) if self.simplify else ()
-        return (*(word for word, is_asked in said.items() if is_asked), *fewer)
-
-    def __str__(self) -> str:
-        return "_".join(self.words).replace(" ", "_")
 
 
 NoteText = Annotated[str, Meta(max_length=500)]

@@ -21,7 +21,7 @@ from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent, RunLoader, RunRegistry
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus
@@ -42,7 +42,7 @@ def assignment(name: str, plan: Plan) -> RunPlan:
     return RunPlan(name, SPEC, bundle, "none", SHAPE, plan.pipeline())
 
 
-class FakeRunQueue:
+class FakeRunQueue(RunQueue):
     """A programme of runs; those of no plan cannot be made."""
 
     def __init__(self, plans: dict[str, Plan | None]) -> None:

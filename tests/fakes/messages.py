@@ -9,14 +9,14 @@ from typing import Any
 import msgspec
 from msgspec.inspect import type_info
 
-from qdgrasp_protocol import messages
+from qdgrasp_protocol import build_messages, messages
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.messages import VERSION, Join, Message, OpenRun, Result
 
 KINDS = sorted(
     (
         kind
-        for kind in vars(messages).values()
+        for kind in {**vars(messages), **vars(build_messages)}.values()
         if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
     ),
     key=messages.encoding,

@@ -1,31 +1,42 @@
 """A simulated coordinator: the real scheduler, runs and link to the recorder, on one thread."""
 
+import hashlib
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 
 from tests.fakes.messages import put
 from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
-from tests.simulation.worker import JOB, KEYS
+from tests.simulation.worker import BUILDING_CODE, JOB, KEYS
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, LinkChange
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
+    EpochOpened,
+    LoaderEvent,
+    LoadRequest,
     NoRunLeft,
+    NoRunOpened,
     RunNotOpened,
     RunOpened,
     RunRegistry,
+    ShapesFound,
 )
+from qdgrasp_coordinator.scheduler.shape_queue import WantedShape
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import MeshFile, ShapeTask
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
 from qdgrasp_protocol.messages import Join
+from qdgrasp_protocol.rows import RowShape
 
+NO_SHAPE = RowShape(0, 0)
 RETRY = 0.5
 """Seconds between two tries to open a run; longer than in the service, to save time."""
 
@@ -35,31 +46,87 @@ def not_now() -> None:
     raise NoReply("not now")
 
 
-class SimulatedLoader:
+def shape_task(run: str) -> ShapeTask:
+    """The build of the shape that a run waits for."""
+    mesh = MeshFile(name="mesh.stl", sha256=hashlib.sha256(run.encode()).hexdigest(), size=1)
+    return ShapeTask(files=(mesh,), seconds=10.0, memory=1 << 30, code=BUILDING_CODE)
+
+
+class SimulatedLoader(RunQueue):
     """Opens the runs of a job one at a time, without a thread; also the queue of the runs.
 
-    It takes `seconds` on average to open one.
+    It takes `seconds` on average to open one. Each run waits until its shape is among those that are
+    `built`; None: runs wait for none.
     """
 
     def __init__(
-        self, host: "Coordinator", runs: list[str], plan: Callable[[str], RunPlan], seconds: float
+        self,
+        host: "Coordinator",
+        runs: list[str],
+        plan: Callable[[str], RunPlan],
+        seconds: float,
+        built: set[str] | None,
     ) -> None:
         self.extent = JobExtent.of(dict.fromkeys(runs, 0))
+        self.has_shapes = built is not None
         self.run = None
         self.trouble = ""
         self._host = host
         self._left = list(runs)
+        self._built = set(runs) if built is None else built
+        self._asked: dict[str, str] = {}
+        """Runs by the keys of their shapes that are being built."""
         self._plan = plan
         self._seconds = seconds
 
     def put_back(self, run: str) -> None:
         self._left.insert(0, run)
 
-    def begin(self, epoch: int) -> None:
-        if self._left:
-            self._try_to_open(self._left.pop(0), epoch)
+    @property
+    def ready_runs(self) -> int:
+        return len(self._built.intersection(self._left))
+
+    def begin(self, request: LoadRequest) -> None:
+        for reply in request.built:
+            self._host.note(f"the shape of {self._asked[reply.key]}: {len(reply.pieces)} pieces")
+            self._built.add(self._asked.pop(reply.key))
+        if request.shapes:
+            self._look_for_shapes(request.shapes)
+        ready = next((run for run in self._left if run in self._built), None)
+        if not request.opens:
+            self._say(NoRunOpened(runs_wait=False))
+        elif ready is not None:
+            self._left.remove(ready)
+            self._try_to_open(ready, request.epoch)
+        elif self._left and not request.epoch:
+            self._try_to_begin()
         else:
-            self._host.scheduler.handle(NoRunLeft(), self._host.now)
+            self._say(NoRunOpened(runs_wait=True) if self._left else NoRunLeft())
+
+    def _say(self, event: LoaderEvent) -> None:
+        self._host.scheduler.handle(event, self._host.now)
+
+    def _look_for_shapes(self, most: int) -> None:
+        missing = [run for run in self._left if run not in {*self._built, *self._asked.values()}]
+        wanted = tuple(WantedShape(shape_task(run), Path(run)) for run in missing[:most])
+        self._asked |= {shape.task.key: run for shape, run in zip(wanted, missing, strict=False)}
+        self._say(ShapesFound(WantedShapes(wanted, is_last=len(missing) <= most), ()))
+
+    def _try_to_begin(self) -> None:
+        host, later = self._host, self._host.world.later
+        if host.is_over:
+            return
+        try:
+            opened = None if host.is_frozen else RecorderClient(host.bus, JOB, NO_SHAPE).begin_epoch(not_now)
+        except NoReply:
+            opened = None
+        except (InputError, TookOver) as refusal:
+            host.hear(RunNotOpened(refusal))
+            return
+        if opened is None:
+            later(RETRY, self._try_to_begin)
+        else:
+            host.hear(EpochOpened(opened))
 
     def _try_to_open(self, run: str, epoch: int) -> None:
         host, later = self._host, self._host.world.later
@@ -84,7 +151,8 @@ class SimulatedLoader:
 class Coordinator(Process):
     """A coordinator process.
 
-    `plan` makes the plan of a run, with a new search; `on_epoch` is called when its epoch begins.
+    `plan` makes the plan of a run, with a new search; `on_epoch` is called when its epoch begins. Runs wait
+    for shapes until these are among the `built`; None: they do not.
     """
 
     def __init__(
@@ -98,9 +166,10 @@ class Coordinator(Process):
         *,
         on_epoch: Callable[["Coordinator"], None],
         opening: float = 0.2,
+        built: set[str] | None = None,
     ) -> None:
         self._on_epoch = on_epoch
-        loader = SimulatedLoader(self, runs, plan, opening)
+        loader = SimulatedLoader(self, runs, plan, opening, built)
         self.scheduler = JobScheduler(
             JOB,
             RunRegistry(loader, loader),  # type: ignore[arg-type]

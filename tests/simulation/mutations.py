@@ -25,6 +25,7 @@ from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
+from qdgrasp_coordinator.scheduler.shape_queue import ShapeQueue
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
@@ -185,6 +186,10 @@ def _take_past_gaps(add: Real, writer: RunWriter, part: JournalSlice, epoch: int
     return add(writer, part, epoch, now)
 
 
+def _no(_worker: Worker) -> bool:
+    return False
+
+
 MUTATIONS = [
     mutation("drop the join fence", "3", "fenced", patch.object(JobSession, "accept", _accept_any_join)),
     mutation(
@@ -286,6 +291,8 @@ MUTATIONS = [
     mutation("the epoch is not stored", "8", "epochs rise", off(LockedJobFolder, "store_epoch")),
     mutation("pass over a higher epoch", "8", "progress", off(JobScheduler, "_on_token")),
     mutation("keep work of an older epoch", "3", "fenced", around(JobSession, "on_answer", _keep_held)),
+    mutation("a worker that builds gets batches", "13", "bounded work", value(Worker, "is_building", _no)),
+    mutation("queue no build again", "13", "nothing is lost", patch.object(ShapeQueue, "requeue")),
     mutation("ask once to join", "2", "progress", off(JobSession, "join_later")),
 ]
 

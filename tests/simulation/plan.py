@@ -54,6 +54,10 @@ class History:
     """Rates [1/s]."""
     calm_after: float = 20.0
     """Faults end at this time [s]."""
+    has_shapes: bool = False
+    """True if each run waits for a shape that a worker builds."""
+    builders: float = 1.0
+    """Share of the workers that build shapes."""
 
     @property
     def rows(self) -> int:
@@ -67,7 +71,7 @@ def draw(number: int) -> History:
     many = chance.random() < 0.1
     workers = chance.randint(5, 30) if many else chance.randint(1, 5)
     runs = chance.choice([1, 1, 1, 2, 3])
-    return History(
+    history = History(
         number=number,
         runs=tuple(_run(chance, number * 10 + place, many) for place in range(runs)),
         workers=workers,
@@ -79,6 +83,12 @@ def draw(number: int) -> History:
         hiccup=chance.choice([0.0, 0.0, 0.1]),
         is_embedded=chance.random() < 0.5,
         faults=_faults(chance),
+        has_shapes=chance.random() < 0.5,
+        builders=chance.choice([1.0, 1.0, 0.5, 0.0]),
+    )
+    more = range(runs, 3 if history.has_shapes else runs)  # others are evaluated while shapes are built
+    return replace(
+        history, runs=history.runs + tuple(_run(chance, number * 10 + place, many) for place in more)
     )
 
 

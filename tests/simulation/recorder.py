@@ -172,7 +172,7 @@ class MemoryLockedFolder(LockedJobFolder):
         self._disk = disk
         super().__init__(FOLDER, job)
 
-    def begin(self, run: str, spec: RunSpec) -> None:
+    def begin(self, first: RunIdentity | None) -> None:
         self._disk.check()
         self._disk.is_begun = True
         self._lock_existing()

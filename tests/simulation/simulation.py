@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import Counter
+from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
 from typing import TypeVar
@@ -26,7 +27,9 @@ from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
+from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild
 from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
+from qdgrasp_protocol.build_messages import Built, ShapeTask
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -55,13 +58,16 @@ class Simulation:
         self.processes: list[Process] = []
         self.task = history.runs[0].task
         """The search and evaluation, the same in all runs."""
-        names = ["run"] if len(history.runs) == 1 else [f"run-{n}" for n in range(len(history.runs))]
+        is_single = len(history.runs) == 1 and not history.has_shapes
+        names = ["run"] if is_single else [f"run-{n}" for n in range(len(history.runs))]
         self.plans = dict(zip(names, history.runs, strict=True))
         self.journals = {run: journal_of(plan) for run, plan in self.plans.items()}
         """The journal that each run is to have."""
         self.lengths = {
             run: len(journal) // self.task.shape.dtype.itemsize for run, journal in self.journals.items()
         }
+        self.built: set[str] | None = set() if history.has_shapes else None
+        """Runs whose shapes lie in the store; None: runs need none."""
         self.is_done = False
         """A coordinator has carried out all runs."""
         self.is_calm = False
@@ -131,7 +137,10 @@ class Simulation:
         speed = Speed(
             history.row_seconds * slowness / history.spread**0.5, self.world.chance.choice([1, 2, 16])
         )
-        self.processes.append(Worker(self.world, self.network, wid, self.task, self.mishaps, speed))
+        builds = int(wid, 16) % 10 < 10 * history.builders
+        self.processes.append(
+            Worker(self.world, self.network, wid, self.task, self.mishaps, speed, builds=builds)
+        )
 
     def start_recorder(self) -> None:
         """Start a recorder; while another one holds the folder it waits."""
@@ -162,6 +171,7 @@ class Simulation:
             self._plan,
             self.history.batch_size,
             on_epoch=self.watch.began,
+            built=self.built,
         )
         coordinator.session.is_local = self.history.is_embedded
         self.processes.append(coordinator)
@@ -218,7 +228,11 @@ class DispatchChecker:
         self.taken_back: Counter[str] = Counter()
         """Batches that were taken back, by worker: it may not know."""
         self._dispatch, self._workers = host.scheduler.dispatcher, host.scheduler.workers
+        self.builds: set[str] = set()
+        """Keys of shapes that were asked for and are not settled."""
         for name in ("submit", "withdraw", "leases", "settle"):
+            self._wrap(self._dispatch, name)
+        for name in ("build", "build_leases", "settle_build", "withdraw_builds", "unbuildable"):
             self._wrap(self._dispatch, name)
         self._wrap(self._workers, "overdue")
 
@@ -244,8 +258,10 @@ class DispatchChecker:
             require(
                 lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
             )
-            held = len(self._workers._workers[lease.wid].batches)
+            worker = self._workers._workers[lease.wid]
+            held = len(worker.batches)
             require(held <= CREDIT, "bounded work", "worker", lease.wid, "is leased", held)
+            require(not worker.is_building, "bounded work", "worker", lease.wid, "builds a shape")
             self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
             self._host.note(
                 f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
@@ -271,6 +287,44 @@ class DispatchChecker:
         self._settled.add(batch)
         self._check_rows(result.run, settled.rows)
         return settled
+
+    def _build(self, tasks: Iterable[ShapeTask]) -> None:
+        asked = list(tasks)
+        keys = {task.key for task in asked}
+        require(self.builds.isdisjoint(keys) and len(keys) == len(asked), "nothing is lost", "built twice")
+        self.builds |= keys
+        self._real_build(asked)
+
+    def _build_leases(self, now: float) -> list[BuildLease]:
+        leases = self._real_build_leases(now)
+        for lease in leases:
+            held = self._workers._workers[lease.wid].batches
+            require(len(held) <= CREDIT, "bounded work", "worker", lease.wid, "is leased", len(held))
+            require(sum(held.values()) == 1, "bounded work", "worker", lease.wid, "has another build")
+            self._leased.setdefault(lease.build.id, set()).add(lease.wid)
+            self._host.note(f"leases the build {lease.build.id.hex()[-4:]} to worker {int(lease.wid, 16)}")
+        return leases
+
+    def _settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
+        reply = self._real_settle_build(wid, built, now)
+        if reply is not None:
+            require(built.batch not in self._settled, "settled once", "again:", built.batch.hex())
+            require(wid in self._leased.get(built.batch, ()), "settled once", "by", wid, "not leased it")
+            require(reply.key in self.builds, "settled once", "no run waits for", reply.key)
+            self._settled.add(built.batch)
+            self.builds.remove(reply.key)
+            if reply.superseded is not None:
+                self.taken_back[reply.superseded] += 1
+        return reply
+
+    def _withdraw_builds(self) -> dict[str, list[bytes]]:
+        self.builds.clear()
+        return self._real_withdraw_builds()
+
+    def _unbuildable(self) -> list[ShapeTask]:
+        tasks = self._real_unbuildable()
+        self.builds -= {task.key for task in tasks}
+        return tasks
 
     def _check_rows(self, run: str, rows: Rows) -> None:
         asked = self._task.shape.empty(len(rows))
@@ -304,10 +358,16 @@ class DispatchChecker:
             for rows in (*waiting.uncut, *(batch.rows for batch in waiting.again.values())):
                 places += _keys(run, rows)
         held: dict[str, set[bytes]] = {wid: set() for wid in workers}
+        builds = [build.task.key for build in self._dispatch._shapes]
         for state in self._dispatch._batches._open.values():
-            if state.holder is not None:
+            if state.holder is None:
+                continue
+            held.setdefault(state.holder, set()).add(state.batch.id)
+            if isinstance(state.batch, ShapeBuild):
+                builds.append(state.batch.task.key)
+            else:
                 places += _keys(state.batch.run.run, state.batch.rows)
-                held.setdefault(state.holder, set()).add(state.batch.id)
+        require(sorted(builds) == sorted(self.builds), "nothing is lost", "builds:", builds, self.builds)
         require(len(places) == len(set(places)), "nothing is lost", "a row is in two places")
         require(
             set(places) == self.outstanding, "nothing is lost", self.outstanding.symmetric_difference(places)
@@ -323,7 +383,8 @@ class DispatchChecker:
         for worker in self._workers:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
         batches, timeout = self._dispatch._batches, self._workers.lease_timeout
-        require(len(batches._open) <= len(self.outstanding), "bounded memory", "open batches")
+        most = len(self.outstanding) + len(self.builds)
+        require(len(batches._open) <= most, "bounded memory", "open batches")
         require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
         require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
         open_runs = {run.name for run in self._host.scheduler.runs}
@@ -481,6 +542,8 @@ class SimulationChecker:
             unknown = sum(watch.taken_back[worker.wid] for watch in self._dispatches.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
         known = {task.work.batch for task in worker.supervisor.tasks} | set(session.held)
+        under_way = worker.service._builder.build
+        known |= {under_way.batch} if under_way else set()
         require(session._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
 
     def _look_at_fence(self, worker: Worker, session: JobSession) -> None:

@@ -17,8 +17,10 @@ from tests.fakes.messages import put
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
+from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
@@ -27,8 +29,8 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
+from qdgrasp_worker.runtime.builder_client import BuildEnded
 from qdgrasp_worker.runtime.job_registry import JobSession
-from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
@@ -66,6 +68,13 @@ class Mishaps:
         key = row["genome"].tobytes() + row["trial"].tobytes()
         if self.failed[key] < 2 and self.chance.random() < self.rate:
             self.failed[key] += 1
+            return True
+        return False
+
+    def strikes_build(self, key: str) -> bool:
+        """True if a build of a shape fails now."""
+        if self.failed[key.encode()] < 2 and self.chance.random() < self.rate:
+            self.failed[key.encode()] += 1
             return True
         return False
 
@@ -197,6 +206,10 @@ class Formula:
 
 JOB = "job"
 KEYS = Keys(JOB)
+BUILDING_CODE = "c" * 64
+"""Digest of the code of workers that build shapes."""
+BUILDING = 6.0
+"""Seconds that a shape takes on average."""
 GRACE = 1.5
 FETCH_SECONDS = 5.0
 CREDIT = 2
@@ -236,6 +249,34 @@ class SimulatedErrands:
         self.host.world.later(self.host.clock.span(timeout), lambda: first(NoReply("in time")))
 
 
+class SimulatedBuilder:
+    """Builds shapes, each after a time; some fail, at most twice."""
+
+    def __init__(self, host: "Worker", mishaps: Mishaps) -> None:
+        self.build: Build | None = None
+        self._host = host
+        self._mishaps = mishaps
+
+    def start(self, job: str, build: Build) -> None:
+        assert self.build is None
+        self.build = build
+        fails = self._mishaps.strikes_build(build.task.key)
+        ended = BuildEnded(job, build, b"" if fails else b"a shape", "it failed" if fails else "")
+        self._host.world.later(
+            self._host.world.exponential(BUILDING),
+            lambda: None if self._host.is_over else self._host.hear(ended),
+        )
+
+    def on_ended(self, ended: BuildEnded) -> bool:
+        is_current = self.build is ended.build
+        if is_current:
+            self.build = None
+        return is_current
+
+    def stop(self) -> None:
+        self.build = None
+
+
 def _joined(answer: bytes | Exception) -> Joined | QdgraspError:
     if isinstance(answer, bytes):
         try:
@@ -250,9 +291,18 @@ class Worker(Process):
     """A worker process."""
 
     def __init__(
-        self, world: World, network: Network, wid: str, task: Task, mishaps: Mishaps, speed: Speed
+        self,
+        world: World,
+        network: Network,
+        wid: str,
+        task: Task,
+        mishaps: Mishaps,
+        speed: Speed,
+        *,
+        builds: bool = False,
     ) -> None:
         self.wid = wid
+        self._builds = BUILDING_CODE if builds else ""
         self._task = task
         self._mishaps = mishaps
         self._speed = speed
@@ -297,9 +347,10 @@ class Worker(Process):
     def _new_service(self) -> WorkerService:
         with (
             patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
+            patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._mishaps)),
             patch.object(serving.secrets, "token_hex", lambda _: self.wid),
         ):
-            how = {"store": SceneStore(None), "job": JOB, "grace": GRACE}
+            how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}
             return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)
 
 
@@ -327,7 +378,9 @@ class Forger(Process):
         while True:
             yield Listen()
             for event in self.events():
-                if isinstance(event, Sample) and (result := messages.decode(event.payload, Result)).attempt:
+                if not isinstance(event, Sample) or event.encoding != messages.encoding(Result):
+                    continue
+                if (result := messages.decode(event.payload, Result)).attempt:
                     self._forge(result)
 
     def _forge(self, result: Result) -> None:

@@ -10,6 +10,7 @@ import structlog
 import typer
 
 from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE
@@ -127,7 +128,18 @@ def worker(
             store = SceneStore(cache or cache_folder() / "scenes")
             with ZenohBus.connect(connect, wait, stop, credentials) as bus:
                 rows = found.worlds if found else 0
-                WorkerService(bus, stop, simulator, inbox, store=store, job=job, grace=grace, rows=rows).run()
+                WorkerService(
+                    bus,
+                    stop,
+                    simulator,
+                    inbox,
+                    store=store,
+                    job=job,
+                    grace=grace,
+                    rows=rows,
+                    builds="" if found else building_code(),
+                    nice=nice,
+                ).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

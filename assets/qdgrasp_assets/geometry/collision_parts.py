@@ -4,7 +4,8 @@ One hull where that will do, else what CoACD finds, coarse to fine
 (docs/decisions/0008-collision-decomposition.md). What parts fill beyond the mesh, no finger can reach: the
 hollow of a mug and the eye of its handle are what most of its grasps need. CoACD runs in a process of its
 own, which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
-THRESHOLD OUT.obj`) this is that process.
+THRESHOLD OUT.obj [SECONDS MEMORY]`) this is that process. Where it has limits, and cannot keep them, coarser
+parts are taken (`limited_parts`).
 
 Parts are cached on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
 The last line is a remark, which readers of OBJ files leave aside.
@@ -12,7 +13,9 @@ The last line is a remark, which readers of OBJ files leave aside.
 
 import hashlib
 import logging
+import math
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -35,6 +38,7 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
 from qdgrasp_assets.geometry.primitives import heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.process_limits import limit_memory
 from qdgrasp_protocol.errors import AssetError
 
 CLEARANCE_POINTS = 10_000
@@ -128,21 +132,55 @@ class DecompositionTimeout(AssetError):
         )
 
 
-def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tuple[Mesh, ...]:
+class DecompositionFailure(AssetError):
+    """Error of CoACD when it ends without parts; `last` is the end of what it says."""
+
+    def __init__(self, name: str, exit_code: int, last: str) -> None:
+        super().__init__(
+            f"CoACD could not decompose the mesh '{name}' into convex parts (exit code {exit_code}): "
+            f"{last or 'it says nothing'}."
+        )
+        self.is_of_memory = any(words in last for words in OUT_OF_MEMORY)
+        """True if there was not enough memory for it."""
+
+
+@dataclass(frozen=True)
+class ProcessLimits:
+    """Limits of one process of CoACD."""
+
+    seconds: float
+    """Most CPU time [s]."""
+    memory: int
+    """Most memory [bytes]."""
+
+
+OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "Cannot allocate memory")
+"""Words with which a process ends that asked for more memory than it may have."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+PATIENCE = 10  # Multiple of its limit of CPU time that a process may take by the clock
+
+
+def decompose(
+    mesh: Mesh, name: str, threshold: float, time_limit: float, limits: ProcessLimits | None = None
+) -> tuple[Mesh, ...]:
     """Decompose a mesh into convex parts that together fill it, with few corners each.
 
     They are in the mesh's frame. `mesh` is a closed surface [m], one or several bodies,
     called `name` in errors. `threshold` is CoACD's concavity: the smaller, the more parts. Raises
-    `DecompositionTimeout` after `time_limit` [s], and `AssetError` if CoACD fails.
+    `DecompositionTimeout` after `time_limit` [s] by the clock, or past the limit of CPU time, and
+    `AssetError` if CoACD fails.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as folder:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
         command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
+        if limits is not None:
+            command += [str(math.ceil(limits.seconds)), str(limits.memory)]
+        environment = os.environ if limits is None else os.environ | ONE_THREAD
         pipe, null = subprocess.PIPE, subprocess.DEVNULL
         with (
             tempfile.TemporaryFile() as errors,  # not a pipe, which would fill while it is not read
-            subprocess.Popen(command, stdin=pipe, stdout=null, stderr=errors) as process,
+            subprocess.Popen(command, stdin=pipe, stdout=null, stderr=errors, env=environment) as process,
         ):
             try:
                 process.wait(max(0.0, time_limit))
@@ -150,13 +188,12 @@ def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tup
                 raise DecompositionTimeout(name, time_limit) from None
             finally:
                 process.kill()
+            if process.returncode == -signal.SIGXCPU:
+                raise DecompositionTimeout(name, time_limit if limits is None else limits.seconds)
             if process.returncode:
                 errors.seek(0)
                 last = " ".join(errors.read().decode(errors="replace").split())[-200:]
-                raise AssetError(
-                    f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
-                    f"{process.returncode}): {last or 'it says nothing'}."
-                )
+                raise DecompositionFailure(name, process.returncode, last)
         if not found.is_file():
             raise AssetError(f"CoACD found no convex parts of the mesh '{name}'.")
         return read_parts(found)
@@ -191,6 +228,9 @@ def main() -> None:
     """Decompose the mesh in the first file into the last; exit when the parent process is gone."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if limits := [int(number) for number in sys.argv[4:]]:
+        resource.setrlimit(resource.RLIMIT_CPU, (limits[0], limits[0] + 1))
+        limit_memory(limits[1])
     import coacd
 
     coacd.set_log_level("error")
@@ -213,6 +253,7 @@ log = logging.getLogger(__name__)
 COACD_THRESHOLDS = (0.1, 0.05, 0.025)
 """Concavities for CoACD, in the order tried: the first whose parts fit is taken."""
 TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
+OWN_HULL, COACD = "own hull", "coacd"  # Sources of parts
 Tell = Callable[[str], None]
 _unfinished: dict[str, tuple[Mesh, ...]] = {}
 """Parts of meshes for which time ran out, by key; valid in this process only, not on disk."""
@@ -247,7 +288,7 @@ def collision_parts(
         cached.parent.mkdir(parents=True, exist_ok=True)
     parts, is_final = _coarsest_parts(mesh, name, time_limit, tell)
     if not is_final:
-        return "coacd", _unfinished.setdefault(_cache_key(mesh), parts)
+        return COACD, _unfinished.setdefault(_cache_key(mesh), parts)
     content = parts_to_obj(parts)
     with _keeping(cached.parent, name), tempfile.TemporaryDirectory(dir=cached.parent) as folder:
         file = Path(folder) / cached.name
@@ -256,7 +297,62 @@ def collision_parts(
             stream.flush()
             os.fsync(stream.fileno())
         file.replace(cached)
-    return "coacd", read_parts(cached)
+    return COACD, read_parts(cached)
+
+
+def has_unfinished_parts(mesh: Mesh) -> bool:
+    """Return whether time ran out in this process for finer parts of a mesh."""
+    return _cache_key(mesh) in _unfinished
+
+
+def limited_parts(mesh: Mesh, limits: ProcessLimits) -> tuple[str, tuple[Mesh, ...], PartsFit]:
+    """Return the source, the convex parts that are found within limits, and their fit.
+
+    They follow from the mesh alone, nothing is cached, and are those of `collision_parts` unless the limits
+    leave no time for all attempts, or CoACD fails: then the finest that were found, else the own hull, and
+    the source says so.
+    """
+    space = FingerClearance(mesh)
+    source, parts = _parts_in_space(mesh, space, limits)
+    return source, parts, space.fit(parts)
+
+
+def _parts_in_space(
+    mesh: Mesh, space: FingerClearance, limits: ProcessLimits
+) -> tuple[str, tuple[Mesh, ...]]:
+    own, found = hull(mesh.vertices), tuple[Mesh, ...]()
+    if space.fit((own,)).is_good:
+        return OWN_HULL, (simplify_part(own),)
+    left = limits.seconds
+    for threshold in COACD_THRESHOLDS:
+        spent = _children_seconds()
+        try:
+            if left <= 0:
+                raise DecompositionTimeout("", limits.seconds)
+            found = decompose(mesh, "", threshold, PATIENCE * left, ProcessLimits(left, limits.memory))
+        except AssetError as error:
+            if found:
+                return f"{COACD}, coarse: finer parts {_reason(error, limits)}", found
+            return f"{OWN_HULL}: CoACD {_reason(error, limits)}", (simplify_part(own),)
+        if space.fit(found).is_good:
+            break
+        left -= _children_seconds() - spent
+    return COACD, found
+
+
+def _reason(error: AssetError, limits: ProcessLimits) -> str:
+    """Return why CoACD found no parts, as the end of a sentence."""
+    if isinstance(error, DecompositionTimeout):
+        return f"took more than {limits.seconds:g} s"
+    if isinstance(error, DecompositionFailure) and error.is_of_memory:
+        return f"took more than {limits.memory / 1e9:.1f} GB"
+    return "failed"
+
+
+def _children_seconds() -> float:
+    """Return the CPU time of all child processes that have ended [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def available_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
@@ -269,12 +365,12 @@ def _known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
     """Return source and parts that CoACD need not run for: found before, or the mesh's own hull."""
     file, key = _cache_file(mesh), _cache_key(mesh)
     if not path_problem(file) and _is_whole(file):
-        return "coacd", read_parts(file)
+        return COACD, read_parts(file)
     if key in _unfinished:
-        return "coacd", _unfinished[key]
+        return COACD, _unfinished[key]
     own = hull(mesh.vertices)
     # convex for a finger: the hull leaves the same free space
-    return ("own hull", (simplify_part(own),)) if FingerClearance(mesh).fit((own,)).is_good else None
+    return (OWN_HULL, (simplify_part(own),)) if FingerClearance(mesh).fit((own,)).is_good else None
 
 
 def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:

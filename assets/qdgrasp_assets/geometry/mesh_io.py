@@ -99,7 +99,7 @@ LARGEST_FILE = 1 << 30  # Largest file [bytes]; 500 000 triangles, the most allo
 
 
 @dataclass(frozen=True)
-class MeshFile:
+class FileMesh:
     """Content of a mesh file."""
 
     mesh: Mesh
@@ -114,7 +114,7 @@ def read_mesh(path: Path) -> Mesh:
     return read_mesh_file(path).mesh
 
 
-def read_mesh_file(path: Path) -> MeshFile:
+def read_mesh_file(path: Path) -> FileMesh:
     """Read a mesh file; `AssetError` if it is not there, no mesh of a known format, or empty."""
     check_file(path)
     scene = _load_scene(path)
@@ -138,7 +138,7 @@ def read_mesh_file(path: Path) -> MeshFile:
     unit = None  # GLB has no other than metres
     with suppress(KeyError, ValueError):
         unit = float(unit_conversion(scene.units, "meters")) if scene.units else None
-    return MeshFile(mesh, len(scene.graph.nodes_geometry), unit)
+    return FileMesh(mesh, len(scene.graph.nodes_geometry), unit)
 
 
 def _load_scene(path: Path) -> Any:
@@ -171,6 +171,8 @@ def _load_scene(path: Path) -> Any:
         )
     try:
         return trimesh.load_scene(path, process=False, resolver=SiblingFileResolver(str(path)))
+    except MemoryError:
+        raise
     except ImportError:  # a package that guesses what damaged text was meant to be
         raise AssetError(
             f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."

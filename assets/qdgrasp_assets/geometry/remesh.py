@@ -13,8 +13,8 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_repair import drop_degenerate, is_surface, turn_outward
 from qdgrasp_assets.geometry.primitives import hull
 from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import MeshPreparation
 
 CELLS = 96  # Cells of the lattice along the largest side
 OFFSET = 0.8  # Distance of the surface that is looked for from what there is [cells]

@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from qdgrasp_assets.code_version import file_digest
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_assets.mesh_check import file_digest
 from qdgrasp_coordinator.campaign.campaign_folder import open_campaign, read_cached_totals
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.export import graspgen

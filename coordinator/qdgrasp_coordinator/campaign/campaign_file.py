@@ -32,6 +32,7 @@ from qdgrasp_coordinator.campaign.object_library import (
 )
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, full_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
     InputError,
@@ -44,7 +45,6 @@ from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
     OBJECTIVE_KEYS,
     STOP_KEYS,
-    MeshPreparation,
     RunSpec,
     read_run_spec,
     run_spec,

@@ -15,17 +15,38 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct, structs
 
+from qdgrasp_assets.asset_paths import named_path
+from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
 from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
 from qdgrasp_coordinator.campaign.object_library import skip_report
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_run, prepare_scene
+from qdgrasp_coordinator.scheduler.run_plan import (
+    JobExtent,
+    RunPlan,
+    RunQueue,
+    ShapesMissing,
+    WantedShapes,
+    plan_run,
+    prepare_scene,
+)
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
-from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
+from qdgrasp_protocol.build_messages import join_payload
+from qdgrasp_protocol.errors import (
+    DiskFull,
+    EndsTooSoon,
+    FolderError,
+    ImpossibleValue,
+    InputError,
+    MessageError,
+    RunFailed,
+)
+from qdgrasp_protocol.messages import MAX_BUNDLE
 from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec, run_spec, to_values
 from qdgrasp_protocol.text import counted
 
@@ -123,13 +144,16 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
     return run_summary(folder).totals
 
 
-class CampaignRunQueue:
+class CampaignRunQueue(RunQueue):
     """The unfinished runs of a campaign, each made when it is next.
 
-    Without a `folder` nothing is known of recorded runs, and no folders are made; `runs` are specs by name.
-    Raises FolderError or EndsTooSoon if a run's folder holds another run, or more evaluations than its
-    budget.
+    Runs on a mesh file wait until its shape is built, unless it lies in the store of this machine or their
+    folder has the scene; others go first. Without a `folder` nothing is known of recorded runs, and no
+    folders are made; `runs` are specs by name. Raises FolderError or EndsTooSoon if a run's folder holds
+    another run, or more evaluations than its budget.
     """
+
+    has_shapes = True
 
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
@@ -142,18 +166,30 @@ class CampaignRunQueue:
         self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
             finished
         )
-        self._left = deque(self.extent.budgets)
+        self._left = deque(self.extent.budgets)  # Runs that were not looked at
+        self._ready: deque[str] = deque()
+        self._waiting: dict[str, list[str]] = {}  # Runs by the key of the shape that they wait for
+        self._wanted: deque[WantedShape] = deque()
+        self._failed: deque[RunFailed] = deque()
+        self._keys: dict[str, str] = {}  # Keys of the shapes of runs that were looked at
+        self._shapes = ShapeStore()
         self._scene: tuple[RunSpec, PreparedScene] | None = None
 
     def next(self) -> RunPlan | None:
         """Return the next unfinished run, with a folder of its own.
 
         Raises RunFailed if its scene cannot be built or its folder not be written, and DiskFull if there is
-        no room for the folder; it then stays the next.
+        no room for the folder; it then stays the next. Raises ShapesMissing if all that are left wait.
         """
-        if not self._left:
+        while self._left and not (self._ready or self._failed or self._wanted):
+            self._look_at_next()
+        if self._failed:
+            raise self._failed.popleft()
+        if not self._ready:
+            if self._left or self._waiting:
+                raise ShapesMissing
             return None
-        name = self._left.popleft()
+        name = self._ready.popleft()
         try:
             return self._prepare(name, self._runs[name])
         except DiskFull:
@@ -164,21 +200,79 @@ class CampaignRunQueue:
 
     def put_back(self, run: str) -> None:
         """Have a run made again, before any other."""
-        self._left.appendleft(run)
+        self._ready.appendleft(run)
+
+    @property
+    def ready_runs(self) -> int:
+        """Number of runs known to be left that wait for no shape."""
+        return len(self._ready)
+
+    def wanted_shapes(self, most: int) -> WantedShapes:
+        """Return the shapes that the next runs need, until so many are wanted, or runs ready."""
+        while self._left and len(self._wanted) < most and len(self._ready) < most:
+            self._look_at_next()
+        shapes = tuple(self._wanted.popleft() for _ in range(min(most, len(self._wanted))))
+        return WantedShapes(shapes, is_last=not (self._left or self._wanted))
+
+    def take_shape(self, reply: BuildReply) -> str:
+        """Keep a shape that was built, and have its runs made, or failed; returns a warning in words."""
+        runs = self._waiting.pop(reply.key, [])
+        if reply.reason:
+            reason = f"The shape of its object cannot be built: {reply.reason}"
+            self._failed.extend(RunFailed(run, reason) for run in runs)
+            return ""
+        self._ready.extend(runs)
+        if not reply.pieces:
+            return ""
+        try:
+            payload = join_payload(reply.pieces, MAX_SHAPE)
+            shape = unpack_shape(payload)
+        except MessageError as error:  # `next` builds it
+            return f"A worker's shape of {self._object_of(runs)} is left aside: {error}."
+        self._shapes.put(reply.key, payload)
+        return f"{self._object_of(runs)}: {shape.warning}." if shape.warning else ""
+
+    def _object_of(self, runs: list[str]) -> str:
+        return f"'{Path(self._runs[runs[0]].object).name}'" if runs else "an object"
+
+    def _look_at_next(self) -> None:
+        """Find out whether the next run waits for a shape."""
+        name = self._left.popleft()
+        spec, path = self._runs[name], self._folder.run_path(name) if self._folder else None
+        if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
+            self._ready.append(name)
+            return
+        try:
+            task = shape_task(spec)
+        except InputError as error:
+            self._failed.append(RunFailed(name, str(error)))
+            return
+        if task is None or any(file.size > MAX_BUNDLE for file in task.files):
+            self._ready.append(name)
+            return
+        self._keys[name] = task.key
+        if task.key in self._waiting:
+            self._waiting[task.key].append(name)
+        elif task.key in self._shapes:
+            self._ready.append(name)
+        else:
+            self._waiting[task.key] = [name]
+            self._wanted.append(WantedShape(task, named_path(spec.object)))
 
     def _prepare(self, name: str, spec: RunSpec) -> RunPlan:
         path = self._folder.run_path(name) if self._folder else None
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             return plan_run(spec, RunFolder(path).prepared_scene(), name)
-        prepared = self._scene_of(spec)
+        prepared = self._scene_of(name, spec)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
             RunFolder.add(self._folder, name, spec, prepared.bundle)
         return plan_run(spec, prepared, name)
 
-    def _scene_of(self, spec: RunSpec) -> PreparedScene:
-        known = self._scene
-        if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
-            self._scene = known = spec, prepare_scene(spec)
+    def _scene_of(self, run: str, spec: RunSpec) -> PreparedScene:
+        key, known = self._keys.pop(run, ""), self._scene
+        if known is None or any(getattr(known[0], name) != getattr(spec, name) for name in SCENE_KEYS):
+            shape = self._shapes.get(key) if key else None
+            self._scene = known = spec, prepare_scene(spec, shape)
         return known[1]
 
 

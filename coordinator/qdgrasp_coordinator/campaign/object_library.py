@@ -19,9 +19,10 @@ from msgspec import Struct, structs
 
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import MeshPreparation, ObjectRecord, run_spec
+from qdgrasp_protocol.spec import ObjectRecord, run_spec
 from qdgrasp_protocol.text import counted
 
 MANIFEST_FORMATS = (".csv", ".parquet", ".toml")

@@ -21,6 +21,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.process import configure_logging, lifetime
+from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.spec import read_run_spec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -83,6 +84,7 @@ def coordinator(
             job=name,
             queue=programme,
             make_sink=lambda run: RecorderClient(bus, name, run.shape),
+            begin_epoch=RecorderClient(bus, name, RowShape(0, 0)).begin_epoch,
             batch_size=batch_size,
             seconds=seconds,
             paused=paused,

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.spec import MeshPreparation
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]

@@ -38,8 +38,10 @@ class LockedJobFolder(ExitStack):
             raise Refused(f"this recorder keeps the runs of job '{self.job}', not of '{asked.job}'")
         if 0 < asked.epoch < self.epoch:
             raise TookOver.refusal(asked.epoch, self.epoch)
-        if not runs or len(set(runs)) < len(runs):
+        if len(set(runs)) < len(runs):
             raise Refused(f"expected different runs to open, got {runs}")
+        if not runs and asked.epoch:
+            raise Refused("expected runs to open in an epoch that has begun, got none")
         if RUN in runs and len(runs) > 1:
             raise Refused(f"'{RUN}' is the name of a run of its own, which has no others beside it")
         is_campaign = RUN not in runs
@@ -49,12 +51,12 @@ class LockedJobFolder(ExitStack):
                 f"{JOB_KINDS[is_campaign]}; name another folder"
             )
 
-    def begin(self, run: str, spec: RunSpec) -> None:
-        """Create the job's folder if it is missing, for this run alone or among others."""
+    def begin(self, first: "RunIdentity | None") -> None:
+        """Create the job's folder if it is missing, for this run alone or among others; None: no run yet."""
         if self.is_begun:
             return
-        if run == RUN:
-            RunFolder.create(self.folder.path, spec, None, job=self.job)
+        if first is not None and first.run == RUN:
+            RunFolder.create(self.folder.path, first.spec, None, job=self.job)
         else:
             JobFolder.create(self.folder.path, self.job)
         self._take_lock()

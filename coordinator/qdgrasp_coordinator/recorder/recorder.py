@@ -218,6 +218,8 @@ class Recorder:
     def open(self, asked: Open) -> Opened:
         """Open runs for a coordinator, all or none; missing folders and journals are created.
 
+        Without runs only an epoch begins: a campaign whose runs wait for shapes.
+
         Raises `Refused` where the coordinator was replaced, a run is not the one that its folder holds, or it
         was recorded on another platform; `FolderError` or `DiskFull` where something cannot be written; and
         `InputError` where a spec is not valid, or its run is to end before what is recorded of it.
@@ -228,7 +230,7 @@ class Recorder:
             self._check(run)
         goes_on = 0 < asked.epoch == self.epoch
         platform = self._common_platform(self._platform if goes_on else self._recorded_platform(), runs)
-        self._folder.begin(runs[0].run, runs[0].spec)
+        self._folder.begin(runs[0] if runs else None)
         if not goes_on:
             self._begin_epoch(asked.epoch or self.epoch + 1)
         self._folder.store_epoch()

@@ -21,7 +21,9 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     complete_rows,
 )
 from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild, ShapeQueue
 from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry
+from qdgrasp_protocol.build_messages import Built, ShapeTask
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Result
 from qdgrasp_protocol.rows import Rows
@@ -32,9 +34,9 @@ MOST_SETTLED = 10_000
 
 @dataclass(eq=False)
 class BatchState:
-    """A batch that was leased and is not settled."""
+    """A batch, or a build, that was leased and is not settled."""
 
-    batch: Batch
+    batch: Batch | ShapeBuild
     attempts: int = 0
     holder: str | None = None
     """Worker that holds it; None: it waits."""
@@ -53,7 +55,7 @@ class BatchTable:
         self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
         """By id: the workers that were leased it, and that which settled it; None: it was withdrawn."""
 
-    def open(self, batch: Batch) -> BatchState:
+    def open(self, batch: Batch | ShapeBuild) -> BatchState:
         """Return the state of a batch that is leased, made at its first lease."""
         return self._open.setdefault(batch.id, BatchState(batch))
 
@@ -63,7 +65,16 @@ class BatchTable:
 
     def of(self, run: str) -> list[BatchState]:
         """Return a run's leased, unsettled batches."""
-        return [state for state in self._open.values() if state.batch.run.run == run]
+        return [
+            state
+            for state in self._open.values()
+            if isinstance(state.batch, Batch) and state.batch.run.run == run
+        ]
+
+    @property
+    def builds(self) -> list[BatchState]:
+        """Leased, unsettled builds."""
+        return [state for state in self._open.values() if isinstance(state.batch, ShapeBuild)]
 
     def close(self, state: BatchState, winner: str | None = None) -> None:
         """Move a batch to the settled ones, without its rows; without a winner if withdrawn."""
@@ -72,7 +83,7 @@ class BatchTable:
         if len(self._settled) > MOST_SETTLED:
             self._settled.popitem(last=False)
 
-    def classify(self, wid: str, result: Result) -> Settlement:
+    def classify(self, wid: str, result: Result | Built) -> Settlement:
         """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
         state = self._open.get(result.batch)
         leased, winner = (state.leased, None) if state else self._settled.get(result.batch, (None, None))
@@ -86,7 +97,11 @@ class BatchTable:
         return Settlement.DUPLICATE if winner == wid else Settlement.LATE
 
 
-def _check_result(batch: Batch, result: Result) -> None:
+def _check_result(batch: Batch | ShapeBuild, result: Result | Built) -> None:
+    if isinstance(batch, ShapeBuild) or isinstance(result, Built):
+        if not (isinstance(batch, ShapeBuild) and isinstance(result, Built)):
+            raise MessageError("a shape is no answer to a batch, nor rows to a build")
+        return
     if result.n != len(batch):
         raise MessageError(f"a result has {result.n} rows, its batch {len(batch)}")
     for failure in result.failures:
@@ -109,6 +124,7 @@ class Dispatcher:
         """Results by kind, batches leased and queued again, rows failed and given up."""
         self._workers = workers
         self._queue = BatchQueue(batch_size)
+        self._shapes = ShapeQueue()
         self._batches = BatchTable(epoch)
 
     def submit(self, run: RunRef, generation: Generation) -> None:
@@ -118,13 +134,35 @@ class Dispatcher:
     def withdraw(self, run: str) -> dict[str, list[bytes]]:
         """Forget all rows of a run; gives the batches that workers may drop, by worker."""
         self._queue.withdraw(run)
+        return self._withdraw(self._batches.of(run))
+
+    def _withdraw(self, states: list[BatchState]) -> dict[str, list[bytes]]:
         drops: dict[str, list[bytes]] = {}
-        for state in self._batches.of(run):
+        for state in states:
             if state.holder is not None:
                 drops.setdefault(state.holder, []).append(state.batch.id)
                 self._workers.release(state.holder, state.batch.id)
             self._batches.close(state)
         return drops
+
+    def build(self, tasks: Iterable[ShapeTask]) -> None:
+        """Queue shapes that are to be built."""
+        self._shapes.submit(tasks)
+
+    def withdraw_builds(self) -> dict[str, list[bytes]]:
+        """Forget all builds; gives those that workers may drop, by worker."""
+        self._shapes.clear()
+        return self._withdraw(self._batches.builds)
+
+    def unbuildable(self) -> list[ShapeTask]:
+        """Take back the builds that wait, if workers are there and none of them has the code for one."""
+        codes = {worker.join.builds for worker in self._workers}
+        if not codes or any(build.task.code in codes for build in self._shapes):
+            return []
+        builds = self._shapes.clear()
+        for state in filter(None, (self._batches.find(build.id) for build in builds)):
+            self._batches.close(state)
+        return [build.task for build in builds]
 
     @property
     def queued_seconds(self) -> float:
@@ -146,14 +184,28 @@ class Dispatcher:
                 if not self._queue:
                     break
                 continue
-            state = self._batches.open(self._queue.pop(run, len(self._workers), rows))
-            state.attempts += 1
-            state.since = now
-            state.leased.add(worker.wid)
-            self._hand_over(state, worker, now)
-            leases.append(Lease(worker.wid, worker.join.number, state.attempts, state.batch))
-        self.counters["leased"] += len(leases)
+            batch = self._queue.pop(run, len(self._workers), rows)
+            leases.append(Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch))
         return leases
+
+    def build_leases(self, now: float) -> list[BuildLease]:
+        """Lease builds that wait to workers that have the code for them; send them before batches."""
+        leases: list[BuildLease] = []
+        for worker in self._workers.idle() if self._shapes else ():
+            if (build := self._shapes.pop(worker.join.builds)) is not None:
+                attempt = self._lease(build, worker, now)
+                leases.append(BuildLease(worker.wid, worker.join.number, attempt, build))
+        return leases
+
+    def _lease(self, batch: Batch | ShapeBuild, worker: Worker, now: float) -> int:
+        """Lease a batch or build to a worker; returns how many leases of it there were."""
+        state = self._batches.open(batch)
+        state.attempts += 1
+        state.since = now
+        state.leased.add(worker.wid)
+        self._hand_over(state, worker, now)
+        self.counters["leased"] += 1
+        return state.attempts
 
     def join(self, join: Join, now: float) -> list[bytes]:
         """Admit a worker, or admit it again; returns the batches that it is to drop.
@@ -169,7 +221,7 @@ class Dispatcher:
         kept = {batch_id: state for batch_id in listed if (state := self._own(join.wid, batch_id))}
         self.requeue(batch_id for batch_id in before if batch_id not in kept)
         for state in kept.values():
-            self._queue.remove(state.batch)
+            self._remove(state.batch)
             self._hand_over(state, worker, now)
         return [batch_id for batch_id in listed if batch_id not in kept]
 
@@ -178,13 +230,26 @@ class Dispatcher:
         states = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
         for state in states:
             state.holder = None
-            self._queue.requeue(state.batch)
+            self._requeue(state.batch)
         self.counters["requeued"] += len(states)
         return len(states)
 
+    def _requeue(self, batch: Batch | ShapeBuild) -> None:
+        if isinstance(batch, Batch):
+            self._queue.requeue(batch)
+        else:
+            self._shapes.requeue(batch)
+
+    def _remove(self, batch: Batch | ShapeBuild) -> None:
+        if isinstance(batch, Batch):
+            self._queue.remove(batch)
+        else:
+            self._shapes.remove(batch)
+
     def _hand_over(self, state: BatchState, worker: Worker, now: float) -> None:
         state.holder = worker.wid
-        self._workers.hold(worker, state.batch.id, state.batch.run.scene, now)
+        scene = state.batch.run.scene if isinstance(state.batch, Batch) else None
+        self._workers.hold(worker, state.batch.id, scene, now)
 
     def _own(self, wid: str, batch_id: bytes) -> BatchState | None:
         """Return a batch that a worker may go on with, held by it or waiting; else None."""
@@ -199,24 +264,47 @@ class Dispatcher:
         worker `wid`. Raises MessageError if it has another number of rows than its batch, or names a failed
         row that the batch has not.
         """
+        kind, state = self._close(wid, result, now)
+        if state is None or not isinstance(state.batch, Batch):
+            return SettleReply(kind)
+        self._queue.measure(state.batch, result.cpu_seconds)
+        if state.holder == wid:
+            self._workers.lease_timeout.measure(now - state.since)
+        return replace(self._split(state.batch, result, rows), superseded=self._release_other(state, wid))
+
+    def settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
+        """Settle the answer to a build; None: it is dropped, or the build is tried again.
+
+        A build that failed is tried again until it failed too often. Raises MessageError as `settle`.
+        """
+        _, state = self._close(wid, built, now)
+        if state is None or not isinstance(state.batch, ShapeBuild):
+            return None
+        superseded = self._release_other(state, wid)
+        if built.reason and not built.is_final and state.batch.failed + 1 < STRIKES:
+            self._shapes.requeue_failed(state.batch)
+            return None
+        return BuildReply.of(state.batch, built, superseded)
+
+    def _close(self, wid: str, result: Result | Built, now: float) -> tuple[Settlement, BatchState | None]:
+        """Settle a batch or build by its first result; gives its state if this is that one."""
         kind = self._batches.classify(wid, result)
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
             self._workers.progressed(wid, now)
             self._workers.release(wid, result.batch)
-        state = self._batches.find(result.batch)
-        if kind is not Settlement.FRESH or state is None:
-            return SettleReply(kind)
-        self._queue.measure(state.batch, result.cpu_seconds)
-        if state.holder == wid:
-            self._workers.lease_timeout.measure(now - state.since)
-        self._queue.remove(state.batch)
-        self._batches.close(state, winner=wid)
-        settled = self._split(state.batch, result, rows)
-        if state.holder in (None, wid):
-            return settled
-        self._workers.release(state.holder, result.batch)
-        return replace(settled, superseded=state.holder)
+        state = self._batches.find(result.batch) if kind is Settlement.FRESH else None
+        if state is not None:
+            self._remove(state.batch)
+            self._batches.close(state, winner=wid)
+        return kind, state
+
+    def _release_other(self, state: BatchState, winner: str) -> str | None:
+        """Free the credit of another holder of a settled batch; returns that one."""
+        if state.holder in (None, winner):
+            return None
+        self._workers.release(state.holder, state.batch.id)
+        return state.holder
 
     def _split(self, batch: Batch, result: Result, rows: Rows) -> SettleReply:
         """Return the settled rows; queue failed ones again until they failed too often."""

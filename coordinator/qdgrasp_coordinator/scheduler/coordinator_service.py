@@ -22,7 +22,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Message, Order
+from qdgrasp_protocol.messages import Message, Opened, Order
 from qdgrasp_protocol.process import Stop
 
 log = structlog.get_logger()
@@ -34,9 +34,9 @@ class CoordinatorService:
     """Carries out the runs of a job, each from its start or the end of its journal.
 
     As many runs of the queue are carried out at once as keep the workers busy; `make_sink` makes the sink
-    that takes a run's rows. A batch has `batch_size` rows; None: measured. After `seconds` leases are
-    withdrawn, what was found is recorded, and `run` returns; None: never. If `paused`, nothing is handed out
-    until a command continues the job.
+    that takes a run's rows, and `begin_epoch` asks a recorder for an epoch (`RunLoader`). A batch has
+    `batch_size` rows; None: measured. After `seconds` leases are withdrawn, what was found is recorded, and
+    `run` returns; None: never. If `paused`, nothing is handed out until a command continues the job.
     """
 
     def __init__(
@@ -47,6 +47,7 @@ class CoordinatorService:
         job: str,
         queue: RunQueue,
         make_sink: Callable[[RunPlan], RowSink],
+        begin_epoch: Callable[[Callable[[], None]], Opened] | None = None,
         batch_size: int | None = None,
         seconds: float | None = None,
         paused: bool = False,
@@ -55,7 +56,7 @@ class CoordinatorService:
         self._stop = stop
         self._inbox = Inbox()
         self._events = EventLog(lambda event: self._publisher.publish_event(event))
-        self._runs = RunRegistry(queue, RunLoader(queue, make_sink, self._inbox.put, stop))
+        self._runs = RunRegistry(queue, RunLoader(queue, make_sink, self._inbox.put, stop, begin_epoch))
         self.scheduler = JobScheduler(
             job,
             self._runs,
@@ -69,7 +70,7 @@ class CoordinatorService:
         self.scheduler.is_paused = paused
         self._publisher = StatusPublisher(bus, self.scheduler)
         self._subscriptions = BusSubscriptions(
-            bus, Keys(job), self._inbox, self._runs.scene, self._publisher.cache.answer
+            bus, Keys(job), self._inbox, self._runs.asset, self._publisher.cache.answer
         )
 
     def run(self, on_step: Callable[[float], None] = lambda _now: None) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TypeVar
 
@@ -88,8 +89,8 @@ class Inbox:
 class BusSubscriptions(ExitStack):
     """The coordinator's bus subscriptions; a context manager that closes them.
 
-    `scene` returns the scene of a digest, or None; `show` answers queries for the job's status. Both are
-    called in any thread.
+    `asset` returns the scene of a digest, or the file of a shape, or None; `show` answers queries for the
+    job's status. Both are called in any thread.
     """
 
     def __init__(
@@ -97,14 +98,14 @@ class BusSubscriptions(ExitStack):
         bus: Bus,
         keys: Keys,
         inbox: Inbox,
-        scene: Callable[[str], Bundle | None],
+        asset: Callable[[str], Bundle | Path | None],
         show: Callable[[Query], dict[str, bytes]],
     ) -> None:
         super().__init__()
         self._bus = bus
         self._keys = keys
         self._inbox = inbox
-        self._scene = scene
+        self._asset = asset
         self._show = show
 
     def open(self) -> None:
@@ -122,7 +123,7 @@ class BusSubscriptions(ExitStack):
         enter(bus.subscribe(keys.result(), self._inbox.put))
         enter(bus.subscribe(keys.stat("worker/*"), self._inbox.put))
         enter(bus.answer(keys.join, self._answer_join))
-        enter(bus.answer(keys.asset(), self._answer_scene))
+        enter(bus.answer(keys.asset(), self._answer_asset))
         enter(bus.watch(keys.worker_token(), self._put_token))
         enter(bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
         enter(bus.watch(keys.coordinator_token(), self._put_token))
@@ -147,12 +148,14 @@ class BusSubscriptions(ExitStack):
         self._inbox.put(request)
         return messages.encode(OrderReply(words=shorten(_await(request.answer))))
 
-    def _answer_scene(self, query: Query) -> bytes:
+    def _answer_asset(self, query: Query) -> bytes:
         digest = last_chunk(query.key)
-        scene = self._scene(digest)
-        if scene is None:
+        asset = self._asset(digest)
+        if asset is None:
             raise Refused(f"no run in progress has the scene {digest[:12]}")
-        return bundle_transfer.answer_chunk(query, scene.payload, digest)
+        if isinstance(asset, Path):
+            return bundle_transfer.answer_file_chunk(query, asset)
+        return bundle_transfer.answer_chunk(query, asset.payload, digest)
 
 
 def _await(answer: "Future[T]") -> T:

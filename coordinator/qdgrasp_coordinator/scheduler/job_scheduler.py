@@ -7,7 +7,7 @@ and outboxes decide for themselves; here stands which event goes to which of the
 
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from math import inf
 
@@ -18,16 +18,22 @@ from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_jso
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement, read_result
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.run_plan import WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
+    EpochOpened,
     NoRunLeft,
+    NoRunOpened,
     RunNotOpened,
     RunOpened,
     RunRegistry,
+    ShapesFound,
 )
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply
 from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.run_folder import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import Built
 from qdgrasp_protocol.bus import Channel, DropCounter, Sample
 from qdgrasp_protocol.errors import (
     Cancelled,
@@ -39,7 +45,16 @@ from qdgrasp_protocol.errors import (
     TookOver,
 )
 from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
-from qdgrasp_protocol.messages import Control, Heartbeat, Join, Message, Opened, Order, Recorded, Result
+from qdgrasp_protocol.messages import (
+    Control,
+    Heartbeat,
+    Join,
+    Message,
+    Opened,
+    Order,
+    Recorded,
+    Result,
+)
 from qdgrasp_protocol.text import counted, first_few
 
 LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
@@ -145,12 +160,21 @@ class JobScheduler:
                 self._on_not_opened(reason)
             case NoRunLeft():
                 self.runs.no_run_left()
+            case NoRunOpened():
+                self.runs.rested(event)
+            case EpochOpened(opened):
+                self.runs.rested(NoRunOpened(runs_wait=False))
+                self._begin_epoch(opened)
+            case ShapesFound(wanted, warnings):
+                self._on_shapes_found(wanted, warnings)
 
     def _on_message(self, sample: Sample, now: float) -> None:
         """Process a message; its kind follows from its key, as in access lists."""
         try:
             if sample.key == self._keys.recorded:
                 self._on_recorded(messages.decode_sample(sample, Recorded), now)
+            elif sample.encoding == messages.encoding(Built) and sample.key.startswith(self._results):
+                self._on_built(messages.decode_sample(sample, Built), last_chunk(sample.key), now)
             elif sample.key.startswith(self._results):
                 self._on_result(messages.decode_sample(sample, Result), last_chunk(sample.key), now)
             else:
@@ -179,6 +203,22 @@ class JobScheduler:
         run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
         if run.pipeline.finished is not None:
             self._withdraw(run.name)
+
+    def _on_built(self, built: Built, wid: str, now: float) -> None:
+        """Settle a build once; the runs that wait for its shape are opened, or fail."""
+        reply = self.dispatcher.settle_build(wid, built, now)
+        if reply is None:
+            return
+        if reply.superseded is not None:
+            self._drop(reply.superseded, [built.batch])
+        self.runs.shapes.end(reply)
+
+    def _on_shapes_found(self, wanted: WantedShapes, warnings: Iterable[str]) -> None:
+        self.runs.shapes.add(wanted)
+        self.dispatcher.build(shape.task for shape in wanted.shapes)
+        for words in warnings:
+            log.warning("a shape", words=words)
+            self.events.note("error", words)
 
     def _on_recorded(self, report: Recorded, now: float) -> None:
         """Note the durable rows; reopen a run whose recorder lost some."""
@@ -212,12 +252,7 @@ class JobScheduler:
 
     def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
         if not self.epoch:
-            self.start_epoch(opened.epoch)
-            self._on_epoch(opened.epoch, opened.identity)
-            how = f"takes over with turn {opened.epoch}" if opened.epoch > 1 else "begins"
-            self.events.note(
-                "job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}."
-            )
+            self._begin_epoch(opened)
         workers = self.workers
         try:
             workers.platform = admit_platform(workers.platform, opened.platform or workers.platform)
@@ -234,6 +269,14 @@ class JobScheduler:
         rows = run.tally.rows
         words = f"Run '{run.name}' goes on from row {rows}." if rows else f"Run '{run.name}' begins."
         self.events.note("run", words, run=run.name)
+
+    def _begin_epoch(self, opened: Opened) -> None:
+        """Begin the epoch that a recorder has issued, and serve workers from now on."""
+        self.start_epoch(opened.epoch)
+        self.workers.platform = opened.platform
+        self._on_epoch(opened.epoch, opened.identity)
+        how = f"takes over with turn {opened.epoch}" if opened.epoch > 1 else "begins"
+        self.events.note("job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}.")
 
     def _on_not_opened(self, reason: Exception) -> None:
         """Go on without a run that cannot be carried out; raise every other error."""
@@ -305,16 +348,25 @@ class JobScheduler:
             while not (self.is_ending or run.sink.is_full) and (asked := run.pipeline.ask()) is not None:
                 self.dispatcher.submit(run.ref, asked)
             run.sink.tick(now)
-        for lease in [] if self.is_paused or self.is_ending else self.dispatcher.leases(now):
-            self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
+        if not (self.is_paused or self.is_ending):
+            self._lease(now)
         for run in self.runs:
             if run.is_done:
                 self._remove(run, now)
         if not self.is_ending:
             is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * len(self.workers)
-            self.runs.open_another(self.epoch, is_wanted=is_wanted)
+            self.runs.load(self.epoch, workers=len(self.workers), is_wanted=is_wanted)
         if self.stopping.is_due(now):
             self.stop(now)
+
+    def _lease(self, now: float) -> None:
+        """Lease builds, then batches; a build that no worker here can do is left to the loader."""
+        for task in self.dispatcher.unbuildable():
+            self.runs.shapes.end(BuildReply(task.key))
+        for build in self.dispatcher.build_leases(now):
+            self._put(self._keys.work(build.wid), build.message(self.epoch), Channel.DATA)
+        for lease in self.dispatcher.leases(now):
+            self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
 
     def next_deadline(self) -> float:
         """Return when `step` has something to do if nothing happens; infinite: never."""
@@ -330,6 +382,8 @@ class JobScheduler:
         self.stopping.begin(now, reason)
         for run in self.runs:
             self._withdraw(run.name)
+        for wid, builds in self.dispatcher.withdraw_builds().items():
+            self._drop(wid, builds)
 
     def has_ended(self, now: float) -> bool:
         """True if a job that ends early may end now."""

@@ -227,16 +227,23 @@ class RecorderClient(RowSink):
 
         Raises InputError if it holds another run, TookOver if it answers another coordinator by now.
         """
-        try:
-            request = Open(job=self._job, runs=[run], epoch=epoch)
-            opened = messages.decode(self._ask(self._keys.open, request, wait), Opened)
-        except (Refused, Faulty) as refusal:
-            over = TookOver.told_by(refusal, self._job)
-            raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
+        opened = self._open([run], epoch, wait)
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
         self.platform = opened.platform
         return opened
+
+    def begin_epoch(self, wait: Callable[[], None]) -> Opened:
+        """Ask the recorder for an epoch before the first run of a campaign is opened; raises as `open`."""
+        return self._open([], 0, wait)
+
+    def _open(self, runs: list[OpenRun], epoch: int, wait: Callable[[], None]) -> Opened:
+        try:
+            request = Open(job=self._job, runs=runs, epoch=epoch)
+            return messages.decode(self._ask(self._keys.open, request, wait), Opened)
+        except (Refused, Faulty) as refusal:
+            over = TookOver.told_by(refusal, self._job)
+            raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
 
     def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return a page of rows from the recorder's journal; InputError if it cannot read it."""

@@ -11,13 +11,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.catalog import assemble_scene, build_scene
 from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.registry import check_spec, method, prior_of
@@ -113,16 +115,32 @@ class JobExtent:
         )
 
 
+@dataclass(frozen=True)
+class WantedShapes:
+    """Shapes that are to be built before runs can be made."""
+
+    shapes: tuple[WantedShape, ...]
+    is_last: bool
+    """No run is left that was not looked at."""
+
+
+class ShapesMissing(Exception):  # a state of the queue, not an error
+    """Runs are left, and all of them wait for shapes."""
+
+
 class RunQueue(Protocol):
-    """Interface of the queue of a job's runs."""
+    """Interface of the queue of a job's runs; its methods are called in the loader's thread."""
 
     extent: JobExtent
+    has_shapes: bool = False
+    """True if runs may wait for shapes."""
 
     def next(self) -> RunPlan | None:
         """Return the next run to carry out; None when no run is left.
 
         Raises RunFailed if it cannot be made, while the one behind it may; DiskFull if there is no room for
-        it now: it is made when `next` is called again and there is.
+        it now: it is made when `next` is called again and there is; ShapesMissing if every run that is left
+        waits for a shape that was wanted.
         """
 
     def put_back(self, run: str) -> None:
@@ -131,8 +149,24 @@ class RunQueue(Protocol):
         May be called in another thread than `next`.
         """
 
+    def wanted_shapes(self, most: int) -> "WantedShapes":
+        """Return shapes, each once, that the next runs need and that are not built yet."""
+        return WantedShapes((), is_last=True)
 
-class SingleRunQueue:
+    @property
+    def ready_runs(self) -> int:
+        """Number of runs known to be left that wait for no shape; in any thread."""
+        return 0
+
+    def take_shape(self, reply: BuildReply) -> str:
+        """Take the end of a build of a shape that was wanted; returns a warning in words, or nothing.
+
+        Without a shape or a reason it is left to `next` to build it.
+        """
+        return ""
+
+
+class SingleRunQueue(RunQueue):
     """The queue of a job with one run; `make` makes it, at its very beginning."""
 
     def __init__(self, make: Callable[[], RunPlan], evaluations: int) -> None:
@@ -183,12 +217,12 @@ def default_run_name(spec: RunSpec) -> str:
     return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
 
 
-def prepare_scene(spec: RunSpec) -> PreparedScene:
-    """Build the scene of a spec.
+def prepare_scene(spec: RunSpec, shape: ObjectShape | None = None) -> PreparedScene:
+    """Build the scene of a spec; `shape` is that of its object, where it was built elsewhere.
 
     Raises InputError if it cannot be built, or the method's prior is not for such a hand.
     """
-    scene = build_scene(spec)
+    scene = assemble_scene(spec, shape) if shape else build_scene(spec)
     row_shape(scene, prior_of(spec))
     return PreparedScene(scene, pack_scene(scene))
 

@@ -1,14 +1,15 @@
 """The runs of a job in progress: opened and replayed when needed, let go when done.
 
-The loader makes the next run ready in a thread of its own: building a scene takes seconds, and so may the
-replay of a journal; results go on being settled meanwhile. What was made is handed over by the scheduler's
-inbox.
+The loader makes the next run ready in a thread of its own: the replay of a journal may take seconds, and so
+may a scene that no worker builds; results go on being settled meanwhile. What was made is handed over by the
+scheduler's inbox. Shapes that runs wait for are built by workers, some for each worker ahead of their runs.
 """
 
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from msgspec import structs
 
@@ -17,7 +18,8 @@ from qdgrasp_coordinator.metrics.job_status import JobStatus, RunListing, RunSta
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, ShapesMissing, WantedShapes
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
 from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.process import Stop
@@ -116,11 +118,51 @@ class NoRunLeft:
     """There was no run to open."""
 
 
-LoaderEvent = RunOpened | RunNotOpened | NoRunLeft
+@dataclass(frozen=True)
+class NoRunOpened:
+    """No run was opened: none was asked for, or all that are left wait for shapes."""
+
+    runs_wait: bool
+
+
+@dataclass(frozen=True)
+class EpochOpened:
+    """The recorder has issued an epoch, before the first run is opened."""
+
+    opened: Opened
+
+
+@dataclass(frozen=True)
+class ShapesFound:
+    """Shapes that are to be built, and warnings about those that were."""
+
+    wanted: WantedShapes
+    warnings: tuple[str, ...]
+
+
+LoaderEvent = RunOpened | RunNotOpened | NoRunLeft | NoRunOpened | EpochOpened | ShapesFound
+
+
+@dataclass(frozen=True)
+class LoadRequest:
+    """A request to the loader."""
+
+    epoch: int
+    """The coordinator's; 0 before it has one."""
+    opens: bool = True
+    """True: open the next run."""
+    shapes: int = 0
+    """Most shapes that are to be looked for."""
+    built: tuple[BuildReply, ...] = ()
+    """Builds that have ended."""
 
 
 class RunLoader:
-    """Opens the runs of a job one at a time; `put` takes the results, in the loader's thread."""
+    """Opens the runs of a job one at a time; `put` takes the results, in the loader's thread.
+
+    `begin_epoch` asks the recorder for an epoch where all runs wait for shapes, which workers build; None:
+    runs of this queue wait for none.
+    """
 
     def __init__(
         self,
@@ -128,21 +170,23 @@ class RunLoader:
         make_sink: Callable[[RunPlan], RowSink],
         put: Callable[[LoaderEvent], None],
         stop: Stop,
+        begin_epoch: Callable[[Callable[[], None]], Opened] | None = None,
     ) -> None:
         self._queue = queue
         self._make_sink = make_sink
         self._put = put
         self._stop = stop
+        self._begin_epoch = begin_epoch
         self._thread: threading.Thread | None = None
         self._is_closed = False
         self.run: ActiveRun | None = None
         """The run that is being opened, or was opened last; None before it is made."""
         self.trouble = ""  # Reason why no run can be opened now; empty when one can
 
-    def begin(self, epoch: int) -> None:
-        """Start to open the next run; `epoch` is the coordinator's, 0 before it has one."""
+    def begin(self, request: LoadRequest) -> None:
+        """Start to take shapes, to look for more, and to open the next run, in this order."""
         self.run, self.trouble = None, ""
-        self._thread = threading.Thread(target=self._load, args=(epoch,), name="loader", daemon=True)
+        self._thread = threading.Thread(target=self._load, args=(request,), name="loader", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -151,16 +195,24 @@ class RunLoader:
         if self._thread is not None:
             self._thread.join(JOIN_TIMEOUT)
 
-    def _load(self, epoch: int) -> None:
+    def _load(self, request: LoadRequest) -> None:
         try:
-            self._put(self._open_next(epoch))
+            warnings = tuple(filter(None, map(self._queue.take_shape, request.built)))
+            if request.shapes or warnings:
+                self._put(ShapesFound(self._queue.wanted_shapes(request.shapes), warnings))
+            self._put(self._open_next(request.epoch) if request.opens else NoRunOpened(runs_wait=False))
         except _Closed:
             return
         except Exception as error:  # noqa: BLE001  # whatever it is, it is raised again where the job is run
             self._put(RunNotOpened(error))
 
     def _open_next(self, epoch: int) -> LoaderEvent:
-        plan = self._next_plan()
+        try:
+            plan = self._next_plan()
+        except ShapesMissing:
+            if epoch or self._begin_epoch is None:
+                return NoRunOpened(runs_wait=True)
+            return EpochOpened(self._begin_epoch(self._wait))
         if plan is None:
             return NoRunLeft()
         self.run = run = ActiveRun(plan, self._make_sink(plan))
@@ -192,6 +244,51 @@ class _Closed(Exception):  # a way out, not an error
     """The loader is not needed any more."""
 
 
+MOST_LOOKED_AT = 64  # Most shapes that are looked for before the next run is opened
+
+
+class ShapeProgress:
+    """Shapes of a job that are to be built: those that are under way, and how many there were."""
+
+    def __init__(self, *, is_last: bool) -> None:
+        self.wanted = self.built = self.failed = 0
+        """Shapes that were to be built so far, that were, and that cannot be."""
+        self.cpu_seconds = 0.0
+        """CPU seconds that workers took for them."""
+        self.files: dict[str, Path] = {}
+        """The files of those under way, by sha256; read in any thread."""
+        self._under_way: dict[str, WantedShape] = {}
+        self._ended: list[BuildReply] = []
+        self._is_last = is_last  # No more are to be looked for
+
+    def room(self, most: int) -> int:
+        """Return how many shapes are to be looked for, that there are at most so many under way."""
+        return 0 if self._is_last else min(MOST_LOOKED_AT, max(0, most - len(self._under_way)))
+
+    def add(self, found: WantedShapes) -> None:
+        """Note shapes that are to be built."""
+        self._is_last = found.is_last
+        self.wanted += len(found.shapes)
+        for shape in found.shapes:
+            self._under_way[shape.task.key] = shape
+            self.files |= shape.paths
+
+    def end(self, reply: BuildReply) -> None:
+        """Note the end of a build."""
+        self.built += bool(reply.pieces)
+        self.failed += bool(reply.reason)
+        self.cpu_seconds += reply.cpu_seconds
+        self._ended.append(reply)
+        self._under_way.pop(reply.key, None)
+        used = {file.sha256 for shape in self._under_way.values() for file in shape.task.files}
+        self.files = {digest: path for digest, path in self.files.items() if digest in used}
+
+    def take_ended(self) -> tuple[BuildReply, ...]:
+        """Return the builds that have ended since the last call."""
+        ended, self._ended = tuple(self._ended), []
+        return ended
+
+
 MOST_RUNS = 256  # The most runs that are carried out at once
 MOST_SCENES = 64  # Number of scenes kept for late queries after their last run is done
 
@@ -203,9 +300,11 @@ class RunRegistry:
         self.extent = queue.extent  # Amount of work when the job began
         self._queue = queue
         self._loader = loader
-        self._is_opening = False
+        self._is_loading = False
         self._all_opened = False
+        self._runs_wait = False  # every run that is left, for shapes
         self._was_put_back = False  # since the loader began
+        self.shapes = ShapeProgress(is_last=not queue.has_shapes)
         self._open: dict[str, ActiveRun] = {}
         self._failures: list[RunFailed] = []
         self._budgets = dict(self.extent.budgets)  # of the runs that are neither done nor failed
@@ -223,9 +322,9 @@ class RunRegistry:
         """Return an active run; None: not active."""
         return self._open.get(run)
 
-    def scene(self, digest: str) -> Bundle | None:
-        """Return a present or recent scene; None: unknown. Safe in any thread."""
-        return self._scenes.get(digest)
+    def asset(self, digest: str) -> Bundle | Path | None:
+        """Return a present or recent scene, or a file of a shape; None: unknown. Safe in any thread."""
+        return self._scenes.get(digest) or self.shapes.files.get(digest)
 
     @property
     def are_done(self) -> bool:
@@ -237,16 +336,31 @@ class RunRegistry:
         if self._failures:
             raise RunsFailed(self._failures, self.extent.runs)
 
-    def open_another(self, epoch: int, *, is_wanted: bool) -> None:
-        """Start to open a run if one is wanted or no run is active; one at a time."""
-        is_due = is_wanted or not self._open
-        if is_due and not self._is_opening and not self._all_opened and len(self._open) < MOST_RUNS:
-            self._is_opening, self._was_put_back = True, False
-            self._loader.begin(epoch)
+    def load(self, epoch: int, *, workers: int, is_wanted: bool) -> None:
+        """Have built shapes taken, more looked for, and a run opened if one is wanted; one at a time.
+
+        A run is opened too if none is active. Shapes are built, or lie ready, for as many runs as there are
+        workers.
+        """
+        if self._is_loading:
+            return
+        built = self.shapes.take_ended()
+        self._runs_wait &= not built
+        opens = (is_wanted or not self._open) and not (self._all_opened or self._runs_wait)
+        opens &= len(self._open) < MOST_RUNS
+        shapes = self.shapes.room(max(1, workers) - self._queue.ready_runs) if epoch else 0
+        if opens or shapes or built:
+            self._is_loading, self._was_put_back = True, False
+            self._loader.begin(LoadRequest(epoch, opens=opens, shapes=shapes, built=built))
+
+    def rested(self, event: NoRunOpened) -> None:
+        """Note that the loader has opened no run."""
+        self._is_loading = False
+        self._runs_wait = event.runs_wait and not self._was_put_back
 
     def add(self, run: ActiveRun) -> None:
         """Add an opened run."""
-        self._is_opening = False
+        self._is_loading = False
         self._open[run.name] = run
         self._budgets.setdefault(run.name, run.tally.budget)  # of a queue that grows
         self._replayed += run.replayed
@@ -254,13 +368,13 @@ class RunRegistry:
 
     def add_failure(self, failure: RunFailed) -> None:
         """Count a run that cannot be carried out as failed."""
-        self._is_opening = False
+        self._is_loading = False
         self._failures.append(failure)
         self._budgets.pop(failure.run, None)
 
     def no_run_left(self) -> None:
         """Note that no run is left to open, unless one was put back meanwhile."""
-        self._is_opening = False
+        self._is_loading = False
         self._all_opened = not self._was_put_back
 
     def remove(self, run: ActiveRun) -> None:
@@ -275,7 +389,7 @@ class RunRegistry:
         del self._open[run.name]
         self._replayed -= run.replayed
         self._queue.put_back(run.name)
-        self._was_put_back, self._all_opened = True, False
+        self._was_put_back, self._all_opened, self._runs_wait = True, False, False
 
     def close(self) -> None:
         """Stop opening."""
@@ -290,9 +404,9 @@ class RunRegistry:
 
     def status(self, job: str, workers: int, now: float) -> JobStatus:
         """Return the job's figures, as far as they are those of its runs."""
-        opening = [self._loader.run] if self._is_opening and self._loader.run else []
+        opening = [self._loader.run] if self._is_loading and self._loader.run else []
         runs = [*self._open.values(), *opening]
-        troubles = [self._loader.trouble if self._is_opening else "", *(run.sink.trouble for run in runs)]
+        troubles = [self._loader.trouble if self._is_loading else "", *(run.sink.trouble for run in runs)]
         found = sum((run.tally.totals for run in runs), self._found)
         replayed = self._replayed + sum(run.replayed for run in opening)
         spent = sum(run.tally.budget - run.remaining for run in runs)

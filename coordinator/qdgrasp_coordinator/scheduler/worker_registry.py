@@ -91,8 +91,8 @@ class Worker:
     """Time of its last message."""
     speed: RateMeter
     """Of the rows that it settles."""
-    batches: dict[bytes, None] = field(default_factory=dict)
-    """The ids of the batches it holds."""
+    batches: dict[bytes, bool] = field(default_factory=dict)
+    """The ids of the batches it holds; True: a shape that it builds."""
     scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
     """The scenes it holds, the latest last."""
     gone_at: float | None = None
@@ -118,9 +118,15 @@ class Worker:
         return self.gone_at is None and not self.is_stuck and not self.is_drained
 
     @property
+    def is_building(self) -> bool:
+        """True if it builds a shape: its core is taken for long."""
+        return any(self.batches.values())
+
+    @property
     def has_credit(self) -> bool:
         """True if it is present and may be leased more."""
-        return len(self.batches) < self.join.credit and self.gone_at is None and not self.is_drained
+        is_open = self.gone_at is None and not self.is_drained and not self.is_building
+        return is_open and len(self.batches) < self.join.credit
 
     @property
     def state(self) -> str:
@@ -144,11 +150,13 @@ class Worker:
             return self.gone_at + TOKEN_GRACE
         return self.progress + limit if self.batches else inf
 
-    def hold(self, batch_id: bytes, scene: str, now: float) -> None:
-        """Add a batch to those it holds."""
+    def hold(self, batch_id: bytes, scene: str | None, now: float) -> None:
+        """Add a batch of a scene to those it holds; None: a shape that it builds."""
         if not self.batches:
             self.progress = now
-        self.batches[batch_id] = None
+        self.batches[batch_id] = scene is None
+        if scene is None:
+            return
         self.scenes[scene] = None
         self.scenes.move_to_end(scene)
         if len(self.scenes) > SCENES_KEPT:
@@ -298,8 +306,8 @@ class WorkerRegistry:
             worker.is_drained = True
             self._update(worker)
 
-    def hold(self, worker: Worker, batch_id: bytes, scene: str, now: float) -> None:
-        """Record that a worker is leased a batch."""
+    def hold(self, worker: Worker, batch_id: bytes, scene: str | None, now: float) -> None:
+        """Record that a worker is leased a batch of a scene; None: a shape that it builds."""
         worker.hold(batch_id, scene, now)
         self._update(worker)
 

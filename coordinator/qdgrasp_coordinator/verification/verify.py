@@ -25,6 +25,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
     ReevaluationPlan,
     RunPlan,
+    RunQueue,
     SingleRunQueue,
     plan_genomes,
 )
@@ -94,7 +95,7 @@ VERIFICATION_JOB = "verify"
 TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
 
 
-class ReevaluationQueue:
+class ReevaluationQueue(RunQueue):
     """Queue of selections of rows that are evaluated again, and the results so far.
 
     Each selection is read when it is next.

@@ -27,8 +27,9 @@ from qdgrasp_assets.geometry.mesh_io import (
 from qdgrasp_assets.geometry.primitives import box
 from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_model import read_draft, read_solid
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
-from qdgrasp_protocol.spec import MeshPreparation, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
 MILLIMETRES = """<?xml version="1.0" encoding="utf-8"?>

@@ -7,8 +7,8 @@ import trimesh
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_repair import is_surface, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh, remesh, simplify_mesh, surface_net
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import MeshPreparation
 
 
 def made(mesh: trimesh.Trimesh, left_out: slice = slice(0)) -> Mesh:

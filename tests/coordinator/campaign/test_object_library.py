@@ -26,9 +26,10 @@ from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign, campaig
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest, read_library
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.keys import NAME
-from qdgrasp_protocol.spec import MeshPreparation, ObjectRecord
+from qdgrasp_protocol.spec import ObjectRecord
 
 BLOCK = (0.02, 0.03, 0.05)
 VALUES = {"gripper": ["panda"], "evaluations": 50}

@@ -64,7 +64,7 @@ class Coming:
 
     def ask(self):
         """Have another run opened; gives what comes of it, which the runs have not heard."""
-        self.runs.open_another(1, is_wanted=True)
+        self.runs.load(1, workers=1, is_wanted=True)
         return self._news.get(timeout=PATIENCE)
 
     def open(self) -> ActiveRun:

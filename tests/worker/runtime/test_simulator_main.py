@@ -30,7 +30,7 @@ def test_poison_is_settled_as_an_error_and_the_journal_is_the_one_without_a_bus(
 
 STAND_BACK = """
 import os, time
-from qdgrasp_worker.runtime.process_limits import AUTOGROUP, lower_priority
+from qdgrasp_assets.process_limits import AUTOGROUP, lower_priority
 lower_priority(7)
 while AUTOGROUP.exists() and not AUTOGROUP.read_text().endswith("nice 7\\n"):
     time.sleep(0.01)
@@ -39,7 +39,7 @@ print(os.nice(0))
 
 
 LIMIT = """
-from qdgrasp_worker.runtime.process_limits import limit_memory
+from qdgrasp_assets.process_limits import limit_memory
 limit_memory(400_000_000)
 try:
     bytearray(500_000_000)

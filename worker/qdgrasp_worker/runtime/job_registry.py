@@ -15,6 +15,7 @@ from typing import Self
 
 import structlog
 
+from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, job_of, last_chunk, parse_number
@@ -47,7 +48,7 @@ class JobSession:
         """Its coordinator asked this worker to finish what it holds, and to leave."""
         self.dropped = 0
         """Batches of another epoch or of an older join."""
-        self._held: OrderedDict[bytes, Work] = OrderedDict()
+        self._held: OrderedDict[bytes, Work | Build] = OrderedDict()
         self._begun: set[bytes] = set()
         self._coordinators: set[int] = set()  # Epochs of the coordinators that are there
         self._left_at = 0.0
@@ -167,8 +168,8 @@ class JobSession:
         samples, self._deferred = self._deferred, []
         return samples
 
-    def accept(self, work: Work) -> bool:
-        """Take a leased batch; False when it is of another epoch or of an older join."""
+    def accept(self, work: Work | Build) -> bool:
+        """Take a leased batch or build; False when it is of another epoch or of an older join."""
         if work.epoch != self.epoch or work.join != self.number:
             self.dropped += 1
             return False
@@ -184,6 +185,15 @@ class JobSession:
     @property
     def waiting(self) -> list[Work]:
         """The batches that are held and not begun, in the order they came."""
+        return [work for work in self._unbegun if isinstance(work, Work)]
+
+    @property
+    def builds(self) -> list[Build]:
+        """The builds that are held and not begun, in the order they came."""
+        return [work for work in self._unbegun if isinstance(work, Build)]
+
+    @property
+    def _unbegun(self) -> list[Work | Build]:
         return [work for batch, work in self._held.items() if batch not in self._begun]
 
     def begin(self) -> Work:
@@ -191,6 +201,12 @@ class JobSession:
         work = self.waiting[0]
         self._begun.add(work.batch)
         return work
+
+    def begin_build(self) -> Build:
+        """Begin the first build that waits; it stays held until it is answered or released."""
+        build = self.builds[0]
+        self._begun.add(build.batch)
+        return build
 
     def release(self, batch: bytes) -> None:
         """Forget a batch: its result is sent, or cannot be had here."""
@@ -222,17 +238,25 @@ class RefusedByJob(Refused):
 class JobRegistry:
     """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
-    `rows` are those that its device evaluates at once; 0: it has none.
+    `rows` are those that its device evaluates at once; 0: it has none. `builds` is the digest of the code
+    with which it builds shapes; empty: it builds none.
     """
 
     def __init__(
-        self, bus: Bus, requests: BackgroundRequests, wid: str, only: str | None, rows: int = 0
+        self,
+        bus: Bus,
+        requests: BackgroundRequests,
+        wid: str,
+        only: str | None,
+        rows: int = 0,
+        builds: str = "",
     ) -> None:
         self._bus = bus
         self._requests = requests
         self._wid = wid
         self._only = only
         self._rows = rows
+        self._builds = builds
         self._sessions: dict[str, JobSession] = {}  # By job; the one that was served last stands last
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
@@ -312,6 +336,7 @@ class JobRegistry:
                     number=session.ask(credit),
                     credit=credit,
                     rows=self._rows,
+                    builds=self._builds,
                     held=session.held,
                     host=socket.gethostname(),
                     pid=os.getpid(),

@@ -19,7 +19,9 @@ from typing import TypeAlias
 import msgspec
 import structlog
 
+from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bundle_transfer import TooLarge
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Sample
 from qdgrasp_protocol.errors import MessageError
@@ -35,8 +37,8 @@ from qdgrasp_worker.runtime.background_requests import (
     SceneStore,
 )
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.builder_client import BuildEnded, BuilderClient
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
-from qdgrasp_worker.runtime.process_limits import process_stats
 from qdgrasp_worker.runtime.simulator_supervisor import (
     SimulatorEnded,
     SimulatorEvent,
@@ -70,7 +72,7 @@ class StopRequested:
     """The process is asked to stop."""
 
 
-Event = Sample | CoordinatorSeen | LinkChanged | StopRequested | RequestAnswered | SimulatorEvent
+Event = Sample | CoordinatorSeen | LinkChanged | StopRequested | RequestAnswered | SimulatorEvent | BuildEnded
 Inbox: TypeAlias = "SimpleQueue[Event]"
 
 
@@ -136,7 +138,8 @@ class WorkerService:
 
     The simulator's events come to `inbox`, which this service waits on. It serves one `job`, or every job
     there is. After SIGTERM the batch in work may still take `grace` seconds. Its device evaluates so many
-    `rows` at once; 0: it has none.
+    `rows` at once; 0: it has none. It builds shapes with the code of the digest `builds`, at the niceness
+    `nice`; empty: it builds none.
     """
 
     def __init__(
@@ -150,6 +153,8 @@ class WorkerService:
         job: str | None,
         grace: float,
         rows: int = 0,
+        builds: str = "",
+        nice: int = 0,
     ) -> None:
         self.wid = secrets.token_hex(16)
         self._bus = bus
@@ -157,8 +162,9 @@ class WorkerService:
         self._simulator = simulator
         self._inbox = inbox
         requests = BackgroundRequests(bus, store, inbox.put)
-        self._jobs = JobRegistry(bus, requests, self.wid, job, rows)
+        self._jobs = JobRegistry(bus, requests, self.wid, job, rows, builds)
         self._scenes = SceneCache(requests)
+        self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
         self._shutdown = GracefulShutdown(grace)
         self._drops = DropCounter()
@@ -176,6 +182,7 @@ class WorkerService:
             return
         with ExitStack() as stack:
             stack.enter_context(self._jobs)
+            stack.callback(self._builder.stop)
             stack.enter_context(self._bus.subscribe(self._keys.work(self.wid), put))
             stack.enter_context(self._bus.subscribe(self._keys.ctl(self.wid), put))
             stack.enter_context(self._bus.on_link(lambda up: put(LinkChanged(up))))
@@ -188,6 +195,7 @@ class WorkerService:
     def _step(self, now: float) -> None:
         self._simulator.step(now)
         self._submit_batches(now)
+        self._begin_build()
         if self._shutdown.is_late(now):
             self._hand_back_all(now)
         if self._simulator.platform is not None:
@@ -229,6 +237,8 @@ class WorkerService:
                         self._hand_back(task, now)
             case SceneAnswered():
                 self._take_scene(event, now)
+            case BuildEnded():
+                self._answer_build(event)
             case JoinAnswered():
                 self._take_answer(event, now)
             case CoordinatorSeen(key, is_alive):
@@ -243,7 +253,9 @@ class WorkerService:
         if session is None or session.defer(sample):
             return
         try:
-            if sample.key == Keys(session.job).work(self.wid):
+            if sample.encoding == messages.encoding(Build) and sample.key == Keys(session.job).work(self.wid):
+                session.accept(messages.decode_sample(sample, Build))
+            elif sample.key == Keys(session.job).work(self.wid):
                 session.accept(messages.decode_sample(sample, Work))
             else:
                 session.on_control(messages.decode_sample(sample, Control))
@@ -296,6 +308,33 @@ class WorkerService:
             else:
                 bundle = None if self._simulator.has_scene(scene) else self._scenes.pop(scene)
                 self._simulator.submit(task, bundle, now)
+
+    def _begin_build(self) -> None:
+        """Begin the next build, if none is under way; end one that is not wanted any more.
+
+        Batches at hand are evaluated beside it: the coordinator sends no more until it is done.
+        """
+        under_way = self._builder.build
+        if under_way is not None and not any(under_way.batch in session.held for session in self._jobs):
+            self._builder.stop()
+            for session in self._jobs:
+                session.release(under_way.batch)
+        if self._builder.build is not None or self._shutdown.has_begun:
+            return
+        for session in self._jobs:
+            if session.builds:
+                self._builder.start(session.job, session.begin_build())
+                return
+
+    def _answer_build(self, ended: BuildEnded) -> None:
+        session = self._jobs.get(ended.job)
+        if not self._builder.on_ended(ended) or session is None:
+            return
+        if ended.build.batch in session.held:
+            answer = ended.message(self.wid)
+            key = Keys(ended.job).result(self.wid)
+            self._bus.put(key, messages.encode(answer), encoding=messages.encoding(type(answer)))
+        session.release(ended.build.batch)
 
     def _next_batch(self) -> BatchProgress | None:
         """The next batch whose scene is here: first those begun before, then by turns of the jobs."""
@@ -356,7 +395,7 @@ class WorkerService:
             host=shorten(socket.gethostname()),
             run=head.work.run if head else "",
             rows=head.work.n if head else 0,
-            progressed=has_run and head is not None,
+            progressed=(has_run and head is not None) or self._builder.build is not None,
             memory=self._simulator.memory + process_stats(os.getpid()).memory,
             restarts=self._simulator.restarts,
         )

@@ -21,10 +21,7 @@ from typing import Self
 
 import structlog
 
-from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
-from qdgrasp_worker.device import Device
-from qdgrasp_worker.runtime.batch_progress import BatchProgress
-from qdgrasp_worker.runtime.process_limits import (
+from qdgrasp_assets.process_limits import (
     CPU_LIMIT_SIGNAL,
     NO_STATS,
     PROBE_SECONDS,
@@ -33,6 +30,9 @@ from qdgrasp_worker.runtime.process_limits import (
     ProcessStats,
     process_stats,
 )
+from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
+from qdgrasp_worker.device import Device
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     BatchRejected,

@@ -1,6 +1,7 @@
-"""Limits of a simulator's process, and what it takes of processor and memory.
+"""Limits of a process that computes for another one, and its use of processor and memory.
 
-Limits are held by the kernel and by the worker: a call into C cannot put them off. Usage is read from /proc.
+Limits are held by the kernel and by the other process: a call into C cannot put them off.
+Usage is read from /proc.
 """
 
 import ctypes

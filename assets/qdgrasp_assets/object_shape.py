@@ -1,0 +1,365 @@
+"""The shape of an object: its geometry in scenes, a value that depends on content alone.
+
+A task names the mesh by its content, with all else that the shape depends on. Wherever the shape is built,
+it is the same, and it is kept on the disk under the key of its task. Name, licence, mass and friction are no
+part of it.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import time
+from contextlib import suppress
+from pathlib import Path, PurePath
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from qdgrasp_assets import ycb
+from qdgrasp_assets.asset_paths import UNFINISHED, cache_folder, named_path, write_whole
+from qdgrasp_assets.code_version import building_code, file_digest
+from qdgrasp_assets.geometry.collision_parts import (
+    COACD,
+    OWN_HULL,
+    TIME_LIMIT,
+    FingerClearance,
+    PartsFit,
+    ProcessLimits,
+    has_unfinished_parts,
+    limited_parts,
+)
+from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_assets.geometry.mesh_io import linked_files
+from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
+from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
+from qdgrasp_assets.object_model import (
+    ObjectGeometry,
+    check_header,
+    read_object,
+    solid_draft,
+    warn_of_mesh,
+)
+from qdgrasp_assets.scene import Vector, vector
+from qdgrasp_assets.stand_ins import STAND_INS
+from qdgrasp_protocol.build_messages import ShapeTask
+from qdgrasp_protocol.errors import AssetError, MessageError
+from qdgrasp_protocol.messages import MAX_REASON, unpack_values
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import printable
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+Words = Annotated[str, Meta(max_length=1000)]
+
+
+class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The geometry of an object, in its CoM frame: origin at the CoM, axes of the mesh."""
+
+    collision_source: Words
+    """Source of the parts: "own parts", "own hull", "asset path" or "coacd", and why no finer ones."""
+    com_in_mesh: Vector
+    """The centre of mass in the mesh file's frame [m]: mesh = com frame + this."""
+    collision: bytes
+    """The convex parts as one OBJ file, one `o` group each."""
+    mesh_vertices: bytes
+    """The surface mesh, float32 (v, 3)."""
+    mesh_faces: bytes
+    """uint32 (f, 3), outward winding."""
+    points: bytes
+    """Surface points S_c, float32 (n, 3)."""
+    normals: bytes
+    """Their outward unit normals, float32 (n, 3)."""
+    finder_low: Vector
+    """The box of the contact point finder."""
+    finder_high: Vector
+    object_low: Vector
+    """The object's own axis-aligned bounding box."""
+    object_high: Vector
+    repairs: Annotated[tuple[Words, ...], Meta(max_length=64)] = ()
+    """Repairs and changes of the mesh, in words."""
+    air: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    """Distance between its bodies [m]; 0 where they meet, or are said to be glued."""
+    filled: Share = 0.0
+    """Share of the surface in front of which the parts fill free space."""
+    bare: Share = 0.0
+    """Share of the surface that is outside all parts."""
+
+    @property
+    def warning(self) -> str:
+        """Why grasps may be lost on its convex parts, in words; empty where they fit."""
+        if self.collision_source not in (OWN_HULL, COACD):
+            return f"its convex parts are not as fine as they should be ({self.collision_source})"
+        if PartsFit(self.filled, self.bare).is_good:
+            return ""
+        return (
+            f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and leave "
+            f"{100 * self.bare:.0f} % of it out, where grasps may be lost"
+        )
+
+
+MAX_SHAPE = 32 << 20
+"""Largest shape [bytes]: 500 000 triangles, the most, have 9 MB."""
+SHAPE_LIMITS = {
+    "max_array_len": 64,
+    "max_map_len": 32,
+    "max_str_len": 4096,
+    "max_bin_len": MAX_SHAPE,
+    "max_ext_len": 0,
+}
+MAX_CONTAINERS = 16
+MAX_POINTS = 1_000_000
+FARTHEST = 10.0  # Greatest coordinate [m]
+LONGEST_NORMAL = 1.001
+NUMBER = rb"-?\d{1,2}\.\d{9}"
+PARTS = re.compile(
+    rb"(?:o part_\d{1,6}\n(?:v %b %b %b\n){4,}+(?:f \d{1,7} \d{1,7} \d{1,7}\n){4,}+)++" % ((NUMBER,) * 3)
+)
+"""The text of convex parts, as `parts_to_obj` writes it."""
+_ENCODER = msgspec.msgpack.Encoder(order="sorted")
+
+
+def pack_shape(shape: ObjectShape) -> bytes:
+    """Return the canonical bytes of a shape."""
+    return _ENCODER.encode(shape)
+
+
+def unpack_shape(payload: bytes) -> ObjectShape:
+    """Return the shape in bytes from anyone; `MessageError` unless all of it can be used."""
+    if len(payload) > MAX_SHAPE:
+        raise MessageError(f"{len(payload)} bytes are more than a shape may have ({MAX_SHAPE})")
+    values = unpack_values(payload, MAX_CONTAINERS, SHAPE_LIMITS)
+    try:
+        shape = msgspec.convert(values, ObjectShape, builtin_types=(bytes,))
+        _check(shape)
+    except ValueError as error:
+        raise MessageError(f"not a shape: {printable(str(error), MAX_REASON)}") from None
+    return shape
+
+
+def _check(shape: ObjectShape) -> None:
+    """Check that arrays are of the sizes that belong together, and finite; else `ValueError`."""
+    vertices, points, normals = map(_coordinates, (shape.mesh_vertices, shape.points, shape.normals))
+    faces = np.frombuffer(shape.mesh_faces, "<u4").reshape(-1, 3)
+    low, high = (
+        np.array([shape.finder_low, shape.object_low]),
+        np.array([shape.finder_high, shape.object_high]),
+    )
+    checks = {
+        "faces": 4 <= len(faces) <= MOST_TRIANGLES and faces.max() < len(vertices),
+        "surface points": 0 < len(points) == len(normals) <= MAX_POINTS,
+        "normals": np.linalg.norm(normals, axis=1).max(initial=0.0) <= LONGEST_NORMAL,
+        "centre of mass": np.isfinite(shape.com_in_mesh).all(),
+        "boxes": (low < high).all() and np.isfinite([low, high]).all(),
+        "convex parts": _has_convex_parts(shape.collision),
+    }
+    for name, is_good in checks.items():
+        if not is_good:
+            raise ValueError(f"its {name} cannot be used")
+
+
+def _coordinates(blob: bytes) -> NDArray[np.float32]:
+    """Return coordinates (n, 3), finite and within reach; else `ValueError`."""
+    cloud = np.frombuffer(blob, "<f4").reshape(-1, 3)
+    if not (np.abs(cloud) <= FARTHEST).all():  # not true of nan
+        raise ValueError("its coordinates are not finite or too large")
+    return cloud
+
+
+def _has_convex_parts(text: bytes) -> bool:
+    """Return whether an OBJ text is of solids, each of which names its own vertices."""
+    if not PARTS.fullmatch(text):
+        return False
+    first = 1
+    for part in text.split(b"o part_")[1:]:
+        after = first + part.count(b"\nv ")
+        corners = np.array(part[part.index(b"\nf ") :].replace(b"f", b"").split(), dtype=np.int64)
+        if corners.min() < first or corners.max() >= after:
+            return False
+        first = after
+    return True
+
+
+def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | None = None) -> ObjectShape:
+    """Return the shape of a body, with surface points as an evaluation protocol has them."""
+    mesh, parts = body.centred_mesh, body.centred_parts
+    cloud = SURFACES[protocol](mesh, parts, body.com_in_mesh, seed)
+    low, high = mesh.bounds
+    return ObjectShape(
+        collision_source=body.collision_source,
+        com_in_mesh=vector(body.com_in_mesh),
+        collision=parts_to_obj(parts),
+        mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
+        mesh_faces=mesh.faces.astype("<u4").tobytes(),
+        points=cloud.points.astype("<f4").tobytes(),
+        normals=cloud.normals.astype("<f4").tobytes(),
+        finder_low=vector(cloud.finder_low),
+        finder_high=vector(cloud.finder_high),
+        object_low=vector(low),
+        object_high=vector(high),
+        repairs=body.repairs,
+        air=body.air,
+        filled=fit.filled if fit else 0.0,
+        bare=fit.bare if fit else 0.0,
+    )
+
+
+FLEET_LIMITS = ProcessLimits(120.0, 4 << 30)
+"""Limits of a shape that one of many workers builds."""
+OWN_LIMITS = ProcessLimits(TIME_LIMIT, 1 << 40)
+"""Those of a shape that is built in the process that needs it, by the clock and with all memory there is."""
+
+
+def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask | None:
+    """Return the task of building the shape of a spec's object.
+
+    None: it is made where it is needed, an object of the catalog, or a mesh that names files by paths that no
+    other folder can have. Raises `AssetError` if there is no such mesh, or too large a one.
+    """
+    if is_in_catalog(spec.object):
+        return None
+    path = named_path(spec.object)
+    check_header(path, spec.mesh)
+    try:
+        links = {str(file.relative_to(path.parent)): file for file in linked_files(path)}
+        named = [(f"mesh{path.suffix.lower()}", path), *links.items()]
+        files = [
+            {"name": name, "sha256": file_digest(file), "size": file.stat().st_size} for name, file in named
+        ]
+    except OSError as error:
+        if not os.access(path, os.R_OK):
+            raise AssetError(f"The mesh '{path}' cannot be read: {error.strerror or error}.") from None
+        return None
+    except ValueError:  # an absolute path
+        return None
+    if named[0][0] in links:
+        return None
+    values = {
+        "files": files,
+        "scale": spec.scale,
+        "mesh": None if spec.mesh is None else msgspec.to_builtins(spec.mesh),
+        "surface": "paper" if SURFACES[spec.protocol] is paper_surface else "released",
+        "surface_seed": spec.surface_seed,
+        "seconds": limits.seconds,
+        "memory": limits.memory,
+        "code": building_code(),
+    }
+    try:
+        return msgspec.convert(values, ShapeTask)
+    except msgspec.ValidationError:  # the name of a file is no safe one, or there are too many
+        return None
+
+
+def is_in_catalog(name: str) -> bool:
+    """Return whether an object is a stand-in or a scan, and no mesh file."""
+    return name in STAND_INS or name in ycb.SCAN_NAMES
+
+
+def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
+    """Build a shape from the files in a folder, which have their names in the task.
+
+    Raises `AssetError` if they are not those of the task, or are no mesh that can be used.
+    """
+    if task.code != building_code():
+        raise AssetError("The shape is to be built by another version of qdgrasp, or of its packages.")
+    for file in task.files:
+        if file_digest(folder / file.name) != file.sha256:
+            raise AssetError(f"The file '{file.name}' is not the one that the shape is to be built of.")
+    draft = solid_draft(folder / task.files[0].name, task.scale, task.mesh)
+    source, parts, fit = limited_parts(draft.mesh, ProcessLimits(task.seconds, task.memory))
+    body = ObjectGeometry(
+        collision_source=source,
+        mesh=draft.mesh,
+        parts=parts,
+        com_in_mesh=draft.mesh.centre_of_mass,
+        repairs=draft.repairs,
+        air=draft.air(task.mesh),
+    )
+    return shape_of(body, task.surface, task.surface_seed, fit)
+
+
+def file_shape(spec: RunSpec) -> ObjectShape:
+    """Return the shape of a spec's mesh file, from the store, or built here and put there.
+
+    What time did not suffice for is not kept, so that the next command tries again. Errors and warnings are
+    those of `read_object`.
+    """
+    path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec, OWN_LIMITS)
+    if task and (known := store.get(task.key)):
+        warn_of_mesh(path, known.repairs, known.air)
+        return known
+    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about)
+    fit = FingerClearance(target.mesh).fit(target.parts)
+    shape = shape_of(target, spec.protocol, spec.surface_seed, fit)
+    if task and not has_unfinished_parts(target.mesh):
+        store.put(task.key, pack_shape(shape))
+    return shape
+
+
+DIGEST, SUFFIX = 32, ".shape"  # Each file begins with the sha256 of the rest
+ABANDONED = 86400.0  # Seconds after which a file that is being written is one that a process left behind
+
+
+class ShapeStore:
+    """Shapes on the disk by the keys of their tasks.
+
+    Its folder may be deleted at any time, and several processes may use it at once. Its size is bounded: the
+    shapes that were not used for longest go first.
+    """
+
+    MOST_BYTES = 8 << 30
+    PUTS = 256  # Puts of one store after which its size is looked at again
+    KEPT = 0.9  # Share of the most bytes that is left then
+
+    def __init__(self, folder: Path | None = None, most_bytes: int = MOST_BYTES) -> None:
+        self._folder = folder or cache_folder() / "shapes"
+        self._most_bytes = most_bytes
+        self._puts = 0
+
+    def get(self, key: str) -> ObjectShape | None:
+        """Return a shape; None if it is not there, or not whole."""
+        file = self._file(key)
+        try:
+            content = file.read_bytes()
+            if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+                return None
+            shape = unpack_shape(content[DIGEST:])
+        except (OSError, MessageError):
+            return None
+        with suppress(OSError):
+            os.utime(file)
+        return shape
+
+    def __contains__(self, key: str) -> bool:
+        """Return whether a file of this key is there, whole or not."""
+        return self._file(key).is_file()
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Keep the bytes of a shape; what cannot be written is left out."""
+        with suppress(OSError):
+            write_whole(self._file(key), hashlib.sha256(payload).digest() + payload)
+            if self._puts % self.PUTS == 0:
+                self._sweep(time.time())
+            self._puts += 1
+
+    def _file(self, key: str) -> Path:
+        return self._folder / f"{key}{SUFFIX}"
+
+    def _sweep(self, now: float) -> None:
+        """Remove the shapes that were not used for longest, where all of them are too large."""
+        with os.scandir(self._folder) as entries:
+            found = {entry.path: entry.stat() for entry in entries}
+        for path, stat in found.items():
+            if PurePath(path).name.startswith(UNFINISHED) and now - stat.st_mtime > ABANDONED:
+                shutil.rmtree(path, ignore_errors=True)
+        total = sum(stat.st_size for stat in found.values())
+        if total <= self._most_bytes:
+            return
+        for path, stat in sorted(found.items(), key=lambda item: item[1].st_mtime):
+            if total <= self.KEPT * self._most_bytes:
+                return
+            if path.endswith(SUFFIX):
+                Path(path).unlink(missing_ok=True)
+                total -= stat.st_size

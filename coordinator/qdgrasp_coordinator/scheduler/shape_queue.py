@@ -1,0 +1,123 @@
+"""Builds: shapes of objects that workers are to build, before the runs that need them are opened.
+
+A build is leased like a batch (docs/bus.md, rules 1 to 6), and a worker that holds one is leased nothing
+else.
+"""
+
+import secrets
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from qdgrasp_protocol.build_messages import Build, Built, ShapeTask
+
+
+@dataclass(frozen=True)
+class WantedShape:
+    """A shape that is not built yet, and the mesh that it is made of."""
+
+    task: ShapeTask
+    mesh: Path
+
+    @property
+    def paths(self) -> dict[str, Path]:
+        """Its files by sha256: the mesh, and those that it names beside it."""
+        mesh, *others = self.task.files
+        return {mesh.sha256: self.mesh} | {file.sha256: self.mesh.parent / file.name for file in others}
+
+
+def _new_id() -> bytes:
+    return secrets.token_bytes(16)
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeBuild:
+    """A shape that one worker is to build."""
+
+    task: ShapeTask
+    failed: int = 0
+    """Builds of it that failed."""
+    id: bytes = field(default_factory=_new_id)
+    """16 random bytes."""
+
+
+@dataclass(frozen=True)
+class BuildLease:
+    """A build leased to a worker."""
+
+    wid: str
+    join: int
+    """The worker's join number; the worker drops what it was sent for an older one."""
+    attempt: int
+    """Counts the leases of this build, from 1."""
+    build: ShapeBuild
+
+    def message(self, epoch: int) -> Build:
+        """Return the message to the worker."""
+        return Build(
+            epoch=epoch, batch=self.build.id, attempt=self.attempt, join=self.join, task=self.build.task
+        )
+
+
+@dataclass(frozen=True)
+class BuildReply:
+    """The end of a build: its shape, or the reason why there is none."""
+
+    key: str
+    """The task's."""
+    pieces: tuple[bytes, ...] = ()
+    """The deflated shape; empty if it cannot be built."""
+    reason: str = ""
+    cpu_seconds: float = 0.0
+    superseded: str | None = None
+    """Another holder of the build, which is to drop it."""
+
+    @classmethod
+    def of(cls, build: ShapeBuild, built: Built, superseded: str | None) -> "BuildReply":
+        """Return the end of a build that a worker has answered."""
+        return cls(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
+
+
+class ShapeQueue:
+    """Builds that wait for a worker, in the order in which their runs come."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[ShapeBuild] = deque()
+
+    def __iter__(self) -> Iterator[ShapeBuild]:
+        return iter(self._waiting)
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def submit(self, tasks: Iterable[ShapeTask]) -> None:
+        """Take shapes that were never leased."""
+        self._waiting.extend(ShapeBuild(task) for task in tasks)
+
+    def pop(self, code: str) -> ShapeBuild | None:
+        """Return the next build for a worker with this building code; None: there is none for it."""
+        for build in self._waiting:
+            if code and build.task.code == code:
+                self._waiting.remove(build)
+                return build
+        return None
+
+    def requeue(self, build: ShapeBuild) -> None:
+        """Have a build leased again, before any other."""
+        self._waiting.appendleft(build)
+
+    def requeue_failed(self, build: ShapeBuild) -> None:
+        """Have a build that failed tried again, as another one."""
+        self.requeue(replace(build, failed=build.failed + 1, id=_new_id()))
+
+    def remove(self, build: ShapeBuild) -> None:
+        """Forget a build that was queued again, if it still waits."""
+        if build in self._waiting:
+            self._waiting.remove(build)
+
+    def clear(self) -> list[ShapeBuild]:
+        """Forget all builds that wait, and return them."""
+        builds = list(self._waiting)
+        self._waiting.clear()
+        return builds

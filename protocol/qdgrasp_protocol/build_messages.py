@@ -1,0 +1,130 @@
+"""Messages of builds: the shape of an object, which a worker builds from files by their content.
+
+A shape is an object's mesh, its convex parts and surface points, as scenes hold them (docs/bus.md).
+"""
+
+import hashlib
+import zlib
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, Text, Wid
+
+
+class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Changes of a mesh file before it is an object: remeshed or its hull, then simplified."""
+
+    simplify: Annotated[int, Meta(ge=20, le=500_000)] | None = None
+    """Most triangles; None: as many as there are."""
+    remesh: bool = False
+    """A new closed surface around whatever the file holds."""
+    hull: bool = False
+    """Its convex hull in place of the mesh."""
+    glued: bool = False
+    """Bodies that are apart are meant to be one rigid object."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The changes, for the provenance."""
+        said = {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued}
+        fewer = (f"simplified to {self.simplify} triangles",) if self.simplify else ()
+        return (*(word for word, is_asked in said.items() if is_asked), *fewer)
+
+    def __str__(self) -> str:
+        return "_".join(self.words).replace(" ", "_")
+
+
+SAFE_NAME = r"\A(?!.*(?:\A|/)\.{1,2}(?:/|\Z))[^/\\\x00-\x1f]+(?:/[^/\\\x00-\x1f]+)*\Z"
+"""A relative path without `.` and `..`."""
+
+
+class MeshFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A file that the shape of an object is made of."""
+
+    name: Annotated[str, Meta(pattern=SAFE_NAME, max_length=200)]
+    """Its path in the folder in which the shape is built."""
+    sha256: Digest
+    size: Count
+    """[bytes]."""
+
+
+class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All that the shape of an object depends on, its files by their content."""
+
+    files: Annotated[tuple[MeshFile, ...], Meta(min_length=1, max_length=64)]
+    """The mesh first, then the files with its geometry that it names."""
+    scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
+    """Metres to a unit of the mesh; None: 1."""
+    mesh: MeshPreparation | None = None
+    """Changes of the mesh; None: taken as it is."""
+    surface: Literal["paper", "released"] = "paper"
+    """How surface points are drawn; all protocols but `released` have those of the paper."""
+    surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    seconds: Annotated[float, Meta(gt=0, le=1e6)]
+    """Most CPU time for the convex parts [s]."""
+    memory: Annotated[int, Meta(ge=1 << 28, le=1 << 40)]
+    """Most memory of each process that builds the shape [bytes]."""
+    code: Digest
+    """Digest of the code that builds it, and of the versions of its packages."""
+
+    @property
+    def key(self) -> str:
+        """Its name in stores and on the bus: the sha256 of all fields."""
+        return hashlib.sha256(msgspec.msgpack.encode(self)).hexdigest()
+
+
+PIECE_SIZE = 1 << 20  # Bytes of a blob in a message, at most
+MOST_PIECES = 15  # Pieces that fit into a message
+
+
+def split_payload(payload: bytes) -> tuple[bytes, ...]:
+    """Return a payload deflated (zlib), in pieces as messages carry them."""
+    deflated = zlib.compress(payload, 1)
+    return tuple(deflated[start : start + PIECE_SIZE] for start in range(0, len(deflated), PIECE_SIZE))
+
+
+def join_payload(pieces: Iterable[bytes], most: int) -> bytes:
+    """Return the payload in deflated pieces; a MessageError if it is damaged, or has over `most` bytes."""
+    inflater = zlib.decompressobj()
+    try:
+        payload = inflater.decompress(b"".join(pieces), most)
+    except zlib.error as error:
+        raise MessageError(f"it is damaged: {error}") from None
+    if not inflater.eof:
+        raise MessageError(f"it is cut short, or has more than {most} bytes")
+    return payload
+
+
+class Build(Message, frozen=True, kw_only=True):
+    """Coordinator to worker: a leased build, the shape of an object of a library."""
+
+    wire_name = "build"
+
+    epoch: Count
+    batch: BatchId
+    attempt: Count
+    join: Count
+    """The worker's join number that this lease belongs to (the join fence)."""
+    task: ShapeTask
+
+
+class Built(Message, frozen=True, kw_only=True):
+    """Worker to coordinator: the shape of an object, or the reason why there is none."""
+
+    wire_name = "built"
+
+    epoch: Count
+    batch: BatchId
+    attempt: Count
+    wid: Wid
+    pieces: Annotated[tuple[bytes, ...], Meta(max_length=MOST_PIECES)] = ()
+    """The packed shape (`split_payload`); none if it was not built."""
+    reason: Text = ""
+    """Why it was not built; empty if it was."""
+    is_final: bool = False
+    """No worker can build it: of such files no object can be made."""
+    cpu_seconds: Number = 0.0
