@@ -182,7 +182,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
     """Counted evaluations without a new success cell that end the run; None: no criterion."""
     saturation: Annotated[float, Meta(ge=0, lt=1)] | None = None
-    """Yield of new niches, over the run's mean yield, that ends the run; None or 0: no criterion."""
+    """Rate of new niches lately, over the run's mean rate, that ends the run; None or 0: never."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
     population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500

@@ -73,7 +73,7 @@ A second generation in flight keeps the workers of a single run busy; here other
 told all that it asked.
 """
 SATURATION = 0.1
-"""Share of its mean yield at which an object is saturated, where a target of grasps is given."""
+"""Share of its mean rate of new niches at which an object is saturated, where a target of grasps is given."""
 ADAPTIVE_BUDGET = {"evaluations": 20_000, "saturation": SATURATION}
 """Budget and saturation of a campaign with a target of grasps, unless it says others."""
 LONGEST_NAME = 64

@@ -125,7 +125,7 @@ def campaign(
     """  # noqa: D205  # typer joins the lines
     if None not in (evaluations, max_evaluations):
         raise InputError("--evaluations and --max-evaluations both say the budget: give one of them.")
-    if None not in (grasps_per_object, max_evaluations) and max_evaluations < grasps_per_object:
+    if max_evaluations is not None and max_evaluations < (grasps_per_object or 0):
         expected = f"at least {grasps_per_object}, as --grasps-per-object says"
         raise ImpossibleValue("--max-evaluations", max_evaluations, expected)
     goals = {

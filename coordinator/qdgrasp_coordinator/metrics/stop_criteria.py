@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 LEAST_OUTCOMES = {"successes": Outcome.DROPPED, "grasps": Outcome.SHAKEN}
 """Least outcome of the rows that a criterion wants so many of, by its name."""
-WINDOW = 1000  # Simulated evaluations whose yield of new niches is held against that of the whole run
+WINDOW = 1000  # Simulated evaluations whose rate of new niches is held against that of the whole run
 DIGITS = 10_000  # A share in an error is rounded down to a fraction of this
 
 
@@ -38,9 +38,9 @@ class StopCriteria:
     grasps: int | None = None
     """Nominal grasps after which it ends."""
     saturation: float | None = None
-    """Yield of new niches lately, over that of the whole run, at which it ends."""
+    """Rate of new niches lately, over that of the whole run, at which it ends."""
     by_orientation: bool = False
-    """Whether the niches of that yield are orientations in cells, in place of cells."""
+    """Whether the niches of that rate are orientations in cells, in place of cells."""
     window: int = WINDOW
     """Number of the simulated evaluations that are meant by lately."""
 
@@ -62,7 +62,7 @@ class StopTracker:
         self._found = dict.fromkeys(self._wanted, 0)
         self._last = Outcome.ERROR  # of the last row
         self._stale = self._most_stale = 0  # evaluations since a new cell: now, and most before the last row
-        self._yield = NicheYield(goals.window, by_orientation=goals.by_orientation)
+        self._rate = NicheRate(goals.window, by_orientation=goals.by_orientation)
 
     def count(self, rows: Rows, is_counted: Flags) -> None:
         """Count the next nominal rows (n,), before their cells are known."""
@@ -75,7 +75,7 @@ class StopTracker:
             self._most_stale = max(self._most_stale, self._stale, int(stale[:-1].max(initial=0)))
             self._stale = int(stale[-1])
         if self._goals.saturation is not None:
-            self._yield.count(rows)
+            self._rate.count(rows)
 
     @property
     def reached(self) -> str | None:
@@ -85,7 +85,7 @@ class StopTracker:
                 return f"{wanted} {name} are found"
         if self._goals.no_new_cell is not None and self._stale >= self._goals.no_new_cell:
             return f"the last {self._goals.no_new_cell} evaluations found no new cell"
-        if self._goals.saturation is not None and self._yield.share <= self._goals.saturation:
+        if self._goals.saturation is not None and self._rate.share <= self._goals.saturation:
             return f"it is saturated: the last {self._goals.window} simulated evaluations found little new"
         return None
 
@@ -97,7 +97,7 @@ class StopTracker:
         if self._goals.no_new_cell is not None:
             ends.append(count_to_first(self._staleness(rows, is_counted) >= self._goals.no_new_cell))
         if self._goals.saturation is not None:
-            ends.append(count_to_first(self._yield.shares(rows) <= self._goals.saturation))
+            ends.append(count_to_first(self._rate.shares(rows) <= self._goals.saturation))
         return min(ends)
 
     def check(self) -> None:
@@ -112,10 +112,10 @@ class StopTracker:
                 self._goals.no_new_cell,
                 f"at least {self._most_stale + 1}: so long a stretch without a new cell is recorded",
             )
-        if self._goals.saturation is not None and self._goals.saturation >= self._yield.least:
-            bound = math.floor(self._yield.least * DIGITS) / DIGITS
+        if self._goals.saturation is not None and self._goals.saturation >= self._rate.least:
+            bound = math.floor(self._rate.least * DIGITS) / DIGITS
             raise ImpossibleValue(
-                "saturation", self._goals.saturation, f"less than {bound}: so small a yield is recorded"
+                "saturation", self._goals.saturation, f"less than {bound}: so small a share is recorded"
             )
 
     def _counts(self, name: str, rows: Rows) -> Counts:
@@ -138,11 +138,11 @@ class StopTracker:
         return is_new
 
 
-class NicheYield:
-    """New niches with a grasp per simulated evaluation: over the last `window`, and over the whole run.
+class NicheRate:
+    """Rate of new niches with a grasp: over the last `window` simulated evaluations, and over all.
 
-    The share of the one in the other falls as an object is saturated. It does not fall where grasps are rare
-    from the beginning. The window is taken to hold one niche more than it does: of few, chance decides.
+    The share of the one in the other falls as an object is saturated, and not where grasps are rare from the
+    beginning. The window is taken to hold one niche more than it does: of few, chance decides.
     """
 
     def __init__(self, window: int, *, by_orientation: bool) -> None:
@@ -175,7 +175,8 @@ class NicheYield:
         shares[known - 1] = self.share
         found = history[ends] - history[ends - self._window]
         shares[ends] = (found + 1) * simulated / (self._window * np.maximum(history[ends], 1))
-        return shares[known - 1 + np.cumsum(rows["outcome"] >= Outcome.MISSED)]
+        latest: Floats = shares[known - 1 + np.cumsum(rows["outcome"] >= Outcome.MISSED)]
+        return latest
 
     def _extended_history(self, rows: Rows, first: dict[tuple[int, int], int]) -> Counts:
         is_new = np.zeros(len(rows), dtype=bool)

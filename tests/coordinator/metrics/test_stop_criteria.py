@@ -13,7 +13,7 @@ from tests.fakes.job import Job
 
 from qdgrasp_coordinator.metrics.cells import orientations
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
-from qdgrasp_coordinator.metrics.stop_criteria import NicheYield, StopCriteria
+from qdgrasp_coordinator.metrics.stop_criteria import NicheRate, StopCriteria
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, to_values
@@ -24,7 +24,7 @@ GOALS = (
 )
 KINDS = {"population": (1, 7), "overlaps": ("count", "redraw"), "in_flight": (1, 2), "trials": (0, 2)}
 PLANS = [
-    Plan(evaluations=150, seed=seed, task=FEW_CELLS, **dict([*zip(KINDS, kind, strict=True), goal]))
+    Plan(evaluations=300, seed=seed, task=FEW_CELLS, **dict([*zip(KINDS, kind, strict=True), goal]))
     for seed, (*kind, goal) in enumerate(itertools.product(*KINDS.values(), GOALS))
 ]
 
@@ -143,7 +143,7 @@ def grasping_rows(n: int, seed: int = 0) -> Rows:
 
 
 def shares_by_hand(rows: Rows, window: int, *, by_orientation: bool) -> list[float]:
-    """The yield lately over that of the whole run after each row, counted from the beginning every time."""
+    """The rate of new niches lately, over that of all, at each row; counted anew for each."""
     found = []
     for n in range(1, len(rows) + 1):
         simulated = rows[:n][rows["outcome"][:n] >= Outcome.MISSED]
@@ -162,9 +162,11 @@ def shares_by_hand(rows: Rows, window: int, *, by_orientation: bool) -> list[flo
 
 @pytest.mark.parametrize("by_orientation", [False, True])
 @pytest.mark.parametrize("size", [1, 7, 20, 150])
-def test_the_yield_is_that_of_a_count_by_hand_in_blocks_of_any_size(size: int, by_orientation: bool) -> None:
+def test_the_rate_of_niches_is_that_of_a_count_by_hand_in_blocks_of_any_size(
+    size: int, by_orientation: bool
+) -> None:
     rows = grasping_rows(150)
-    counted_so_far = NicheYield(20, by_orientation=by_orientation)
+    counted_so_far = NicheRate(20, by_orientation=by_orientation)
     found: list[float] = []
     for first in range(0, len(rows), size):
         block = rows[first : first + size]

@@ -89,7 +89,7 @@ class Plan:
     grasps: int | None = None
     saturation: float | None = None
     window: int = 20
-    """Simulated evaluations that the yield of new cells is counted over."""
+    """Simulated evaluations that the rate of new cells is counted over."""
     task: Task = CHAIN
 
     def __str__(self) -> str:
