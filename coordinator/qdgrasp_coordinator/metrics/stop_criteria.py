@@ -139,10 +139,10 @@ class StopTracker:
 
 
 class NicheRate:
-    """Rate of new niches with a grasp: over the last `window` simulated evaluations, and over all.
+    """Rate of new niches with a grasp: over the last simulated evaluations, and over all.
 
     The share of the one in the other falls as an object is saturated, and not where grasps are rare from the
-    beginning. The window is taken to hold one niche more than it does: of few, chance decides.
+    beginning. The last `window` evaluations are taken to have found one niche more: of few, chance decides.
     """
 
     def __init__(self, window: int, *, by_orientation: bool) -> None:
