@@ -101,7 +101,9 @@ class ObjectRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
 """Unit of a key's value, for errors."""
-STOP_KEYS = ("evaluations", "successes", "no_new_cell")
+GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
+"""Keys of a spec's stop criteria besides its budget."""
+STOP_KEYS = ("evaluations", *GOAL_KEYS)
 """Keys of a spec's stop criteria, which may change when a run goes on."""
 
 
@@ -153,8 +155,12 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
     """Successes that end the run before its budget is spent; None: no such criterion."""
+    grasps: Annotated[int, Meta(ge=1, le=10**9)] | None = None
+    """Grasps, of fitness 1 or more, that end the run; None: no such criterion."""
     no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
     """Counted evaluations without a new success cell that end the run; None: no criterion."""
+    saturation: Annotated[float, Meta(ge=0, lt=1)] | None = None
+    """Rate of new niches lately, over the run's mean rate, that ends the run; None or 0: never."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
     population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500

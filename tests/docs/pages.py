@@ -126,6 +126,7 @@ SECONDS = 400.0
 CUTS: tuple[tuple[str, str], ...] = (
     (r"(--protocol robust .*)--evaluations \d+", r"\1--evaluations 12"),
     (r"--top \d+", "--top 2"),
+    (r"--grasps-per-object \d+ --max-evaluations \d+", "--grasps-per-object 20 --max-evaluations 60"),
     (r"(qdgrasp-worker .*)--workers \d+", r"\1--workers 1"),
     (r"(qdgrasp bench.*)--workers \d+", r"\1--workers 2"),
     (r"--sample \d+", "--sample 5"),

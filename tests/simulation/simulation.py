@@ -17,7 +17,6 @@ from tests.simulation.recorder import MemoryDisk, SimulatedRecorder
 from tests.simulation.worker import CREDIT, Forger, Mishaps, Speed, Worker
 
 from qdgrasp_assets.scene import Bundle
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
@@ -188,9 +187,8 @@ class Simulation:
             CheckedSearch(plan.task.search(plan.population, plan.seed), plan.in_flight),
             self.task.shape,
         )
-        goals = StopCriteria(plan.successes, plan.no_new_cell)
         budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trial_plan)
-        pipeline = Pipeline(search, shape, *budget, goals)
+        pipeline = Pipeline(search, shape, *budget, plan.goals)
         return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 
     # What has ended is started again.

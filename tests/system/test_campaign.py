@@ -97,6 +97,38 @@ def test_a_finished_campaign_is_not_carried_out_again(done):
     assert digests(done) == before
 
 
+BUDGETS = """
+[defaults]
+gripper = "panda"
+protocol = "physical"
+engine = "mujoco"
+population = 20
+[[cross]]
+object = ["tennis_ball", "power_drill"]
+"""
+
+
+@pytest.mark.slow
+def test_an_object_with_enough_grasps_ends_early_and_one_with_few_goes_on_to_the_cap(qdgrasp):
+    def ends() -> dict[str, str]:
+        return {name.split("-")[1]: qdgrasp.info(path)["ended"] for name, path in runs(qdgrasp, "out")}
+
+    budgets = ("--grasps-per-object", 12, "--max-evaluations", 14)
+    file = write(qdgrasp.home, BUDGETS)
+    first = qdgrasp.succeed("campaign", file, *budgets, "--workers", 1, "--out", "out")
+    cap = "the budget of 14 evaluations is spent"
+    assert ends() == {"tennis_ball": "12 grasps are found", "power_drill": cap}
+    reasons = {"N grasps are found": 1, "the budget of N evaluations is spent": 1}
+    assert qdgrasp.succeed("info", "out", "--json").json["ended"] == reasons
+    assert "Finished runs ended: 1 as " in first.out
+    larger = ("--grasps-per-object", 15, "--max-evaluations", 60)
+    qdgrasp.succeed("campaign", "out", *larger, "--workers", 1)
+    assert ends()["tennis_ball"] == "15 grasps are found"
+    assert ends()["power_drill"] == "the budget of 60 evaluations is spent"
+    qdgrasp.succeed("campaign", file, *larger, "--workers", 1, "--out", "whole")
+    assert digests(qdgrasp) == digests(qdgrasp, "whole")
+
+
 @pytest.mark.slow
 def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
     shutil.copytree(done.home / "out", qdgrasp.home / "out")

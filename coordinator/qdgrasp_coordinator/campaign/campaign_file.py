@@ -43,6 +43,7 @@ from qdgrasp_protocol.errors import (
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
+    GOAL_KEYS,
     OBJECTIVE_KEYS,
     STOP_KEYS,
     RunSpec,
@@ -71,6 +72,10 @@ CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 A second generation in flight keeps the workers of a single run busy; here other runs do, and the search is
 told all that it asked.
 """
+SATURATION = 0.1
+"""Share of its mean rate of new niches at which an object is saturated, where a target of grasps is given."""
+ADAPTIVE_BUDGET = {"evaluations": 20_000, "saturation": SATURATION}
+"""Budget and saturation of a campaign with a target of grasps, unless it says others."""
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
 CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
@@ -108,7 +113,9 @@ class Campaign:
     @property
     def words(self) -> str:
         """One sentence for a person."""
-        parts = [f"{counted(len(self.runs), 'run')}, {counted(self.evaluations, 'evaluation')} in all"]
+        has_goals = any(getattr(spec, key) is not None for spec in self.runs.values() for key in GOAL_KEYS)
+        most = "at most " if has_goals else ""
+        parts = [f"{counted(len(self.runs), 'run')}, {most}{counted(self.evaluations, 'evaluation')} in all"]
         if self.scans:
             parts.append(f"scans of {', '.join(self.scans)}")
         if self.stand_ins:
@@ -123,25 +130,28 @@ def read_campaign(
     *,
     here: bool = True,
     is_begun: bool = False,
-    goals: Mapping[str, int | None] = MappingProxyType({}),
+    goals: Mapping[str, float | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `is_begun`: it may have been begun by a
     version without objectives, which a missing `aim_for` then means; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults; `rules` are for the libraries that it names as objects.
-    Raises InputError if the file is missing, is not TOML, or asks
-    for a run that is not possible; the run is named.
+    end runs, in place of the file's defaults, and behind these stands `ADAPTIVE_BUDGET` if grasps are among
+    them; `rules` are for the libraries that it names as objects. Raises InputError if the file is missing, is
+    not TOML, or asks for a run that is not possible; the run is named.
     """
-    source, asked = (
-        read_run_spec(path, LARGEST_CAMPAIGN),
-        {key: value for key, value in goals.items() if value is not None},
-    )
-    if asked and isinstance(source.get("defaults", {}), dict):
-        source["defaults"] = source.get("defaults", {}) | asked
+    source = read_run_spec(path, LARGEST_CAMPAIGN)
+    if isinstance(source.get("defaults", {}), dict):
+        source["defaults"] = _with_goals(source.get("defaults", {}), goals)
     source, skipped = _with_libraries(source, rules) if here else (source, None)
     return replace(make_campaign(source, str(path), here=here, is_begun=is_begun), skipped=skipped)
+
+
+def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a campaign's defaults with other goals, as far as these have a value."""
+    asked = {key: value for key, value in goals.items() if value is not None}
+    return {**(ADAPTIVE_BUDGET if "grasps" in asked else {}), **defaults, **asked}
 
 
 def _with_libraries(
@@ -330,8 +340,12 @@ def campaign_of_meshes(
     campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
     """
     library = read_library(where, rules)
-    cross = {key: value for key, value in values.items() if value is not None}
-    source = {"cross": [cross | {"object": list(library.objects)}], "objects": library.objects}
+    cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
+    source = {
+        "defaults": _with_goals({}, {key: values.get(key) for key in STOP_KEYS}),
+        "cross": [cross | {"object": list(library.objects)}],
+        "objects": library.objects,
+    }
     campaign = make_campaign(source, f"campaign of {where}", is_begun=is_begun)
     return replace(campaign, skipped=library.skipped)
 

@@ -51,7 +51,7 @@ from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec
 from qdgrasp_protocol.text import counted
 
 
-def extend_run(folder: RunFolder, **goals: int) -> None:
+def extend_run(folder: RunFolder, **goals: float) -> None:
     """Give a run a new budget, or other stop criteria: any of `spec.STOP_KEYS`.
 
     Raises ImpossibleValue if one is not allowed, or the journal goes on behind it.
@@ -80,14 +80,20 @@ SCENE_KEYS = (
 """The keys of a spec that its scene depends on."""
 
 
+class FinishedTotals(RunTotals, frozen=True, kw_only=True):
+    """Totals of a finished run, and the reason why it ended, in words."""
+
+    ended: str
+
+
 class CachedTotals(Struct, frozen=True):
     """Totals of a finished run, with the mark of what they depend on."""
 
     mark: str
-    totals: RunTotals
+    totals: FinishedTotals
 
 
-def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
+def read_cached_totals(folder: RunFolder, spec: RunSpec) -> FinishedTotals | None:
     """Return the stored totals of a run that was finished under `spec`; None: not known."""
     file = folder.path / TOTALS_FILE
     if file.is_file():
@@ -98,7 +104,7 @@ def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
     return None
 
 
-def _write_cached_totals(folder: RunFolder, spec: RunSpec, totals: RunTotals) -> None:
+def _write_cached_totals(folder: RunFolder, spec: RunSpec, totals: FinishedTotals) -> None:
     """Store the totals of a finished run; a disk that cannot take them is no error."""
     with suppress(FolderError):
         cached = CachedTotals(_journal_mark(folder, spec), totals)
@@ -112,7 +118,7 @@ def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
         return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
 
 
-def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
+def finished_totals(path: Path, spec: RunSpec) -> FinishedTotals | None:
     """Return the totals of the run that `spec` asks for, where its folder holds all of it.
 
     None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
@@ -134,14 +140,17 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
                 found = count_within_budget(folder, spec)
             except ImpossibleValue as reason:
                 raise EndsTooSoon(folder.path, reason) from None
-            if found.finished:
-                _write_cached_totals(folder, spec, found.totals)
-            return found.totals if found.finished else None
+            if not found.finished:
+                return None
+            totals = FinishedTotals(**structs.asdict(found.totals), ended=found.finished)
+            _write_cached_totals(folder, spec, totals)
+            return totals
     except FolderError:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return run_summary(folder).totals
+    summary = run_summary(folder)
+    return FinishedTotals(**structs.asdict(summary.totals), ended=summary.ended)
 
 
 class CampaignRunQueue(RunQueue):
@@ -166,6 +175,8 @@ class CampaignRunQueue(RunQueue):
         self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
             finished
         )
+        self.ends = Counter(DIGITS.sub("N", totals.ended) for totals in finished.values())
+        """Number of finished runs for each reason of their end; numbers in it are left out."""
         self._left = deque(self.extent.budgets)  # Runs that were not looked at
         self._ready: deque[str] = deque()
         self._waiting: dict[str, list[str]] = {}  # Runs by the key of the shape that they wait for
@@ -322,6 +333,8 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     grasps: int
     skipped: int
     """Objects that cannot be used, and are left out."""
+    ended: dict[str, int]
+    """Number of finished runs for each reason of their end, the most frequent first, as in `reasons`."""
     reasons: dict[str, int]
     """Number of objects left out for each reason, the most frequent first; numbers in it are left out."""
 
@@ -329,8 +342,9 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     def table(self) -> str:
         """All counts, one to a line."""
         values = structs.asdict(self)
-        reasons = values.pop("reasons")
+        ended, reasons = values.pop("ended"), values.pop("reasons")
         lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
+        lines += [f"{'ended':<16} {count}: {reason}" for reason, count in ended.items()]
         lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
         return "\n".join(lines)
 
@@ -338,7 +352,8 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
 def campaign_summary(folder: JobFolder) -> CampaignSummary:
     """Count what a campaign asks for, has finished and left out, also while it goes on."""
     asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
-    extent = CampaignRunQueue(folder, asked.runs).extent
+    queue = CampaignRunQueue(folder, asked.runs)
+    extent = queue.extent
     report, reasons = folder.path / SKIPPED, Counter[str]()
     if report.is_file():
         rows = csv.DictReader(atomic_files.read(report).decode(errors="replace").splitlines())
@@ -353,6 +368,7 @@ def campaign_summary(folder: JobFolder) -> CampaignSummary:
         successes=extent.done.successes,
         grasps=extent.done.grasps,
         skipped=reasons.total(),
+        ended=dict(queue.ends.most_common()),
         reasons=dict(reasons.most_common()),
     )
 

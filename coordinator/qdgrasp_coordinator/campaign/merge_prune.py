@@ -37,7 +37,7 @@ from qdgrasp_coordinator.storage.outputs import LOGS
 from qdgrasp_coordinator.storage.run_folder import RunFolder, run_files
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import trial_count
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, to_toml
 from qdgrasp_protocol.text import counted
 
 SUMMED_FIELDS = (
@@ -101,7 +101,7 @@ def _check_same_scene(one: MergePart, other: MergePart) -> None:
 def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
     budget = min(sum(part.source.asked.evaluations for part in parts), MOST_EVALUATIONS)
     first = max((part.source.asked for part in parts), key=lambda asked: len(asked.stages))
-    none = dict.fromkeys(("finalists", "successes", "no_new_cell", "poses"))
+    none = dict.fromkeys(("finalists", *GOAL_KEYS, "poses"))
     return msgspec.structs.replace(first, evaluations=budget, **none)
 
 

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors, 
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import COLUMNS, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import to_toml
+from qdgrasp_protocol.spec import GOAL_KEYS, to_toml
 
 BLOCK_ROWS = 4096  # Rows in a block
 
@@ -145,7 +145,7 @@ class MergePart:
     @property
     def search_key(self) -> tuple[str, str]:
         """Key of the search that it records, whatever its budget and goals."""
-        endless = msgspec.structs.replace(self.source.asked, evaluations=1, successes=None, no_new_cell=None)
+        endless = msgspec.structs.replace(self.source.asked, evaluations=1, **dict.fromkeys(GOAL_KEYS))
         return self.source.scene, to_toml(endless)
 
     @property

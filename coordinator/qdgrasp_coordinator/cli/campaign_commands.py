@@ -29,7 +29,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted
 
@@ -75,8 +75,25 @@ def campaign(
         int | None, typer.Option(help="With --objects: counted evaluations of each run; default 10000.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    grasps_per_object: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="End a run with so many grasps, or when its object is saturated: --saturation, here 0.1.",
+        ),
+    ] = None,
+    max_evaluations: Annotated[
+        int | None,
+        typer.Option(
+            metavar="M",
+            min=1,
+            help="Most counted evaluations of each run; default with --grasps-per-object 20000.",
+        ),
+    ] = None,
     successes: options.Successes = None,
     no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
@@ -91,7 +108,10 @@ def campaign(
     one that was stopped goes on, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
-    --successes and --no-new-cell replace what its [defaults] say; a [[cross]] with its own keeps that.
+    What ends a run replaces what its [defaults] say; a [[cross]] with its own keeps that.
+
+    With --grasps-per-object an object with many grasps ends early, and one with few goes on to
+    --max-evaluations; with larger ones the same command goes on.
 
     A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
     --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
@@ -100,8 +120,21 @@ def campaign(
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
+
+    Example: qdgrasp campaign library.csv --gripper panda --grasps-per-object 2000 --max-evaluations 20000
     """  # noqa: D205  # typer joins the lines
-    goals = {"successes": successes, "no_new_cell": no_new_cell}
+    if None not in (evaluations, max_evaluations):
+        raise InputError("--evaluations and --max-evaluations both say the budget: give one of them.")
+    if max_evaluations is not None and max_evaluations < (grasps_per_object or 0):
+        expected = f"at least {grasps_per_object}, as --grasps-per-object says"
+        raise ImpossibleValue("--max-evaluations", max_evaluations, expected)
+    goals = {
+        "evaluations": max_evaluations,
+        "successes": successes,
+        "grasps": grasps_per_object,
+        "no_new_cell": no_new_cell,
+        "saturation": saturation,
+    }
     keys = {
         "gripper": gripper,
         "method": method,
@@ -124,7 +157,7 @@ def campaign(
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        asked = campaign_of_meshes(objects, rules, {**keys, **goals}, is_begun=begun)
+        asked = campaign_of_meshes(objects, rules, {**goals, **options.given(**keys)}, is_begun=begun)
     elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
         raise InputError(
             f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its own, "
@@ -172,7 +205,8 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
 
 def print_summary(folder: JobFolder, asked: Campaign) -> None:
     """Print the campaign's figures."""
-    found = CampaignRunQueue(folder, asked.runs).extent
+    queue = CampaignRunQueue(folder, asked.runs)
+    found = queue.extent
     if found.runs_done < found.runs:
         typer.echo(f"Not all runs are finished; {resume_hint(folder)}")
     typer.echo(
@@ -180,6 +214,9 @@ def print_summary(folder: JobFolder, asked: Campaign) -> None:
         f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )
+    if queue.ends:
+        ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
+        typer.echo(f"Finished runs ended: {ends}.")
 
 
 def analyse(

@@ -80,6 +80,18 @@ Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; defa
 Successes = Annotated[
     int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")
 ]
+Grasps = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="End with so many grasps; default: with the budget.")
+]
+Saturation = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        min=0,
+        help="End when 1000 simulated evaluations found new niches with a grasp at this share of the mean "
+        "rate, below 1; 0: never.",
+    ),
+]
 NoNewCell = Annotated[
     int | None, typer.Option(metavar="N", min=1, help="End when N evaluations in a row found no new cell.")
 ]

@@ -31,6 +31,7 @@ from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
+    GOAL_KEYS,
     MAX_POPULATION,
     OBJECTIVE_KEYS,
     RunSpec,
@@ -89,7 +90,9 @@ def run(
     grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
+    grasps: options.Grasps = None,
     no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
     seconds: options.Seconds = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
     overlaps: Annotated[
@@ -147,7 +150,9 @@ def run(
         grasps_per_cell=grasps_per_cell,
         evaluations=evaluations,
         successes=successes,
+        grasps=grasps,
         no_new_cell=no_new_cell,
+        saturation=saturation,
         seed=seed,
         overlaps=overlaps,
         population=population,
@@ -220,7 +225,9 @@ def resume(
         int | None, typer.Option(help="The new total of counted evaluations; default: the spec's.")
     ] = None,
     successes: options.Successes = None,
+    grasps: options.Grasps = None,
     no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
@@ -231,7 +238,7 @@ def resume(
 ) -> None:
     """Go on with a run where its journal ends; --evaluations extends a finished one.
 
-    So do --successes and --no-new-cell where a run ended with these.
+    So do --successes, --grasps, --no-new-cell and --saturation where a run ended with these.
 
     Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
     """
@@ -243,7 +250,13 @@ def resume(
     folder.job.check_not_in_use()
     with folder.journal() as journal:
         journal.check_whole()
-    if goals := options.given(evaluations=evaluations, successes=successes, no_new_cell=no_new_cell):
+    if goals := options.given(
+        evaluations=evaluations,
+        successes=successes,
+        grasps=grasps,
+        no_new_cell=no_new_cell,
+        saturation=saturation,
+    ):
         extend_run(folder, **goals)
     found = run_summary(folder)
     if found.complete:
@@ -431,7 +444,7 @@ def rerank_spec(
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists", "successes", "no_new_cell")
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists", *GOAL_KEYS)
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""

@@ -255,14 +255,12 @@ class RunCounter:
         if self.left <= len(rows):
             ends.append(count_to_first(np.cumsum(evaluation_mask(rows, self._overlaps)) >= self.left))
         if self._goals != BUDGET_ALONE:
-            ends.append(
-                self._tracker.rows_until_stop(rows, evaluation_mask(rows, self._overlaps), self.successes)
-            )
+            ends.append(self._tracker.rows_until_stop(rows, evaluation_mask(rows, self._overlaps)))
         return min(ends)
 
     @property
     def _goal(self) -> str | None:
-        return self._tracker.reached(self.successes)
+        return self._tracker.reached
 
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.
@@ -277,7 +275,7 @@ class RunCounter:
         least = self.evaluations + (not is_counted)
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
-        self._tracker.check(self.successes, bool(self._last["outcome"] >= Outcome.DROPPED))
+        self._tracker.check()
         is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
         if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"

@@ -9,6 +9,7 @@ import trimesh
 
 from qdgrasp_assets import ycb
 from qdgrasp_coordinator.campaign.campaign_file import (
+    SATURATION,
     campaign_of_meshes,
     check_meshes,
     is_campaign,
@@ -75,6 +76,21 @@ class TestCrossing:
         assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs
+
+    def test_a_target_of_grasps_brings_a_cap_and_a_saturation_unless_they_are_said(
+        self, tmp_path: Path
+    ) -> None:
+        def ends(defaults: dict[str, object], **goals: float) -> set[tuple[object, ...]]:
+            file = tmp_path / "c.toml"
+            file.write_text(tomli_w.dumps({"defaults": defaults, "cross": [CROSS]}))
+            runs = read_campaign(file, goals=goals).runs.values()
+            return {(spec.grasps, spec.evaluations, spec.saturation) for spec in runs}
+
+        assert ends({}) == {(None, 10_000, None)}
+        assert ends({}, grasps=2000) == {(2000, 20_000, SATURATION)}
+        assert ends({"evaluations": 7000, "saturation": 0.3}, grasps=2000) == {(2000, 7000, 0.3)}
+        assert ends({"evaluations": 7000}, grasps=20, evaluations=50, saturation=0) == {(20, 50, 0)}
+        assert ends({"grasps": 20}) == {(20, 10_000, None)}
 
     def test_a_run_that_is_asked_for_twice_is_one(self) -> None:
         assert names({"cross": [CROSS, CROSS]}) == names({"cross": [CROSS]})

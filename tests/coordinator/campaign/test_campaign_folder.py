@@ -1,6 +1,7 @@
 """Budgets that a run may be given after its beginning, and folders of campaigns."""
 
 import re
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -16,11 +17,13 @@ from qdgrasp_coordinator.campaign import campaign_folder
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, make_campaign, read_campaign
 from qdgrasp_coordinator.campaign.campaign_folder import (
     begin_campaign,
+    campaign_summary,
     extend_run,
     finished_totals,
     open_campaign,
 )
 from qdgrasp_coordinator.campaign.merge_prune import prune_run
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
@@ -129,6 +132,41 @@ def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -
     words = f"cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
     with pytest.raises(EndsTooSoon, match=f"{re.escape(str(run.path))} {words}"):
         finished_totals(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
+
+
+@pytest.fixture
+def grown(tmp_path: Path) -> Path:
+    """A campaign of two runs that are finished: one by its target of grasps, one by its budget."""
+    folder, scene = tmp_path / "grown", made_scene()
+    wanted = asked(object=["mug", "bowl"], seed=0, grasps=20, evaluations=N, overlaps="count")
+    begin_campaign(folder, wanted)
+    for (name, spec), share in zip(wanted.runs.items(), (1.0, 0.2), strict=True):
+        rows = random_rows(N)
+        rows["outcome"][int(share * N) :] = Outcome.MISSED
+        until = RunCounter.of(spec).rows_until_stop(rows)
+        settings = msgspec.structs.asdict(spec)
+        record(tmp_path / name, scene, rows[:until], **settings)
+        shutil.copytree(tmp_path / name, folder / "runs" / name)
+    return folder
+
+
+def test_larger_targets_and_caps_extend_the_runs_that_these_ended(grown: Path) -> None:
+    def unfinished(**goals: int) -> list[str]:
+        values = {"grasps": 20, "evaluations": N} | goals
+        wanted = asked(object=["mug", "bowl"], seed=0, overlaps="count", **values)
+        return list(begin_campaign(grown, wanted).budgets)
+
+    assert unfinished() == []
+    assert unfinished(evaluations=2 * N) == ["panda-bowl-contact_rand-s0"]
+    assert unfinished(grasps=25) == ["panda-mug-contact_rand-s0"]
+    with pytest.raises(EndsTooSoon, match="grasps must be at least 20, which are recorded, got 15"):
+        unfinished(grasps=15)
+
+
+def test_a_summary_says_why_runs_ended(grown: Path) -> None:
+    found = campaign_summary(open_campaign(grown))
+    assert found.ended == {"N grasps are found": 1, "the budget of N evaluations is spent": 1}
+    assert "ended            1: N grasps are found" in found.table.splitlines()
 
 
 def asked(**values: Any) -> Campaign:

@@ -86,6 +86,10 @@ class Plan:
     finalists: int | None = None
     successes: int | None = None
     no_new_cell: int | None = None
+    grasps: int | None = None
+    saturation: float | None = None
+    window: int = 20
+    """Simulated evaluations that the rate of new cells is counted over."""
     task: Task = CHAIN
 
     def __str__(self) -> str:
@@ -98,9 +102,14 @@ class Plan:
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
         search = self.task.search(self.population, self.seed)
-        shape, goals = self.task.shape, StopCriteria(self.successes, self.no_new_cell)
         budget = (self.evaluations, self.overlaps, self.in_flight)
-        return Pipeline(search, shape, *budget, self.trial_plan, goals)
+        return Pipeline(search, self.task.shape, *budget, self.trial_plan, self.goals)
+
+    @property
+    def goals(self) -> StopCriteria:
+        """What ends it besides its budget."""
+        names = ("successes", "no_new_cell", "grasps", "saturation", "window")
+        return StopCriteria(**{name: getattr(self, name) for name in names})
 
     @property
     def stages(self) -> tuple[int, ...]:
@@ -192,10 +201,15 @@ class End:
         self._plan = plan
         self._counted = self._found = self._fresh = 0
         self._cells: set[tuple[int, ...]] = set()
+        self._grasps = 0
+        self._niches: set[tuple[int, ...]] = set()
+        self._new: list[bool] = []
+        """For each simulated row, whether it found a cell with a grasp."""
 
     def comes_with(self, row: np.void, is_counted: np.bool_) -> bool:
         plan = self._plan
         self._counted += int(is_counted)
+        self._take_grasp(row)
         if row["outcome"] >= Outcome.DROPPED:
             self._found += 1
             cell = _cell(row)
@@ -206,7 +220,24 @@ class End:
             self._counted == plan.evaluations
             or self._found == plan.successes
             or self._counted - self._fresh == plan.no_new_cell
+            or self._grasps == plan.grasps
+            or self._is_saturated
         )
+
+    def _take_grasp(self, row: np.void) -> None:
+        self._grasps += row["outcome"] >= Outcome.SHAKEN
+        if row["outcome"] >= Outcome.MISSED:
+            self._new.append(row["outcome"] >= Outcome.SHAKEN and _cell(row) not in self._niches)
+            if self._new[-1]:
+                self._niches.add(_cell(row))
+
+    @property
+    def _is_saturated(self) -> bool:
+        plan, done = self._plan, len(self._new)
+        if plan.saturation is None or done < plan.window or not self._niches:
+            return False
+        lately = (sum(self._new[-plan.window :]) + 1) / plan.window
+        return bool(lately <= plan.saturation * len(self._niches) / done)
 
 
 def trials_of(row: np.void, trials: int, task: Task) -> Rows:
