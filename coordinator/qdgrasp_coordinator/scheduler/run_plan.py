@@ -163,9 +163,7 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
     """
     spec = complete_spec(values, where)
-    return structs.replace(
-        spec, gripper=absolute_asset(spec.gripper), object=absolute_asset(spec.object)
-    )
+    return structs.replace(spec, gripper=absolute_asset(spec.gripper), object=absolute_asset(spec.object))
 
 
 def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
