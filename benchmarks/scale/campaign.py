@@ -56,8 +56,8 @@ LEFT = 8
 """Runs that a restart finds unfinished."""
 INTERVAL = 0.05
 """Seconds between two looks at the processes."""
-NAMES = {"coordinator_process": "coordinator", "recorder_process": "recorder"}
-"""Of processes by what stands in their command lines."""
+NAMES = ("coordinator", "recorder")
+"""Of processes, as they stand in the command lines and titles of these."""
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ def _look(course: Course, started: "subprocess.Popen[bytes]") -> None:
         for task in Path(f"/proc/{started.pid}/task").iterdir():
             for child in (task / "children").read_text().split():
                 words = Path(f"/proc/{child}/cmdline").read_text()
-                for part, name in NAMES.items():
-                    if part in words:
+                for name in NAMES:
+                    if name in words.split("\0", 4)[0] or f".{name}_process" in words:
                         course.processes.setdefault(name, Process(int(child)))
     for process in course.processes.values():
         process.look()

@@ -237,7 +237,7 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
 
 @cache
 def _usual_spec(method: str) -> RunSpec:
-    """Return a spec of a method with all values as they are usual in a campaign; hand and object aside."""
+    """Return a method's spec as is usual in a campaign; hand and object are empty."""
     return complete_spec(CAMPAIGN_DEFAULTS | {"gripper": "", "object": "", "method": method})
 
 

@@ -142,7 +142,7 @@ class CampaignRunQueue:
 
 
 def _finished(folder: JobFolder, runs: Mapping[str, RunSpec]) -> Iterator[tuple[str, RunTotals]]:
-    """Yield the finished runs of a campaign with their totals; those that were not indexed now are."""
+    """Yield the finished runs of a campaign with their totals; add missing ones to the index."""
     index = FinishedRuns(folder.path)
     index.refresh()
     for name, spec in runs.items():

@@ -25,7 +25,7 @@ from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message, slice_to_message
-from qdgrasp_coordinator.storage.journal_writer import JournalBeginning, OpenJournals
+from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_differences, platform_of
 from qdgrasp_protocol import messages
@@ -305,7 +305,7 @@ class Recorder:
             writer.begin_epoch(run.spec, self.epoch)
             return writer
         platform = platform_of(run.spec.engine, self._platform)
-        self._journals.begin(path, run.for_journal, JournalBeginning(self.epoch, time.time(), platform))
+        self._journals.begin(path, run.for_journal, FirstEpoch(self.epoch, time.time(), platform))
         return self._keep(RunWriter(RunFolder(path), self._journals, self.epoch, run, platform))
 
     def _writer(self, run: str) -> RunWriter:

@@ -52,7 +52,7 @@ class RunWriter:
         begun: RunIdentity | None = None,
         platform: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        """Take a run's journal over; of one that was just `begun`, with this platform, nothing is read."""
+        """Take a run's journal over; one that was just `begun`, with this platform, is not read."""
         self._folder = folder
         self._journals = journals
         self.durable = 0  # Number of rows on disk
@@ -147,7 +147,7 @@ class RunWriter:
 
     @property
     def finished(self) -> RunListing | None:
-        """The listing of a run whose last row is on disk; None: it is not, or was not committed here."""
+        """The listing of a run whose last row was committed here; None: it was not."""
         if self._counter is None or self._counter.finished is None:
             return None
         return RunListing.of(self.identity.run, self.identity.spec, self.identity.scene, self._counter)

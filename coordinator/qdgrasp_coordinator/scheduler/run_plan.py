@@ -167,7 +167,7 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
 
 def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """Return the spec with the defaults of its method; gripper and object stay as they are named.
+    """Return the spec with its method's defaults; gripper and object stay as they are named.
 
     Raises as `full_spec`.
     """

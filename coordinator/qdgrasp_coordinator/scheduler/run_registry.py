@@ -192,7 +192,11 @@ class _Closed(Exception):  # a way out, not an error
     """The loader is not needed any more."""
 
 
-MOST_RUNS = 256  # The most runs that are carried out at once
+MOST_RUNS, MOST_RUNS_OF_MANY = 256, 1024
+"""The most runs that are carried out at once: as many as there are workers, between these two.
+
+A generation of the default method has 50 genomes, two or three batches. An open run has 2 MB.
+"""
 MOST_SCENES = 64  # Number of scenes kept for late queries after their last run is done
 
 
@@ -237,10 +241,11 @@ class RunRegistry:
         if self._failures:
             raise RunsFailed(self._failures, self.extent.runs)
 
-    def open_another(self, epoch: int, *, is_wanted: bool) -> None:
+    def open_another(self, epoch: int, *, is_wanted: bool, workers: int = 0) -> None:
         """Start to open a run if one is wanted or no run is active; one at a time."""
         is_due = is_wanted or not self._open
-        if is_due and not self._is_opening and not self._all_opened and len(self._open) < MOST_RUNS:
+        most = min(max(MOST_RUNS, workers), MOST_RUNS_OF_MANY)
+        if is_due and not self._is_opening and not self._all_opened and len(self._open) < most:
             self._is_opening, self._was_put_back = True, False
             self._loader.begin(epoch)
 

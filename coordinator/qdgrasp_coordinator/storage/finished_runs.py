@@ -1,4 +1,4 @@
-"""The index of a campaign's finished runs: what each added up to, in one file (docs/run-folder.md).
+"""The index of a campaign's finished runs, in one file (docs/run-folder.md).
 
 A line says what a run's journal was counted to and by which mark of its files; a line whose mark does not
 fit is passed over, and the run is counted anew. So the file may be lost, cut or copied at any time. Lines
@@ -60,7 +60,7 @@ def _files_mark(path: Path) -> str:
     return total.hexdigest()[:DIGITS]
 
 
-class _Head(Struct, frozen=True):
+class _IndexedRun(Struct, frozen=True):
     """The part of a line that is kept in memory."""
 
     run: str
@@ -68,7 +68,7 @@ class _Head(Struct, frozen=True):
 
 
 class _Place(NamedTuple):
-    """Where the line of a run is in the file, and the engine of its rows."""
+    """The place of a run's line in the file, and the engine of its rows."""
 
     first: int
     stop: int
@@ -76,7 +76,7 @@ class _Place(NamedTuple):
 
 
 class FinishedRuns:
-    """The index in a campaign's folder, as it was at the last `refresh`; no line is kept in memory."""
+    """The index in a campaign's folder as of the last `refresh`; no line is kept in memory."""
 
     def __init__(self, campaign: Path) -> None:
         self._file = campaign / FINISHED
@@ -103,13 +103,13 @@ class FinishedRuns:
         first, stop = self._read, self._read + len(text)
         for line in text.split(b"\n"):
             try:
-                head = msgspec.json.decode(line, type=_Head) if line else None
+                found = msgspec.json.decode(line, type=_IndexedRun) if line else None
             except msgspec.MsgspecError:
                 if first + len(line) == stop:
                     break
-                head = None
-            if head is not None:
-                self._places[head.run] = _Place(first, first + len(line), head.engine)
+                found = None
+            if found is not None:
+                self._places[found.run] = _Place(first, first + len(line), found.engine)
             first += len(line) + 1
         self._read = min(first, stop)
 

@@ -35,7 +35,7 @@ META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 
 
 @dataclass(frozen=True)
-class JournalBeginning:
+class FirstEpoch:
     """The first coordinator's turn at a run, written with its journal."""
 
     epoch: int = 0
@@ -46,16 +46,14 @@ class JournalBeginning:
     """Platform of the rows to come; empty: not known."""
 
 
-UNOPENED = JournalBeginning()
+NO_EPOCH = FirstEpoch()
 
 
 class JournalWriter(Journal):
     """A journal to append to; the process that opens it holds its job's lock (`JobFolder.lock`)."""
 
     @classmethod
-    def create(
-        cls, folder: Path, identity: JournalIdentity, beginning: JournalBeginning = UNOPENED
-    ) -> "JournalWriter":
+    def create(cls, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> "JournalWriter":
         """Begin the journal of a run; the file appears whole or not at all.
 
         It is written without a wait for the disk, then flushed as a whole: before any row is in it.
@@ -68,10 +66,10 @@ class JournalWriter(Journal):
             try:
                 database.execute("PRAGMA synchronous = OFF")
                 create_tables(database, identity)
-                if beginning.epoch:
-                    database.execute(TURN, (beginning.epoch, beginning.at, beginning.at))
-                if beginning.platform:
-                    database.execute(META, ("platform", _platform_text(beginning.platform)))
+                if turn.epoch:
+                    database.execute(TURN, (turn.epoch, turn.at, turn.at))
+                if turn.platform:
+                    database.execute(META, ("platform", _platform_text(turn.platform)))
                 database.execute("PRAGMA journal_mode = WAL")
             finally:
                 database.close()
@@ -203,9 +201,9 @@ class OpenJournals:
         self._open[folder] = journal  # the last one is the one used last
         return journal
 
-    def begin(self, folder: Path, identity: JournalIdentity, beginning: JournalBeginning = UNOPENED) -> None:
+    def begin(self, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> None:
         """Begin the journal of a run."""
-        self._open[folder] = self._make_room().create(folder, identity, beginning)
+        self._open[folder] = self._make_room().create(folder, identity, turn)
 
     def close(self, folder: Path) -> None:
         """Close the journal in a run's folder, if it is open."""
