@@ -60,7 +60,7 @@ def _files_mark(path: Path) -> str:
     return total.hexdigest()[:DIGITS]
 
 
-class _IndexedRun(Struct, frozen=True):
+class _RunEngine(Struct, frozen=True):
     """The part of a line that is kept in memory."""
 
     run: str
@@ -103,7 +103,7 @@ class FinishedRuns:
         first, stop = self._read, self._read + len(text)
         for line in text.split(b"\n"):
             try:
-                found = msgspec.json.decode(line, type=_IndexedRun) if line else None
+                found = msgspec.json.decode(line, type=_RunEngine) if line else None
             except msgspec.MsgspecError:
                 if first + len(line) == stop:
                     break
