@@ -80,7 +80,7 @@ REACH = 0.15
 """Hands are anywhere in a cube of twice that [m]."""
 VARIETY = 64
 """Different results for batches of one length."""
-_MARKS = {"generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
+_MARKS = {"run": "@" * 31, "generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
 """What stands in a result where a batch's own values are filled in."""
 
 
@@ -96,7 +96,7 @@ def rows(n: int, random: np.random.Generator, shape: RowShape = SHAPE) -> Rows:
 
 
 class Answers:
-    """The prepared results of one worker to the batches of one run.
+    """The prepared results of one worker to batches of one length.
 
     Parameters
     ----------
@@ -106,29 +106,37 @@ class Answers:
         What a batch is said to cost [CPU s].
     """
 
-    def __init__(self, number: int, wid: str, epoch: int, run: str, n: int, seconds: float) -> None:
+    def __init__(
+        self,
+        number: int,
+        wid: str,
+        epoch: int,
+        n: int,
+        seconds: float,
+        shape: RowShape = SHAPE,
+        variety: int = VARIETY,
+    ) -> None:
         random = np.random.default_rng((number, n))
         self._pieces: Iterator[list[bytes]] = cycle(
-            [_cut(_result(wid, epoch, run, rows(n, random), seconds)) for _ in range(VARIETY)]
+            [_cut(_result(wid, epoch, rows(n, random, shape), seconds, shape)) for _ in range(variety)]
         )
 
-    def to(self, generation: int, batch: bytes, attempt: int) -> bytes:
+    def to(self, run: str, generation: int, batch: bytes, attempt: int) -> bytes:
         """The next one, for a batch."""
-        first, second, third, rest = next(self._pieces)
-        return b"".join(
-            (first, msgpack.packb(generation), second, batch, third, msgpack.packb(attempt), rest)
-        )
+        pieces = next(self._pieces)
+        own = (msgpack.packb(run), msgpack.packb(generation), batch, msgpack.packb(attempt), b"")
+        return b"".join(part for pair in zip(pieces, own, strict=True) for part in pair)
 
 
-def _result(wid: str, epoch: int, run: str, found: Rows, seconds: float) -> bytes:
+def _result(wid: str, epoch: int, found: Rows, seconds: float, shape: RowShape) -> bytes:
     return messages.encode(
         Result(
             epoch=epoch,
-            run=run,
             wid=wid,
             n=len(found),
-            joints=SHAPE.joints,
-            descriptors=SHAPE.descriptors,
+            joints=shape.joints,
+            descriptors=shape.descriptors,
+            contact_slots=shape.contact_slots,
             columns=deflated(pack(found, RESULT)),
             cpu_seconds=seconds,
             **_MARKS,
@@ -164,6 +172,10 @@ class Crowd:
     credit: int = 2
     seconds: float = 0.0
     """What a batch takes one of them; 0: nothing."""
+    row_seconds: float = 0.0
+    """What a row is said to cost beside that [CPU s]."""
+    shape: RowShape = SHAPE
+    variety: int = VARIETY
 
 
 class StandIn:
@@ -182,7 +194,7 @@ class StandIn:
         self._later = later
         self._keys = Keys(crowd.job)
         self._doors = ExitStack()
-        self._answers: dict[tuple[int, str, int], Answers] = {}
+        self._answers: dict[tuple[int, int], Answers] = {}
         self._free_at = 0.0
 
     def join(self) -> float:
@@ -228,10 +240,12 @@ class StandIn:
 
     def _answer(self, payload: bytes) -> None:
         work = msgpack.unpackb(payload)
-        kind = (work["epoch"], work["run"], work["n"])
+        crowd, kind = self._crowd, (work["epoch"], work["n"])
         if kind not in self._answers:
-            self._answers[kind] = Answers(self._number, self.wid, *kind, self._crowd.seconds)
-        answer = self._answers[kind].to(work["generation"], work["batch"], work["attempt"])
+            cost = crowd.seconds + crowd.row_seconds * work["n"]
+            self._answers[kind] = Answers(self._number, self.wid, *kind, cost, crowd.shape, crowd.variety)
+        batch = (work["run"], work["generation"], work["batch"], work["attempt"])
+        answer = self._answers[kind].to(*batch)
         with suppress(BusError):  # the session is closed: nobody waits for it
             self._bus.put(self._keys.result(self.wid), answer, encoding=messages.encoding(Result))
 

@@ -214,22 +214,10 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     Raises `UnknownKey` for a key that no field has, `ImpossibleValue` for a value of the wrong type or
     outside what the field allows, and `InputError` where `gripper` or `object` is missing.
     """
-    fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
-    for key in values:
-        if key not in fields:
-            raise UnknownKey(where, key, fields)
-    for field in fields.values():
-        if field.required and field.name not in values:
-            raise InputError(
-                f"{where}: '{field.name}' is missing; name one with --{field.name} or in the spec."
-            )
-    for key, value in values.items():
-        try:
-            msgspec.convert(value, fields[key].type)
-        except msgspec.ValidationError:
-            expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
-            raise ImpossibleValue(f"{where}: {key}", value, expected) from None
-    spec = msgspec.convert(values, RunSpec)
+    try:
+        spec = msgspec.convert(values, RunSpec)
+    except msgspec.ValidationError:
+        raise _spec_fault(values, where) from None
     if spec.base != "paper" and spec.protocol != "robust":
         raise InputError(
             f"{where}: base = '{spec.base}' says what the trials of the protocol 'robust' disturb, and "
@@ -260,6 +248,26 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
             f"'physical', and this is '{spec.protocol}'; take one of these, or engine = 'mujoco'."
         )
     return spec
+
+
+def _spec_fault(values: dict[str, Any], where: str) -> InputError:
+    """Return the error for values of which no spec can be made."""
+    fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
+    for key in values:
+        if key not in fields:
+            return UnknownKey(where, key, fields)
+    for field in fields.values():
+        if field.required and field.name not in values:
+            return InputError(
+                f"{where}: '{field.name}' is missing; name one with --{field.name} or in the spec."
+            )
+    for key, value in values.items():
+        try:
+            msgspec.convert(value, fields[key].type)
+        except msgspec.ValidationError:
+            expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
+            return ImpossibleValue(f"{where}: {key}", value, expected)
+    return InputError(f"{where}: no spec can be made of these values.")
 
 
 def read_run_spec(path: Path, most: int = MAX_TOML_SIZE) -> dict[str, Any]:

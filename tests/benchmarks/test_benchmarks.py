@@ -208,13 +208,13 @@ WID = "0" * 32
 
 
 def test_a_prepared_result_answers_the_batch_that_it_is_filled_in_for() -> None:
-    answers = Answers(3, WID, epoch=2, run="run", n=5, seconds=0.5)
+    answers = Answers(3, WID, epoch=2, n=5, seconds=0.5)
     results = [
-        messages.decode(answers.to(number, bytes([number]) * 16, number + 1), Result)
+        messages.decode(answers.to(f"run-{number}", number, bytes([number]) * 16, number + 1), Result)
         for number in range(VARIETY)
     ]
-    assert [(each.generation, each.batch[0], each.attempt) for each in results] == [
-        (number, number, number + 1) for number in range(VARIETY)
+    assert [(each.run, each.generation, each.batch[0], each.attempt) for each in results] == [
+        (f"run-{number}", number, number, number + 1) for number in range(VARIETY)
     ]
     assert all((each.epoch, each.wid, each.n, each.failures) == (2, WID, 5, []) for each in results)
     read = [read_result(each, SHAPE)[1] for each in results]

@@ -1,6 +1,6 @@
 """A simulated recorder: the real recorder and store, on a disk in memory that outlives it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -20,7 +20,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.messages import Recorded
-from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.rows import Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, from_toml
 
 FOLDER = Path("memory")
@@ -57,6 +57,10 @@ class MemoryFile:
             return JournalSlice(first, self.shape.empty(0))
         kept = [part for part in self.slices if part.stop > first and part.first < stop]
         return join_slices([part.part(first, stop) for part in kept])
+
+    def blocks(self) -> Iterator[Rows]:
+        for part in self.slices:
+            yield part.rows
 
     @property
     def journal(self) -> bytes:
@@ -102,6 +106,9 @@ class MemoryDisk:
         self.check()
         spec = from_toml(identity.spec)
         self.files[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
+
+    def close(self, folder: Path) -> None:
+        """Do nothing: what is committed is on the disk."""
 
     def counts(self) -> dict[str, int]:
         """Number of rows on it of each run."""

@@ -21,8 +21,8 @@ from msgspec import Struct
 from qdgrasp_assets.code_version import file_digest
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_coordinator.campaign.campaign_folder import open_campaign, read_cached_totals
-from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.campaign.campaign_folder import open_campaign
+from qdgrasp_coordinator.campaign.summary import summary_listing
 from qdgrasp_coordinator.export import graspgen
 from qdgrasp_coordinator.export.dataset_card import (
     CARD,
@@ -40,13 +40,15 @@ from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
 from qdgrasp_coordinator.export.tabular import METADATA_KEY, ParquetShard, TarShard, grasp_table
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
 from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder, hold_lock
+from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import LOCK, RUNS, OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, ENGINES
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, OutputError, UnknownName
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import ObjectRecord, RunSpec
+from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_protocol.text import counted
 
 SHARD_BYTES = 256 << 20  # A shard ends when it has so many bytes: hubs advise 100 to 500 MB
@@ -225,6 +227,7 @@ class DatasetWriter:
         self._shard: tuple[str, ParquetShard | TarShard, ExitStack] | None = None
         self._waiting: list[IndexEntry] = []  # Runs whose last grasp is in the open shard
         self._left_out: dict[str, str] = {}
+        self._finished = FinishedRuns(campaign.path)
         self._engines: tuple[str, ...] = ()  # Those that any run has a table of
 
     def begin(self, tell: Tell) -> list[DatasetRun]:
@@ -239,6 +242,7 @@ class DatasetWriter:
             self._open_run = record.open_run
             begin = record.file.rpartition("-")[0]
             self._numbers[begin] = self._numbers.get(begin, 0) + 1
+        self._finished.refresh()
         tell(f"reading the specs of {self._campaign.path}")
         runs = sorted(self._runs(done))
         begun = self._open_run.run if self._open_run else ""
@@ -269,7 +273,7 @@ class DatasetWriter:
                 reader = GraspReader(folder, journal, self._engines)
                 chosen = choose_grasps(reader, self._choice, self._options.failures)
                 metadata = grasp_metadata(folder, chosen, self._options.frame, self._form.places)
-                totals = run_totals(folder)
+                totals = self._totals(folder, journal)
             except InputError as error:
                 self._left_out[run.run] = str(error)
                 return True
@@ -277,6 +281,15 @@ class DatasetWriter:
             if self._form.name in SHARDED:
                 return self._write_rows(run, chosen, metadata, entry, journal.mark, is_stopped)
             return not is_stopped() and self._write_file(run, chosen, metadata, entry)
+
+    def _totals(self, folder: RunFolder, journal: Journal) -> RunTotals:
+        """Return the counts of a run, as the campaign's index has them or counted now."""
+        spec = folder.spec
+        if known := self._finished.find(folder.path, spec):
+            return known.totals
+        if journal.sources:
+            return summary_listing(journal).totals
+        return count_rows(spec, journal.blocks()).totals
 
     @property
     def _choice(self) -> GraspChoice:
@@ -460,14 +473,3 @@ def mesh_digest(name: str) -> str:
     """Return the sha256 of an object's mesh file; empty: it is built in, or not on this machine."""
     path = Path(name)
     return file_digest(path) if path.suffix and path.is_file() else ""
-
-
-def run_totals(folder: RunFolder) -> RunTotals:
-    """Return the counts of a run, as they are stored or counted now."""
-    spec: RunSpec = folder.spec
-    if known := read_cached_totals(folder, spec):
-        return known
-    with folder.journal() as journal:
-        if journal.sources:
-            return run_summary(folder).totals
-        return count_rows(spec, journal.blocks()).totals

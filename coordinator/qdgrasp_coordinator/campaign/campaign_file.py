@@ -7,6 +7,7 @@ import hashlib
 import itertools
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -30,7 +31,7 @@ from qdgrasp_coordinator.campaign.object_library import (
     mesh_fault,
     read_library,
 )
-from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, full_spec
+from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import (
@@ -202,10 +203,10 @@ def make_campaign(
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
     defaults = assets.resolve(CAMPAIGN_DEFAULTS | {"aim_for": None} | source.get("defaults", {}))
     crosses = [assets.resolve(cross) for cross in source["cross"]]
-    objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
+    objects = {assets.absolute(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
     for values, known in _cross_lists(defaults, crosses, objects, where):
-        spec = full_spec(values | known, where)
+        spec = complete_spec(values | known, where)
         name = run_name(spec, values)
         if runs.setdefault(name, spec) != spec:
             raise InputError(
@@ -233,9 +234,7 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
     """
     own_name = spec.about.id if spec.about and spec.about.id else Path(spec.object).stem
     parts = [Path(spec.gripper).stem, own_name, spec.method, f"s{spec.seed}"]
-    usual = full_spec(
-        CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
-    )
+    usual = _usual_spec(spec.method)
     others = sorted(values.keys() - {*NAME_KEYS, *STOP_KEYS})
     unusual = [key for key in others if getattr(spec, key) not in (None, getattr(usual, key))]
     parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in unusual]
@@ -246,6 +245,12 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
     return f"{job_name(name)[: LONGEST_NAME - 9]}-{mark}"
 
 
+@cache
+def _usual_spec(method: str) -> RunSpec:
+    """Return a method's spec as is usual in a campaign; hand and object are empty."""
+    return complete_spec(CAMPAIGN_DEFAULTS | {"gripper": "", "object": "", "method": method})
+
+
 class AssetNames:
     """Resolves grippers and objects of a campaign, and notes scans and stand-ins.
 
@@ -254,22 +259,31 @@ class AssetNames:
 
     def __init__(self, *, prefer_scans: bool) -> None:
         self._prefer_scans = prefer_scans
+        self._absolute: dict[str, Any] = {}
         self.scans: dict[str, None] = {}
         self.stand_ins: dict[str, None] = {}
 
     def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return values of a crossing with absolute paths, and objects as they are taken."""
         resolved = dict(values)
-        for key, act in (("gripper", absolute_asset), ("object", self._object)):
+        for key, act in (("gripper", self.absolute), ("object", self._object)):
             if key in values:
                 value = values[key]
                 resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
         return resolved
 
+    def absolute(self, name: Any) -> Any:
+        """Return a gripper or object as `absolute_asset` does; each name is looked at once."""
+        if not isinstance(name, str):
+            return name
+        if name not in self._absolute:
+            self._absolute[name] = absolute_asset(name)
+        return self._absolute[name]
+
     def _object(self, name: Any) -> Any:
         scan = f"{ycb.PREFIX}{name}"
         if not self._prefer_scans or scan not in ycb.SCAN_NAMES:
-            return absolute_asset(name)
+            return self.absolute(name)
         if ycb.scan_source(scan) == ABSENT:
             self.stand_ins[name] = None
             return name

@@ -1,26 +1,24 @@
 """The folder of a campaign: begun, or gone on with, and a queue of its unfinished runs.
 
-The end of a run that has begun may be put off, not taken back below what is recorded. The totals of a
-finished run are cached beside its journal (`found.json`), so that a large campaign need not read it again.
+The end of a run that has begun may be put off, not taken back below what is recorded. The index of finished
+runs tells what is done without a look into their journals; a run that is not in it is counted, and added.
 """
 
 import csv
 import re
 from collections import Counter, deque
-from collections.abc import Mapping
-from contextlib import suppress
-from importlib.metadata import version
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import msgspec
 from msgspec import Struct, structs
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
 from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
 from qdgrasp_coordinator.campaign.object_library import skip_report
-from qdgrasp_coordinator.campaign.summary import run_summary
-from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
+from qdgrasp_coordinator.campaign.summary import summary_listing
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.run_stats import RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
     RunPlan,
@@ -33,6 +31,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
@@ -70,7 +69,6 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
     return found
 
 
-TOTALS_FILE = "found.json"
 DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
 """Numbers and names, which reasons are told apart without."""
 SCENE_KEYS = (
@@ -80,46 +78,8 @@ SCENE_KEYS = (
 """The keys of a spec that its scene depends on."""
 
 
-class FinishedTotals(RunTotals, frozen=True, kw_only=True):
-    """Totals of a finished run, and the reason why it ended, in words."""
-
-    ended: str
-
-
-class CachedTotals(Struct, frozen=True):
-    """Totals of a finished run, with the mark of what they depend on."""
-
-    mark: str
-    totals: FinishedTotals
-
-
-def read_cached_totals(folder: RunFolder, spec: RunSpec) -> FinishedTotals | None:
-    """Return the stored totals of a run that was finished under `spec`; None: not known."""
-    file = folder.path / TOTALS_FILE
-    if file.is_file():
-        with suppress(FolderError, msgspec.MsgspecError):
-            known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
-            if known.mark == _journal_mark(folder, spec):
-                return known.totals
-    return None
-
-
-def _write_cached_totals(folder: RunFolder, spec: RunSpec, totals: FinishedTotals) -> None:
-    """Store the totals of a finished run; a disk that cannot take them is no error."""
-    with suppress(FolderError):
-        cached = CachedTotals(_journal_mark(folder, spec), totals)
-        atomic_files.replace(folder.path / TOTALS_FILE, msgspec.json.encode(cached))
-
-
-def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
-    """Return the mark of all that the totals depend on: rows, goals, version, names of counts."""
-    with folder.journal() as journal:
-        ends = [str(getattr(spec, key)) for key in STOP_KEYS]
-        return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
-
-
-def finished_totals(path: Path, spec: RunSpec) -> FinishedTotals | None:
-    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
+def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
+    """Count the run that `spec` asks for, where its folder holds all of it.
 
     None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
     FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
@@ -132,25 +92,19 @@ def finished_totals(path: Path, spec: RunSpec) -> FinishedTotals | None:
         raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
     try:
         with folder.journal() as journal:
-            is_reduced = bool(journal.sources)
-        if not is_reduced:
-            if known := read_cached_totals(folder, spec):
-                return known
-            try:
-                found = count_within_budget(folder, spec)
-            except ImpossibleValue as reason:
-                raise EndsTooSoon(folder.path, reason) from None
-            if not found.finished:
-                return None
-            totals = FinishedTotals(**structs.asdict(found.totals), ended=found.finished)
-            _write_cached_totals(folder, spec, totals)
-            return totals
+            if not journal.sources:
+                try:
+                    found = count_rows(spec, journal.blocks())
+                    found.check_budget(spec)
+                except ImpossibleValue as reason:
+                    raise EndsTooSoon(folder.path, reason) from None
+                return RunListing.of(journal.run, spec, journal.scene, found) if found.finished else None
+            listing = summary_listing(journal)
     except FolderError:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    summary = run_summary(folder)
-    return FinishedTotals(**structs.asdict(summary.totals), ended=summary.ended)
+    return listing
 
 
 class CampaignRunQueue(RunQueue):
@@ -167,15 +121,11 @@ class CampaignRunQueue(RunQueue):
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        finished = {
-            name: found
-            for name, spec in runs.items()
-            if folder and (found := finished_totals(folder.run_path(name), spec)) is not None
-        }
+        finished = dict(_finished(folder, runs)) if folder else {}
         self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
             finished
         )
-        self.ends = Counter(DIGITS.sub("N", totals.ended) for totals in finished.values())
+        self.ends = Counter(DIGITS.sub("N", listing.finished) for listing in finished.values())
         """Number of finished runs for each reason of their end; numbers in it are left out."""
         self._left = deque(self.extent.budgets)  # Runs that were not looked at
         self._ready: deque[str] = deque()
@@ -287,6 +237,19 @@ class CampaignRunQueue(RunQueue):
         return known[1]
 
 
+def _finished(folder: JobFolder, runs: Mapping[str, RunSpec]) -> Iterator[tuple[str, RunTotals]]:
+    """Yield the finished runs of a campaign with their totals; add missing ones to the index."""
+    index = FinishedRuns(folder.path)
+    index.refresh()
+    for name, spec in runs.items():
+        path = folder.run_path(name)
+        listing = index.find(path, spec)
+        if listing is None and (listing := finished_listing(path, spec)) is not None:
+            index.add(path, spec, listing)
+        if listing is not None:
+            yield name, listing.totals
+
+
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
     """Begin the campaign that is asked for at `path`, or check that it can go on there.
 
@@ -388,9 +351,10 @@ def knows_no_objective(path: Path) -> bool:
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:
-    lost = [
-        name for name in read_campaign(folder.path / CAMPAIGN, is_begun=True).runs if name not in asked.runs
-    ]
+    file = folder.path / CAMPAIGN
+    if file.read_bytes() == asked.toml.encode():
+        return
+    lost = [name for name in read_campaign(file, is_begun=True).runs if name not in asked.runs]
     if lost:
         lacking = counted(len(lost), "run that is", "runs that are")
         raise FolderError(

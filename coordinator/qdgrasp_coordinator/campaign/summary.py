@@ -3,6 +3,7 @@
 import msgspec
 from msgspec import field, structs
 
+from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
@@ -14,6 +15,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.report.row_report import empty_niche_archive
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
+from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
@@ -139,6 +141,14 @@ def run_summary(folder: RunFolder) -> RunSummary:
             platform=journal.platform,
             in_both=held_shares(folder),
         )
+
+
+def summary_listing(journal: Journal) -> RunListing:
+    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
+    summary = structs.asdict(msgspec.json.decode(journal.summary, type=RunSummary))
+    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
+    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
+    return msgspec.convert(known, RunListing)
 
 
 def _text(value: object) -> str:

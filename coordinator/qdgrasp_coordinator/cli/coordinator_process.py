@@ -95,7 +95,7 @@ def coordinator(
 def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
     """The runs of a job: a campaign's, or a single one."""
     source = what / CAMPAIGN if folder and folder.is_campaign else what
-    if source.is_file() and is_campaign(source):
+    if source.is_file() and ((folder and folder.is_campaign) or is_campaign(source)):
         return CampaignRunQueue(folder, read_campaign(source, is_begun=folder is not None).runs)
     if folder is None:
         spec = run_plan.full_spec(run_plan.RUN_DEFAULTS | read_run_spec(what), str(what))

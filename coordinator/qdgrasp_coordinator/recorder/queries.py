@@ -9,19 +9,20 @@ import socket
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
-import msgspec
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 
-from qdgrasp_coordinator.campaign.summary import RunSummary
+from qdgrasp_coordinator.campaign.summary import summary_listing
 from qdgrasp_coordinator.metrics.job_status import RUNS_PER_PAGE, RunListing, RunListings, from_json, to_json
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.report.row_report import RowContextCache
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
@@ -35,6 +36,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
 ROWS_PER_ANSWER = 1 << 19  # Most journal rows counted for one answer
+MOST_COUNTED = 1024  # Most runs whose counts are kept for the next answer; finished ones are in the index
 CLOCK_SECONDS = 2.0  # Longest time-stamp step of a file system, old ones included [s]
 FileStamp = tuple[tuple[int, int, int], ...]
 """The inode, the size and the time of the last change [ns] of each file of a journal."""
@@ -75,13 +77,17 @@ class CountedRun:
 
 
 class RunIndex:
-    """Counts the runs of a job's folder, there or not; reads only new rows, writes nothing."""
+    """Counts the runs of a job's folder, there or not; reads only new rows, writes nothing.
+
+    Finished runs of a campaign are not counted: they stand in the campaign's own index.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._counts: dict[Path, CountedRun] = {}
-        self._known: dict[Path, tuple[FileStamp, RunListing]] = {}
+        self._finished = FinishedRuns(path)
+        self._counts: OrderedDict[Path, CountedRun] = OrderedDict()  # in the order of their use
+        self._known: OrderedDict[Path, tuple[FileStamp, RunListing]] = OrderedDict()  # likewise
         self._rows_left = 0
 
     def one(self, run: str) -> RunListings:
@@ -99,10 +105,28 @@ class RunIndex:
         listings: list[RunListing | None] = []
         with self._lock:
             self._rows_left = ROWS_PER_ANSWER
+            self._finished.refresh()
             for path in paths[first:behind]:
+                if (known := self._finished.find(path)) is not None:
+                    listings.append(_with_folder(known, path))
+                    continue
                 with suppress(FolderError):  # there may be no journal yet, or no good one
                     listings.append(self._listing(path))
         return replace(_listings(listings), next=behind if behind < len(paths) else 0)
+
+    def paths_of(self, scene: str) -> Iterator[Path]:
+        """Yield the folders of runs that have a scene; only unfinished ones are opened."""
+        with self._lock:
+            self._finished.refresh()
+        for path in _run_paths(self._path):
+            with suppress(FolderError):
+                if known := self._finished.find(path):
+                    found = known.scene
+                else:
+                    with Journal.open(path) as journal:
+                        found = journal.scene
+                if found == scene:
+                    yield path
 
     def _listing(self, path: Path) -> RunListing | None:
         """Return a run's listing; a journal unchanged since its count is not opened again."""
@@ -113,9 +137,10 @@ class RunIndex:
         with Journal.open(path) as journal:
             listing = summary_listing(journal) if journal.sources else self._counted(path, journal)
             is_whole = path not in self._counts or self._counts[path].rows == journal.count
-        listing = listing and replace(listing, folder=printable(str(path.absolute())))
+        listing = listing and _with_folder(listing, path)
         if listing and is_whole and has_rested(stamp, now):
             self._known[path] = stamp, listing
+            _forget_oldest(self._known, path)
         return listing
 
     def _counted(self, path: Path, journal: Journal) -> RunListing | None:
@@ -123,12 +148,24 @@ class RunIndex:
         spec, count = journal.spec, self._counts.get(path)
         if count is None or count.spec != spec or count.rows > journal.count:
             count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
+        _forget_oldest(self._counts, path)
         try:
             self._rows_left -= count.count(journal, self._rows_left)
         except FolderError:  # rows before the damage were counted, and would be once more
             del self._counts[path]
             raise
         return count.listing
+
+
+def _with_folder(listing: RunListing, path: Path) -> RunListing:
+    return replace(listing, folder=printable(str(path.absolute())))
+
+
+def _forget_oldest(kept: OrderedDict[Path, Any], latest: Path) -> None:
+    """Note the use of an entry, and drop those unused for longest that are too many."""
+    kept.move_to_end(latest)
+    while len(kept) > MOST_COUNTED:
+        kept.popitem(last=False)
 
 
 def _run_paths(job: Path) -> list[Path]:
@@ -159,15 +196,8 @@ def has_rested(stamp: FileStamp, now: float) -> bool:
     return all(changed / 1e9 < now - CLOCK_SECONDS for _, _, changed in stamp)
 
 
-def summary_listing(journal: Journal) -> RunListing:
-    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
-    summary = asdict(msgspec.json.decode(journal.summary, type=RunSummary))
-    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
-    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
-    return msgspec.convert(known, RunListing)
-
-
 SCENES_KEPT = 8  # Number of scenes kept in memory
+HOMES_KEPT = 256  # Number of scenes of which the folder is remembered
 
 
 class QueryServer(ExitStack):
@@ -209,12 +239,18 @@ class QueryServer(ExitStack):
             raise Refused(f"this recorder has no run '{run[:64]}'")
         try:
             with Journal.open(path) as journal:
-                self._homes[journal.scene] = path
+                self._note_home(journal.scene, path)
                 context = self._contexts.get(RunFolder(path), journal)
                 page, upto = success_page(journal, _number(query, "from"), context)
                 return messages.encode(page_to_message(page, upto, journal, run))
         except FolderError as error:
             raise Refused(str(error)) from None
+
+    def _note_home(self, scene: str, path: Path) -> None:
+        with self._lock:
+            self._homes[scene] = path
+            if len(self._homes) > HOMES_KEPT:
+                del self._homes[next(iter(self._homes))]
 
     def scene(self, query: Query) -> bytes:
         """Return one chunk of a scene."""
@@ -233,11 +269,9 @@ class QueryServer(ExitStack):
     def _read(self, digest: str) -> bytes:
         """Return the bytes of a scene, from the folder of any run that has it."""
         seen = [self._homes[digest]] if digest in self._homes else []
-        for path in seen + _run_paths(self._path):
+        for path in chain(seen, self._index.paths_of(digest)):
             with suppress(FolderError):
-                with Journal.open(path) as journal:
-                    has_scene = journal.scene == digest
-                if has_scene and (bundle := RunFolder(path).bundle()).digest == digest:
+                if (bundle := RunFolder(path).bundle()).digest == digest:
                     return bundle.payload
         raise Refused(f"no run here has the scene {digest[:12]}")
 

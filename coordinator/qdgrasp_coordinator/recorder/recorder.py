@@ -8,6 +8,7 @@ a report may be lost. No later report is due: a coordinator that still misses on
 these are news.
 """
 
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,13 +20,14 @@ import structlog
 
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message, slice_to_message
-from qdgrasp_coordinator.storage.journal_writer import OpenJournals
+from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
 from qdgrasp_coordinator.storage.outputs import OutFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_differences
+from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_differences, platform_of
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import DropCounter, Query, Sample
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, NoReply, Refused
@@ -92,6 +94,10 @@ class ReportSchedule:
         """Make every remembered run due at once."""
         self._due = dict.fromkeys(self._due, now)
 
+    def has(self, run: str) -> bool:
+        """Return whether another report of a run is due at some time."""
+        return run in self._due
+
     @property
     def deadline(self) -> float:
         """When the next report is due; infinite if there is no next one."""
@@ -108,6 +114,7 @@ class ReportSchedule:
         return runs
 
 
+COMMITS_AT_ONCE = 8  # Most runs that are committed between two looks at queries: an opening waits for one
 OPEN_JOURNALS = 64  # Most journals open at once, of three files each; reopening costs a few commits
 MOST_PAGE_ITEMS = 1 << 18  # Numbers in the widest column of a page: 1 MB, the most that a message may have
 
@@ -140,9 +147,10 @@ class Recorder:
         self._reports = ReportSchedule()
         self._rows_not_taken: Counter[Arrival] = Counter()
         self.writers: dict[str, RunWriter] = {}
-        """Of the runs that are known, by name; others may be in the folder."""
+        """Of the runs that are written, by name; others, also finished ones, may be in the folder."""
         self._waiting: dict[str, RunWriter] = {}
         self._without_scene: dict[str, RunWriter] = {}
+        self._finished = FinishedRuns(folder.folder.path)
         self._find(RUN)
         self._platform = self._recorded_platform()
         for run in self.writers:
@@ -267,9 +275,12 @@ class Recorder:
     def _recorded_platform(self) -> dict[str, str]:
         """The platform of the runs in the folder that have rows: those of one engine have the same."""
         platforms: dict[str | None, dict[str, str]] = {}
+        self._finished.refresh()
+        engines = self._finished.engines()
         for path in self._folder.run_paths:
             with suppress(FolderError, InputError):
-                engine = read_run_spec(path / "spec.toml").get("engine")
+                name = path.name
+                engine = engines[name] if name in engines else read_run_spec(path / "spec.toml").get("engine")
                 if engine not in platforms:
                     with Journal.open(path) as journal:
                         if journal.platform:
@@ -291,11 +302,13 @@ class Recorder:
         path = job.run_path(run.run)
         if not RunFolder.is_run(path):
             RunFolder.add(job, run.run, run.spec, None)
-        if not (path / FILE).is_file():
-            self._journals.begin(path, run.for_journal)
-        writer = self._writer(run.run)
-        writer.begin_epoch(run.spec, self.epoch)
-        return writer
+        if (path / FILE).is_file():
+            writer = self._writer(run.run)
+            writer.begin_epoch(run.spec, self.epoch)
+            return writer
+        platform = platform_of(run.spec.engine, self._platform)
+        self._journals.begin(path, run.for_journal, FirstEpoch(self.epoch, time.time(), platform))
+        return self._keep(RunWriter(RunFolder(path), self._journals, self.epoch, run, platform))
 
     def _writer(self, run: str) -> RunWriter:
         writer = self._find(run)
@@ -307,10 +320,14 @@ class Recorder:
         """Return a run's writer; None: it has no journal."""
         path = self._folder.folder.run_path(run)
         if run not in self.writers and (path / FILE).is_file():
-            self.writers[run] = writer = RunWriter(RunFolder(path), self._journals, self.epoch)
-            if not RunFolder(path).has_bundle():
-                self._without_scene[run] = writer
+            self._keep(RunWriter(RunFolder(path), self._journals, self.epoch))
         return self.writers.get(run)
+
+    def _keep(self, writer: RunWriter) -> RunWriter:
+        self.writers[writer.identity.run] = writer
+        if not writer.has_scene:
+            self._without_scene[writer.identity.run] = writer
+        return writer
 
     @property
     def deadline(self) -> float:
@@ -321,7 +338,7 @@ class Recorder:
         """Commit what is due; gives the reports that are."""
         if now >= self._commit_at:
             try:
-                self._commit_due(now, now)
+                self._commit_due(now, now, COMMITS_AT_ONCE)
             except DiskFull as full:
                 self._on_disk_full(full, now)
             else:
@@ -345,16 +362,21 @@ class Recorder:
 
     def commit(self, run: str) -> None:
         """Make a run's waiting rows durable; on a full disk (`DiskFull`) they go on waiting."""
+        writer = self.writers[run]
         self._folder.store_epoch()
-        self.writers[run].commit(self._platform)
+        writer.commit(self._platform)
         self._waiting.pop(run, None)
+        if run != RUN and (listing := writer.finished) is not None:
+            path = self._folder.folder.run_path(run)
+            self._journals.close(path)  # its files are as they stay
+            self._finished.add(path, writer.identity.spec, listing)
 
     @property
     def _commit_at(self) -> float:
         return max(self.commit_deadline, self._disk.try_at)
 
-    def _commit_due(self, by: float, now: float) -> None:
-        for run in self.due(by):
+    def _commit_due(self, by: float, now: float, most: int | None = None) -> None:
+        for run in self.due(by)[:most]:
             self.commit(run)
             self._reports.report_now(run, now)
 
@@ -376,7 +398,16 @@ class Recorder:
         for arrival, rows in self._rows_not_taken.items():
             log.info("rows not taken", reason=arrival.value, rows=rows)
         self._rows_not_taken.clear()
-        return [self._report(run) for run in self._reports.due(now)]
+        reports = [self._report(run) for run in self._reports.due(now)]
+        for report in reports:
+            if not self._reports.has(report.run):
+                self._forget(report.run)
+        return reports
+
+    def _forget(self, run: str) -> None:
+        """Forget a run that is finished and not heard of any more; it is found again in its folder."""
+        if self.writers[run].finished and run not in self._waiting and run not in self._without_scene:
+            del self.writers[run]
 
     def _report(self, run: str) -> Recorded:
         durable, trouble = self.writers[run].durable, self._disk.trouble

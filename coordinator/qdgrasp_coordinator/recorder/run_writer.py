@@ -5,17 +5,21 @@ Time is passed in, in seconds of any steady clock.
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
 from itertools import chain
 from math import inf
+from types import MappingProxyType
 
-from qdgrasp_coordinator.metrics.run_stats import count_rows
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
 from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_of
 from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 GROUP_ROWS = 2048  # With this many rows waiting, they are committed at once
@@ -40,13 +44,25 @@ class RunWriter:
     Rows of a lower coordinator's epoch are refused, a higher one is adopted.
     """
 
-    def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        journals: OpenJournals,
+        epoch: int,
+        begun: RunIdentity | None = None,
+        platform: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Take a run's journal over; one that was just `begun`, with this platform, is not read."""
         self._folder = folder
         self._journals = journals
-        journal = self.journal
-        self.identity = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
-        self.platform = journal.platform  # Platform of the recorded rows; empty while there are no rows
-        self.durable = journal.count  # Number of rows on disk
+        self.durable = 0  # Number of rows on disk
+        self.platform = dict(platform)  # What the journal says of its rows, or of those to come
+        if begun is None:
+            journal = self.journal
+            begun = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
+            self.platform, self.durable = journal.platform, journal.count
+        self.identity = begun
+        self._counter: RunCounter | None = None  # Of the rows on disk; None before rows were committed here
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []
         self._since = 0.0
@@ -73,6 +89,7 @@ class RunWriter:
         if self.identity.spec != spec:
             self.journal.set_spec(to_toml(spec))
             self.identity = replace(self.identity, spec=spec)
+            self._counter = None
         if self._folder.spec != spec:
             self._folder.rewrite_spec(spec)
         self.journal.begin_epoch(epoch, time.time())
@@ -114,14 +131,36 @@ class RunWriter:
         if platform and platform != self.platform:
             self.journal.set_platform(platform)
             self.platform = platform
-        self.journal.append(join_slices(self._waiting), self._epoch, time.time())
+        part = join_slices(self._waiting)
+        self.journal.append(part, self._epoch, time.time())
         self.durable = self.expected
         self._waiting.clear()
+        self._count(part.rows)
+
+    def _count(self, rows: Rows) -> None:
+        """Count rows that were just committed, and those before them if they were not."""
+        spec = self.identity.spec
+        if self._counter is None:
+            self._counter = count_rows(spec, self.journal.blocks())
+        else:
+            self._counter.count_block(rows, spec.population)
+
+    @property
+    def finished(self) -> RunListing | None:
+        """The listing of a run whose last row was committed here; None: it was not."""
+        if self._counter is None or self._counter.finished is None:
+            return None
+        return RunListing.of(self.identity.run, self.identity.spec, self.identity.scene, self._counter)
 
     def forget_waiting(self, epoch: int) -> None:
         """Drop the rows that wait: another coordinator's epoch begins."""
         self._epoch = epoch
         self._waiting.clear()
+
+    @property
+    def has_scene(self) -> bool:
+        """True if the scene's bundle is in the folder."""
+        return self._folder.has_bundle()
 
     def add_scene(self, payload: bytes) -> None:
         """Store the scene's bundle."""

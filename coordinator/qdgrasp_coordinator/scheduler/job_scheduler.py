@@ -354,8 +354,9 @@ class JobScheduler:
             if run.is_done:
                 self._remove(run, now)
         if not self.is_ending:
-            is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * len(self.workers)
-            self.runs.load(self.epoch, workers=len(self.workers), is_wanted=is_wanted)
+            workers = len(self.workers)
+            is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * workers
+            self.runs.load(self.epoch, workers=workers, is_wanted=is_wanted)
         if self.stopping.is_due(now):
             self.stop(now)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from msgspec import structs
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.catalog import assemble_scene, build_scene
@@ -195,13 +196,20 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
     Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
     """
+    spec = complete_spec(values, where)
+    return structs.replace(spec, gripper=absolute_asset(spec.gripper), object=absolute_asset(spec.object))
+
+
+def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
+    """Return the spec with its method's defaults; gripper and object stay as they are named.
+
+    Raises as `full_spec`.
+    """
     chosen = method(run_spec(values, where).method)
     usual = {
         name: getattr(chosen, name) for name in ("aim_for", "overlaps", "population", "generations_in_flight")
     }
-    whole = usual | values
-    whole |= {name: absolute_asset(values[name]) for name in ("gripper", "object")}
-    spec = run_spec(whole, where)
+    spec = run_spec(usual | values, where)
     check_spec(spec)
     return spec
 

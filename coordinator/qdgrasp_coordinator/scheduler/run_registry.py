@@ -289,7 +289,11 @@ class ShapeProgress:
         return ended
 
 
-MOST_RUNS = 256  # The most runs that are carried out at once
+MOST_RUNS, MOST_RUNS_OF_MANY = 256, 1024
+"""The most runs that are carried out at once: as many as there are workers, between these two.
+
+A generation of the default method has 50 genomes, two or three batches. An open run has 2 MB.
+"""
 MOST_SCENES = 64  # Number of scenes kept for late queries after their last run is done
 
 
@@ -347,7 +351,7 @@ class RunRegistry:
         built = self.shapes.take_ended()
         self._runs_wait &= not built
         opens = (is_wanted or not self._open) and not (self._all_opened or self._runs_wait)
-        opens &= len(self._open) < MOST_RUNS
+        opens &= len(self._open) < min(max(MOST_RUNS, workers), MOST_RUNS_OF_MANY)
         shapes = self.shapes.room(max(1, workers) - self._queue.ready_runs) if epoch else 0
         if opens or shapes or built:
             self._is_loading, self._was_put_back = True, False

@@ -71,6 +71,7 @@ class StatusCache:
 
 
 STATUS_INTERVAL = 0.5  # seconds between two publications of the figures
+RUNS_AT_ONCE = 256  # Most runs whose figures are published at once; more take turns
 WORKERS_INTERVAL = 1.0  # seconds between two of the workers', unless the state of one has changed
 
 
@@ -87,6 +88,7 @@ class StatusPublisher:
         self._keys = Keys(scheduler.job)
         self._identity = ""
         self._since = datetime.now(UTC).replace(microsecond=0)
+        self._next_run = 0
         self._workers_due = 0.0
         self._states: list[str] = []
         self._obstacle = ""
@@ -111,7 +113,7 @@ class StatusPublisher:
         self.due = now + STATUS_INTERVAL
         runs = list(self._scheduler.runs)
         self.cache.retain(self._keys.stat("run/*"), {run.name for run in runs})
-        for run in runs:
+        for run in self._in_turn(runs):
             self.publish_run(run, now)
         status = self._scheduler.status(now)
         if status.obstacle != self._obstacle:
@@ -120,6 +122,14 @@ class StatusPublisher:
             self._obstacle = status.obstacle
         self._put(self._keys.stat("job"), status)
         self._publish_workers(now)
+
+    def _in_turn(self, runs: list[ActiveRun]) -> list[ActiveRun]:
+        """Return the runs to publish now: all, or of more than `RUNS_AT_ONCE` the next ones."""
+        if len(runs) <= RUNS_AT_ONCE:
+            return runs
+        first = self._next_run % len(runs)
+        self._next_run = first + RUNS_AT_ONCE
+        return (runs + runs)[first : first + RUNS_AT_ONCE]
 
     def publish_run(self, run: ActiveRun, now: float) -> None:
         """Publish the figures of a run."""

@@ -18,12 +18,17 @@ NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 def write(file: Path, payload: bytes) -> None:
     """Replace a file at once; the new bytes are on the disk when this returns."""
     part = file.with_name(f"{file.name}.part")
-    with part.open("wb") as stream:
+    _write_through(part, payload)
+    part.replace(file)
+    sync(file.parent)
+
+
+def _write_through(file: Path, payload: bytes) -> None:
+    """Write a file whose bytes, but not its name, are on the disk when this returns."""
+    with file.open("wb") as stream:
         stream.write(payload)
         stream.flush()
         os.fsync(stream.fileno())
-    part.replace(file)
-    sync(file.parent)
 
 
 def replace(file: Path, payload: bytes) -> None:
@@ -67,10 +72,11 @@ def create_folder(
     """
     with writing(path), staging_folder(path) as part:
         for name, payload in files.items():
-            write(part / name, payload)
+            _write_through(part / name, payload)
         for name in folders:
             (part / name).mkdir()
         fill(part)
+        sync(part)
         part.rename(path)  # replaces an empty folder, and nothing else
         sync(path.absolute().parent)
 

@@ -6,14 +6,16 @@ A few journals are open for writing at a time: each holds three files open.
 import json
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.run_stats import success_mask
+from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import (
     FILE,
@@ -28,30 +30,64 @@ from qdgrasp_protocol.errors import DiskFull, FolderError
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
+TURN = "INSERT OR IGNORE INTO turns VALUES (?, ?, ?)"
+META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
+
+
+@dataclass(frozen=True)
+class FirstEpoch:
+    """The first coordinator's turn at a run, written with its journal."""
+
+    epoch: int = 0
+    """0: no coordinator has opened the run yet."""
+    at: float = 0.0
+    """When it was opened [s since 1970]."""
+    platform: Mapping[str, str] = field(default_factory=dict)
+    """Platform of the rows to come; empty: not known."""
+
+
+NO_EPOCH = FirstEpoch()
+
 
 class JournalWriter(Journal):
     """A journal to append to; the process that opens it holds its job's lock (`JobFolder.lock`)."""
 
     @classmethod
-    def create(cls, folder: Path, identity: JournalIdentity) -> "JournalWriter":
-        """Begin the journal of a run; the file appears whole or not at all."""
+    def create(cls, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> "JournalWriter":
+        """Begin the journal of a run; the file appears whole or not at all.
+
+        It is written without a wait for the disk, then flushed as a whole: before any row is in it.
+        """
         part = folder / f"{FILE}.part"
-        part.unlink(missing_ok=True)
+        for left in folder.glob(f"{part.name}*"):
+            left.unlink(missing_ok=True)
         with explaining_write_errors(folder):
             database = sqlite3.connect(part, isolation_level=None)
             try:
+                database.execute("PRAGMA synchronous = OFF")
                 create_tables(database, identity)
+                if turn.epoch:
+                    database.execute(TURN, (turn.epoch, turn.at, turn.at))
+                if turn.platform:
+                    database.execute(META, ("platform", _platform_text(turn.platform)))
+                database.execute("PRAGMA journal_mode = WAL")
             finally:
                 database.close()
-        part.replace(folder / FILE)
-        return cls.open(folder)
+        with atomic_files.writing(folder):
+            atomic_files.sync(part)
+            part.replace(folder / FILE)
+        return cls._connect(folder)
 
     @classmethod
     def open(cls, folder: Path) -> "JournalWriter":
         """Open the journal in a run's folder to add to it; raises as `Journal.open` does."""
-        file = folder / FILE
         with Journal.open(folder) as known:
             known.check_whole()
+        return cls._connect(folder)
+
+    @classmethod
+    def _connect(cls, folder: Path) -> "JournalWriter":
+        file = folder / FILE
         with explaining_read_errors(file), explaining_write_errors(folder):
             database = sqlite3.connect(file, isolation_level=None)
             try:
@@ -65,7 +101,7 @@ class JournalWriter(Journal):
     def begin_epoch(self, epoch: int, now: float) -> None:
         """Record that the coordinator of an epoch opened the run at `now` [s since 1970]."""
         with self._transaction():
-            self._database.execute("INSERT OR IGNORE INTO turns VALUES (?, ?, ?)", (epoch, now, now))
+            self._database.execute(TURN, (epoch, now, now))
 
     def append(self, part: JournalSlice, epoch: int, now: float) -> None:
         """Add the next rows: all of them, durably, or none.
@@ -81,7 +117,7 @@ class JournalWriter(Journal):
 
     def set_platform(self, platform: dict[str, str]) -> None:
         """Note the platform that rows are made on."""
-        self._set_meta("platform", json.dumps(platform, sort_keys=True))
+        self._set_meta("platform", _platform_text(platform))
 
     def set_spec(self, toml: str) -> None:
         """Replace the spec by the same one with another budget."""
@@ -89,7 +125,7 @@ class JournalWriter(Journal):
 
     def _set_meta(self, name: str, value: str) -> None:
         with self._transaction():
-            self._database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
+            self._database.execute(META, (name, value))
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -102,6 +138,10 @@ class JournalWriter(Journal):
                 if self._database.in_transaction:
                     self._database.execute("ROLLBACK")
                 raise
+
+
+def _platform_text(platform: Mapping[str, str]) -> str:
+    return json.dumps(dict(platform), sort_keys=True)
 
 
 def insert_rows(
@@ -161,9 +201,14 @@ class OpenJournals:
         self._open[folder] = journal  # the last one is the one used last
         return journal
 
-    def begin(self, folder: Path, identity: JournalIdentity) -> None:
+    def begin(self, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> None:
         """Begin the journal of a run."""
-        self._open[folder] = self._make_room().create(folder, identity)
+        self._open[folder] = self._make_room().create(folder, identity, turn)
+
+    def close(self, folder: Path) -> None:
+        """Close the journal in a run's folder, if it is open."""
+        if journal := self._open.pop(folder, None):
+            journal.close()
 
     def __enter__(self) -> "OpenJournals":
         return self

@@ -25,12 +25,13 @@ JOB, ENDPOINT, LOCK, SUPERVISED = "job.json", "endpoint", "lock", "supervised"
 CAMPAIGN, LOGS, RUNS = "campaign.toml", "logs", "runs"
 SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
 SOURCE, RANKING = "source.json", "ranking.csv"  # Of a run that scores the grasps of another one again
+FINISHED = "finished.jsonl"  # Of a campaign: what its finished runs add up to
 SKIPPED = "skipped.csv"  # Of a campaign that goes on without objects that cannot be used
 ORIGIN = "warm_start.json"  # Of a run that begins with what others learned
 MARKS = (JOB, CAMPAIGN, SCENE, JOURNAL)
 """Files that each mark the folder of a run or job, also where others are missing."""
 PARTS = frozenset(
-    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, ORIGIN, SKIPPED]
+    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, ORIGIN, SKIPPED, FINISHED]
     + [JOURNAL + suffix for suffix in ("-wal", "-shm")]
 )
 

@@ -13,20 +13,24 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record, record_spec
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.campaign import campaign_folder
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, make_campaign, read_campaign
 from qdgrasp_coordinator.campaign.campaign_folder import (
+    CampaignRunQueue,
     begin_campaign,
     campaign_summary,
     extend_run,
-    finished_totals,
+    finished_listing,
     open_campaign,
 )
 from qdgrasp_coordinator.campaign.merge_prune import prune_run
+from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, FINISHED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import EndsTooSoon, FolderError, ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -84,54 +88,110 @@ def run(tmp_path: Path) -> RunFolder:
     return record(tmp_path / "run", made_scene(), random_rows(N), evaluations=N, overlaps="count")
 
 
-def no_reading(*_: object) -> None:
-    raise AssertionError("its journal was read")
+@pytest.fixture
+def campaign(run: RunFolder, tmp_path: Path) -> JobFolder:
+    """A campaign with this run, which is finished, and with none that is not."""
+    job = JobFolder.create(tmp_path / "job", "mugs")
+    run.path.rename(job.run_path("run-0"))
+    (job.run_path("run-0") / "job.json").unlink()
+    return job
 
 
-def test_a_finished_run_is_read_once(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = finished_totals(run.path, run.spec)
-    assert first is not None
-    assert first.evaluations == N
-    monkeypatch.setattr(campaign_folder, "count_within_budget", no_reading)
-    assert finished_totals(run.path, run.spec) == first
+def extent(campaign: JobFolder, spec: RunSpec) -> JobExtent:
+    return CampaignRunQueue(campaign, {"run-0": spec}).extent
 
 
-def test_another_end_or_other_rows_are_counted_anew(run: RunFolder) -> None:
-    known = finished_totals(run.path, run.spec)
-    assert campaign_folder.read_cached_totals(run, run.spec) == known
-    longer = msgspec.structs.replace(run.spec, evaluations=N + 1)
-    assert campaign_folder.read_cached_totals(run, longer) is None
-    assert finished_totals(run.path, longer) is None
-    with closing(sqlite3.connect(run.path / "run.sqlite")) as journal, journal:
-        journal.execute("UPDATE blocks SET crc = crc + 1")
-    assert campaign_folder.read_cached_totals(run, run.spec) is None
+def finished_here(campaign: JobFolder, spec: RunSpec) -> RunListing | None:
+    index = FinishedRuns(campaign.path)
+    index.refresh()
+    return index.find(campaign.run_path("run-0"), spec)
 
 
-@pytest.mark.parametrize("content", ["", "{}", '{"mark": 1}'])
-def test_what_cannot_be_read_is_counted_anew(run: RunFolder, content: str) -> None:
-    known = finished_totals(run.path, run.spec)
-    (run.path / campaign_folder.TOTALS_FILE).write_text(content)
-    assert finished_totals(run.path, run.spec) == known
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Folders whose journals were opened."""
+    seen: list[Path] = []
+    open_journal = Journal.open
+    monkeypatch.setattr(Journal, "open", lambda path: (seen.append(path), open_journal(path))[1])
+    return seen
 
 
-def test_an_unfinished_run_leaves_nothing(tmp_path: Path) -> None:
+def test_a_finished_run_is_opened_once(run: RunFolder, campaign: JobFolder, opened: list[Path]) -> None:
+    first = extent(campaign, run_spec_of(campaign))
+    assert (first.runs_done, first.done.evaluations) == (1, N)
+    assert opened == [campaign.run_path("run-0")]
+    assert extent(campaign, run_spec_of(campaign)) == first
+    assert len(opened) == 1
+
+
+def run_spec_of(campaign: JobFolder) -> RunSpec:
+    return RunFolder(campaign.run_path("run-0")).spec
+
+
+def test_another_end_or_other_rows_are_counted_anew(campaign: JobFolder) -> None:
+    spec = run_spec_of(campaign)
+    known = extent(campaign, spec)
+    assert finished_here(campaign, spec) is not None
+    longer = msgspec.structs.replace(spec, evaluations=N + 1)
+    assert finished_here(campaign, longer) is None
+    assert extent(campaign, longer).runs_done == 0
+    with closing(sqlite3.connect(campaign.run_path("run-0") / FILE)) as journal, journal:
+        journal.execute("UPDATE turns SET last = last + 1")
+    assert finished_here(campaign, spec) is None
+    assert extent(campaign, spec) == known
+    assert finished_here(campaign, spec) is not None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: b"",
+        lambda text: b"no line\n{}",
+        lambda text: text[:-20],
+        lambda text: text[:40] + b"\n" + text[40:],
+        lambda text: text.replace(b'"files":"', b'"files":"0'),
+    ],
+)
+def test_an_index_that_is_damaged_is_mended_from_the_journals(campaign: JobFolder, damage) -> None:
+    spec, file = run_spec_of(campaign), campaign.path / FINISHED
+    known = extent(campaign, spec)
+    file.write_bytes(damage(file.read_bytes()))
+    assert finished_here(campaign, spec) is None
+    assert extent(campaign, spec) == known
+    assert finished_here(campaign, spec) is not None
+
+
+def test_a_copy_that_keeps_times_keeps_what_is_finished(campaign: JobFolder, tmp_path: Path, opened) -> None:
+    known = extent(campaign, run_spec_of(campaign))
+    copy = JobFolder(shutil.copytree(campaign.path, tmp_path / "copy"))
+    opened.clear()
+    assert extent(copy, run_spec_of(copy)) == known
+    assert opened == []
+
+
+def test_an_unfinished_run_is_not_in_the_index(tmp_path: Path) -> None:
     run = record(tmp_path / "half", made_scene(), random_rows(N), evaluations=N + 1, overlaps="count")
-    assert finished_totals(run.path, run.spec) is None
-    assert not (run.path / campaign_folder.TOTALS_FILE).exists()
+    assert finished_listing(run.path, run.spec) is None
+    job = JobFolder.create(tmp_path / "job", "mugs")
+    run.path.rename(job.run_path("run-0"))
+    assert extent(job, run_spec_of(job)).runs_done == 0
+    assert not (job.path / FINISHED).exists()
 
 
-def test_a_pruned_run_is_finished_with_what_it_had_and_cannot_be_extended(run: RunFolder) -> None:
-    known = finished_totals(run.path, run.spec)
-    prune_run(run)
-    assert finished_totals(run.path, run.spec) == known
+def test_a_pruned_run_is_finished_with_what_it_had_and_cannot_be_extended(campaign: JobFolder) -> None:
+    spec = run_spec_of(campaign)
+    known = extent(campaign, spec)
+    prune_run(RunFolder(campaign.run_path("run-0")))
+    assert finished_here(campaign, spec) is None
+    assert extent(campaign, spec) == known
     with pytest.raises(FolderError, match="was pruned"):
-        finished_totals(run.path, msgspec.structs.replace(run.spec, evaluations=N + 1))
+        extent(campaign, msgspec.structs.replace(spec, evaluations=N + 1))
 
 
 def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:
     words = f"cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
     with pytest.raises(EndsTooSoon, match=f"{re.escape(str(run.path))} {words}"):
-        finished_totals(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
+        finished_listing(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
 
 
 @pytest.fixture

@@ -8,7 +8,10 @@ import pytest
 from tests.fakes.messages import open_run
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
+from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
+from qdgrasp_coordinator.recorder import recorder as recorder_module
 from qdgrasp_coordinator.recorder.recorder import (
+    COMMITS_AT_ONCE,
     REPORT_INTERVAL,
     REPORT_SECONDS,
     RETRY_INTERVAL,
@@ -18,11 +21,15 @@ from qdgrasp_coordinator.recorder.recorder import (
     open_recorder,
 )
 from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS, Arrival
+from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, Refused
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -303,6 +310,109 @@ class TestRows:
             recorder.add_scene(BUNDLE.digest, SCENE)
             assert recorder.missing_scenes == ["0" * 64]
         assert RunFolder(path / "runs" / "c").bundle() == BUNDLE
+
+
+class TestFinishedRuns:
+    """`SHORT` ends a run with its 30th row."""
+
+    SHORT = msgspec.structs.replace(SPEC, evaluations=30)
+
+    def finished(self, path: Path, run: str, spec: RunSpec) -> int | None:
+        """Evaluations of a run as the index has them; None: it is not there."""
+        index = FinishedRuns(path)
+        index.refresh()
+        known = index.find(path / "runs" / run, spec)
+        return known.evaluations if known else None
+
+    def test_a_run_is_in_the_index_once_its_last_row_is_on_the_disk(self, path, recorder) -> None:
+        recorder.open(ask("a", "b", spec=self.SHORT))
+        for run, stop in (("a", 30), ("b", 29)):
+            record(recorder, run, stop, HERE)
+        assert [self.finished(path, run, self.SHORT) for run in ("a", "b")] == [30, None]
+
+    def test_a_run_that_another_recorder_began_is_counted_from_its_first_row(self, path: Path) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", spec=self.SHORT))
+            record(recorder, "a", 20, HERE)
+        with recording(path) as recorder:
+            recorder.open(ask("a", spec=self.SHORT))
+            recorder.add_rows(rows("a", 20, 30, recorder.epoch), 0.0)
+            recorder.commit("a")
+            assert self.finished(path, "a", self.SHORT) == 30
+
+    def test_a_run_whose_end_is_put_off_is_not_in_the_index_before_that_end(self, path, recorder) -> None:
+        longer = msgspec.structs.replace(SPEC, evaluations=40)
+        recorder.open(ask("a", spec=self.SHORT))
+        record(recorder, "a", 30, HERE)
+        recorder.open(ask("a", spec=longer))
+        assert self.finished(path, "a", longer) is None
+        recorder.add_rows(rows("a", 30, 40, recorder.epoch), 0.0)
+        recorder.commit("a")
+        assert self.finished(path, "a", longer) == 40
+
+    def test_a_crash_before_the_line_is_written_loses_no_finished_run(self, path, monkeypatch) -> None:
+        monkeypatch.setattr(FinishedRuns, "add", lambda *_: None)
+        with recording(path) as recorder:
+            recorder.open(ask("a", spec=self.SHORT))
+            record(recorder, "a", 30, HERE)
+            assert self.finished(path, "a", self.SHORT) is None
+            monkeypatch.undo()
+            extent = CampaignRunQueue(JobFolder(path), {"a": self.SHORT, "b": self.SHORT}).extent
+        assert (extent.runs_done, list(extent.budgets)) == (1, ["b"])
+
+    def test_what_is_kept_of_runs_is_bounded_however_many_are_finished(self, path, recorder) -> None:
+        recorder.open(ask("a", spec=self.SHORT))
+        for number in range(50):
+            run, now = f"run-{number}", 20.0 * number
+            recorder.open(ask(run, epoch=1, spec=self.SHORT, scene=self.scene_of(path, run)))
+            recorder.take(sample_of(rows(run, 0, 30)), now)
+            while recorder.deadline < now + 20.0:
+                recorder.step(recorder.deadline)
+        assert recorder.writers.keys() == {"a"}
+        assert recorder._reports._due == recorder._reports._until == recorder._waiting == {}
+        assert len(recorder._journals) <= 1
+        assert self.finished(path, "run-49", self.SHORT) == 30
+
+    def scene_of(self, path: Path, run: str) -> str:
+        """Add the folder of a run with its scene, as a coordinator on this machine does."""
+        RunFolder.add(JobFolder(path), run, self.SHORT, BUNDLE)
+        return BUNDLE.digest
+
+    def test_a_finished_run_is_found_again_when_its_rows_come_once_more(self, path, recorder) -> None:
+        recorder.open(ask("b"))
+        recorder.open(ask("a", epoch=1, spec=self.SHORT, scene=self.scene_of(path, "a")))
+        recorder.take(sample_of(rows("a", 0, 30)), 0.0)
+        while recorder.deadline < 100.0:
+            recorder.step(recorder.deadline)
+        assert "a" not in recorder.writers
+        assert recorder.add_rows(rows("a", 0, 30), 100.0) is Arrival.DUPLICATE
+        recorder.take(sample_of(rows("a", 0, 30)), 100.0)
+        assert [(report.run, report.durable) for report in recorder.step(100.0)] == [("a", 30)]
+        assert self.finished(path, "a", self.SHORT) == 30
+
+    def test_the_engines_of_finished_runs_are_not_read_again(self, path: Path, monkeypatch) -> None:
+        with recording(path) as recorder:
+            recorder.open(ask("a", "b", spec=self.SHORT))
+            for run in ("a", "b"):
+                record(recorder, run, 30, HERE)
+        monkeypatch.setattr(recorder_module, "read_run_spec", None)
+        with recording(path) as recorder:
+            assert recorder.open(ask("a", epoch=1, spec=self.SHORT)).platform == HERE
+
+
+def test_an_opening_does_not_wait_for_the_commits_of_all_runs(path: Path, recorder: Recorder) -> None:
+    names = [f"run-{number}" for number in range(3 * COMMITS_AT_ONCE)]
+    recorder.open(ask(*names))
+    for run in names:
+        recorder.add_rows(rows(run, 0, 10), 0.0)
+    steps = []
+    while recorder.commit_deadline < inf:
+        steps.append(len(recorder.step(GROUP_SECONDS)))
+    assert steps == [COMMITS_AT_ONCE] * 3
+
+
+def sample_of(message: Recordable) -> Sample:
+    return Sample(Keys(JOB).outcome(message.epoch), messages.encode(message), messages.encoding(Recordable))
 
 
 def test_news_is_reported_at_once() -> None:

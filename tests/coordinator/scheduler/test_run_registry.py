@@ -9,6 +9,7 @@ from tests.common import PATIENCE
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
 from tests.fakes.job import FakeRunQueue, OpenedSink, assignment, runs_of
 
+from qdgrasp_coordinator.scheduler import run_registry
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     LoaderEvent,
@@ -118,3 +119,15 @@ def test_a_run_that_is_put_back_is_opened_once() -> None:
     coming.runs.reopen(run)
     assert [coming.open().name for _ in range(2)] == ["run", "other"]
     assert coming.ask() == NoRunLeft()
+
+
+def test_as_many_runs_are_open_at_once_as_there_are_workers_between_two_bounds(monkeypatch) -> None:
+    monkeypatch.setattr(run_registry, "MOST_RUNS", 1)
+    monkeypatch.setattr(run_registry, "MOST_RUNS_OF_MANY", 3)
+    coming = Coming("a", "b", "c", "d")
+    for workers, most in ((0, 1), (1, 1), (2, 2), (9, 3)):
+        for _ in range(4):
+            coming.runs.open_another(1, is_wanted=True, workers=workers)
+            if coming.runs._is_opening:
+                coming.runs.add(coming._news.get(timeout=PATIENCE).run)
+        assert len(list(coming.runs)) == most

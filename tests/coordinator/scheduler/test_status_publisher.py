@@ -28,13 +28,14 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve, RunCounter
-from qdgrasp_coordinator.scheduler import coordinator_service
+from qdgrasp_coordinator.scheduler import coordinator_service, status_publisher
 from qdgrasp_coordinator.scheduler.inbox import Inbox, InboxEvent, JoinRequest
 from qdgrasp_coordinator.scheduler.status_publisher import (
     CURVE_SECONDS,
     STALE_SECONDS,
     STATUS_INTERVAL,
     StatusCache,
+    StatusPublisher,
 )
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Query, Sample
@@ -96,6 +97,14 @@ def test_of_a_coordinator_that_stands_still_nothing_is_told() -> None:
     wall.now += 0.1
     with pytest.raises(NoReply):
         wall.asked("job")
+
+
+def test_of_more_runs_than_are_published_at_once_each_has_its_turn(monkeypatch) -> None:
+    monkeypatch.setattr(status_publisher, "RUNS_AT_ONCE", 2)
+    publisher = StatusPublisher(None, SimpleNamespace(job=JOB))
+    turns = [publisher._in_turn(list("abcde")) for _ in range(5)]
+    assert ["".join(turn) for turn in turns] == ["ab", "cd", "ea", "bc", "de"]
+    assert publisher._in_turn(["a", "b"]) == ["a", "b"]
 
 
 KEYS = Keys(JOB)

@@ -1,0 +1,156 @@
+"""The index of a campaign's finished runs, in one file (docs/run-folder.md).
+
+A line says what a run's journal was counted to and by which mark of its files; a line whose mark does not
+fit is passed over, and the run is counted anew. So the file may be lost, cut or copied at any time. Lines
+are added in one write each, whoever adds them, and need no wait for the disk: a journal is on the disk before
+its line is written.
+"""
+
+import hashlib
+import os
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.storage.outputs import FINISHED, JOURNAL, SPEC
+from qdgrasp_protocol.spec import RunSpec
+
+MARKED = (SPEC, JOURNAL, f"{JOURNAL}-wal")
+"""The files of a run that its mark depends on."""
+DIGITS = 32  # Of digests and marks
+
+
+class FinishedRun(Struct, frozen=True, kw_only=True):
+    """A line of the index."""
+
+    run: str
+    """The name of its folder."""
+    spec: str
+    """Digest of the spec under which the run is finished, goals included."""
+    files: str
+    """Mark of the run's files as they were counted, and of who counted them."""
+    engine: str | None = None
+    """The physics engine of its rows; None: Bullet."""
+    listing: RunListing
+
+
+def _spec_digest(spec: RunSpec) -> str:
+    return hashlib.sha256(msgspec.msgpack.encode(spec)).hexdigest()[:DIGITS]
+
+
+@cache
+def _counted_by() -> bytes:
+    return " ".join([version("qdgrasp"), *RunListing.__struct_fields__]).encode()
+
+
+def _files_mark(path: Path) -> str:
+    """Return the mark of a run's files: a copy that keeps the times of files keeps it."""
+    total, folder = hashlib.sha256(_counted_by()), str(path)
+    for name in MARKED:
+        with suppress(OSError):  # it is not there, or no longer
+            stat = os.stat(f"{folder}/{name}")  # noqa: PTH116  # a path to join costs more than the look
+            if stat.st_size:
+                total.update(f" {name} {stat.st_size} {stat.st_mtime_ns}".encode())
+    return total.hexdigest()[:DIGITS]
+
+
+class _RunEngine(Struct, frozen=True):
+    """The part of a line that is kept in memory."""
+
+    run: str
+    engine: str | None = None
+
+
+class _Place(NamedTuple):
+    """The place of a run's line in the file, and the engine of its rows."""
+
+    first: int
+    stop: int
+    engine: str | None
+
+
+class FinishedRuns:
+    """The index in a campaign's folder as of the last `refresh`; no line is kept in memory."""
+
+    def __init__(self, campaign: Path) -> None:
+        self._file = campaign / FINISHED
+        self._inode = 0
+        self._read = 0
+        self._places: dict[str, _Place] = {}
+
+    def refresh(self) -> None:
+        """Read what was added to the file since the last time, or all of another one."""
+        try:
+            with self._file.open("rb") as stream:
+                stat = os.fstat(stream.fileno())
+                if stat.st_ino != self._inode or stat.st_size < self._read:
+                    self._inode, self._read = stat.st_ino, 0
+                    self._places.clear()
+                stream.seek(self._read)
+                self._take(stream.read())
+        except OSError:
+            self._inode, self._read = 0, 0
+            self._places.clear()
+
+    def _take(self, text: bytes) -> None:
+        """Note where lines are; a last one that is not whole is read again the next time."""
+        first, stop = self._read, self._read + len(text)
+        for line in text.split(b"\n"):
+            try:
+                found = msgspec.json.decode(line, type=_RunEngine) if line else None
+            except msgspec.MsgspecError:
+                if first + len(line) == stop:
+                    break
+                found = None
+            if found is not None:
+                self._places[found.run] = _Place(first, first + len(line), found.engine)
+            first += len(line) + 1
+        self._read = min(first, stop)
+
+    def find(self, path: Path, spec: RunSpec | None = None) -> RunListing | None:
+        """Return the listing of the run in a folder if it is finished; None: that is not known.
+
+        With a `spec`: if it is finished under that spec.
+        """
+        known = self._line(path.name)
+        if known is None or (spec is not None and known.spec != _spec_digest(spec)):
+            return None
+        return known.listing if known.files == _files_mark(path) else None
+
+    def engines(self) -> dict[str, str | None]:
+        """Return the engines of the runs that are in the index, by run."""
+        return {run: place.engine for run, place in self._places.items()}
+
+    def add(self, path: Path, spec: RunSpec, listing: RunListing) -> None:
+        """Add the run in a folder; a disk that cannot take the line is no error."""
+        line = FinishedRun(
+            run=path.name,
+            spec=_spec_digest(spec),
+            files=_files_mark(path),
+            engine=spec.engine,
+            listing=listing,
+        )
+        with suppress(OSError):
+            handle = os.open(self._file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+            try:
+                os.write(handle, b"\n" + msgspec.json.encode(line))  # it ends a line that was cut off
+            finally:
+                os.close(handle)
+
+    def _line(self, run: str) -> FinishedRun | None:
+        place = self._places.get(run)
+        with suppress(OSError, msgspec.MsgspecError):
+            if place is not None:
+                handle = os.open(self._file, os.O_RDONLY)
+                try:
+                    line = os.pread(handle, place.stop - place.first, place.first)
+                finally:
+                    os.close(handle)
+                return msgspec.json.decode(line, type=FinishedRun)
+        return None
