@@ -10,6 +10,7 @@ there is.
 
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -230,7 +231,7 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     Raises `UnknownKey` for a key that no field has, `ImpossibleValue` for a value of the wrong type or
     outside what the field allows, and `InputError` where `gripper` or `object` is missing.
     """
-    fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
+    fields = _spec_fields()
     for key in values:
         if key not in fields:
             raise UnknownKey(where, key, fields)
@@ -276,6 +277,12 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
             f"'physical', and this is '{spec.protocol}'; take one of these, or engine = 'mujoco'."
         )
     return spec
+
+
+@cache
+def _spec_fields() -> dict[str, msgspec.structs.FieldInfo]:
+    """Return the fields of a spec by name; msgspec takes a while to find their types."""
+    return {field.name: field for field in msgspec.structs.fields(RunSpec)}
 
 
 def read_run_spec(path: Path, most: int = MAX_TOML_SIZE) -> dict[str, Any]:

@@ -4,20 +4,29 @@ The end of a run that has begun may be put off, not taken back below what is rec
 finished run are cached beside its journal (`found.json`), so that a large campaign need not read it again.
 """
 
-import csv
 import re
 from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 from msgspec import Struct, structs
 
 from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
-from qdgrasp_coordinator.campaign.object_library import skip_report
+from qdgrasp_coordinator.campaign.object_library import read_skip_report, skip_report
+from qdgrasp_coordinator.campaign.object_table import (
+    ObjectQuantiles,
+    ObjectRun,
+    count_states,
+    least_objects,
+    list_objects,
+    object_quantiles,
+)
 from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import check_spec
@@ -91,10 +100,23 @@ def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
         return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
 
 
-def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
-    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
+class RunProgress(NamedTuple):
+    """Counts of a run in a folder, finished or not."""
 
-    None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
+    totals: RunTotals
+    is_finished: bool
+
+
+def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
+    """Return the totals of the run that `spec` asks for, where its folder holds all of it; else None."""
+    found = run_progress(path, spec)
+    return found.totals if found is not None and found.is_finished else None
+
+
+def run_progress(path: Path, spec: RunSpec) -> RunProgress | None:
+    """Return the counts of the run that `spec` asks for.
+
+    None: it has not begun, or its journal cannot be read; the recorder that opens it says why. Raises
     FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
     or successes alone of fewer; ImpossibleValue where the spec in its journal is none of this version.
     """
@@ -108,19 +130,25 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
             is_reduced = bool(journal.sources)
         if not is_reduced:
             if known := read_cached_totals(folder, spec):
-                return known
+                return RunProgress(known, is_finished=True)
             try:
                 found = count_within_budget(folder, spec)
             except ImpossibleValue as reason:
                 raise EndsTooSoon(folder.path, reason) from None
             if found.finished:
                 _write_cached_totals(folder, spec, found.totals)
-            return found.totals if found.finished else None
+            return RunProgress(found.totals, is_finished=bool(found.finished))
     except FolderError:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return run_summary(folder).totals
+    return RunProgress(run_summary(folder).totals, is_finished=True)
+
+
+def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[str, RunProgress]:
+    """Return the counts of a campaign's runs that have begun, by name; raises as `run_progress`."""
+    found = {name: run_progress(folder.run_path(name), spec) for name, spec in runs.items()}
+    return {name: progress for name, progress in found.items() if progress is not None}
 
 
 class CampaignRunQueue:
@@ -134,11 +162,8 @@ class CampaignRunQueue:
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        finished = {
-            name: found
-            for name, spec in runs.items()
-            if folder and (found := finished_totals(folder.run_path(name), spec)) is not None
-        }
+        begun = campaign_progress(folder, runs) if folder else {}
+        finished = {name: found.totals for name, found in begun.items() if found.is_finished}
         self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
             finished
         )
@@ -230,37 +255,84 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     """Objects that cannot be used, and are left out."""
     reasons: dict[str, int]
     """Number of objects left out for each reason, the most frequent first; numbers in it are left out."""
+    states: dict[str, int]
+    """Number of objects in each state."""
+    quantiles: dict[str, ObjectQuantiles]
+    """Quantiles over the objects with a finished run, of grasps and of cells; empty before there is one."""
+    little: int
+    """Objects that got little."""
+    least: list[ObjectListing]
+    """Of these the first few, by what they got."""
 
     @property
     def table(self) -> str:
         """All counts, one to a line."""
         values = structs.asdict(self)
-        reasons = values.pop("reasons")
+        reasons, states = values.pop("reasons"), values.pop("states")
+        del values["quantiles"]
+        named, little = len(values.pop("least")), values.pop("little")
         lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
         lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
+        lines.append(f"{'objects by state':<16} {', '.join(f'{n} {state}' for state, n in states.items())}")
+        for name, found in self.quantiles.items():
+            lines.append(f"{f'{name} of each':<16} {found.words} (least, quarters, most)")
+        lines.append(f"{'got little':<16} {little}")
+        lines += [f"  {one.object}: {one.note}" for one in self.least]
+        if little > named:
+            lines.append(f"  and {little - named} more, which --objects --sort note lists first")
         return "\n".join(lines)
+
+
+LEAST_NAMED = 10  # The most objects that a summary names
+
+
+def campaign_objects(folder: JobFolder) -> list[ObjectListing]:
+    """Return the table of a campaign's objects, also while it goes on."""
+    return _list_objects(folder, *_runs_so_far(folder))
 
 
 def campaign_summary(folder: JobFolder) -> CampaignSummary:
     """Count what a campaign asks for, has finished and left out, also while it goes on."""
-    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
-    extent = CampaignRunQueue(folder, asked.runs).extent
-    report, reasons = folder.path / SKIPPED, Counter[str]()
-    if report.is_file():
-        rows = csv.DictReader(atomic_files.read(report).decode(errors="replace").splitlines())
-        reasons.update(DIGITS.sub("N", row.get("reason") or "") for row in rows)
+    runs, begun = _runs_so_far(folder)
+    finished = {name: found.totals for name, found in begun.items() if found.is_finished}
+    extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(finished)
+    objects = _list_objects(folder, runs, begun)
+    reasons = Counter(DIGITS.sub("N", skipped.reason) for skipped in read_skip_report(folder.path / SKIPPED))
+    little = [each for each in objects if each.little]
     return CampaignSummary(
         campaign=folder.name,
         runs=extent.runs,
         runs_done=extent.runs_done,
-        objects=len({spec.object for spec in asked.runs.values()}),
+        objects=len({spec.object for spec in runs.values()}),
         evaluations=extent.evaluations,
         evaluations_done=extent.done.evaluations,
         successes=extent.done.successes,
         grasps=extent.done.grasps,
         skipped=reasons.total(),
         reasons=dict(reasons.most_common()),
+        states=count_states(objects),
+        quantiles=object_quantiles(objects),
+        little=len(little),
+        least=least_objects(little, LEAST_NAMED),
     )
+
+
+def _runs_so_far(folder: JobFolder) -> tuple[Mapping[str, RunSpec], dict[str, RunProgress]]:
+    """Return the runs that a begun campaign asks for, and the counts of those that have begun."""
+    runs = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True).runs
+    return runs, campaign_progress(folder, runs)
+
+
+def _list_objects(
+    folder: JobFolder, runs: Mapping[str, RunSpec], begun: Mapping[str, RunProgress]
+) -> list[ObjectListing]:
+    shown = [
+        ObjectRun(name, spec, begun[name].totals, begun[name].is_finished)
+        if name in begun
+        else ObjectRun(name, spec)
+        for name, spec in runs.items()
+    ]
+    return list_objects(shown, read_skip_report(folder.path / SKIPPED))
 
 
 def open_campaign(path: Path) -> JobFolder:
