@@ -78,7 +78,7 @@ def record_campaign(
 ) -> JobFolder:
     """Begin a campaign over so many objects, and record the runs of a share of them.
 
-    The last tenth of the recorded objects has half of its rows in the run of its last hand.
+    The last tenth of the recorded objects, at least one, has half of its rows in the run of the last hand.
     """
     known: dict[str, dict[str, Any]] = {
         f"/library/part_{number:05d}.stl": {
@@ -98,7 +98,7 @@ def record_campaign(
         if number >= last:
             continue
         rows = rows_of([*KINDS][number % len(KINDS)], n, seed=number)
-        is_open = number >= 0.9 * last and spec.gripper == hands[-1]
+        is_open = number >= last - max(1, last // 10) and spec.gripper == hands[-1]
         bundle = scenes[number % len(scenes)]
         RunFolder.add(job, name, spec, bundle)
         write_journal(job.run_path(name), spec, rows[: n // 2] if is_open else rows, bundle, run=name)

@@ -8,6 +8,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -97,7 +98,13 @@ def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
     """Return the mark of all that the totals depend on: rows, goals, version, names of counts."""
     with folder.journal() as journal:
         ends = [str(getattr(spec, key)) for key in STOP_KEYS]
-        return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
+        return " ".join([journal.mark, *ends, _package_version(), *TOTAL_NAMES])
+
+
+@cache
+def _package_version() -> str:
+    """Return the version of this package, which is read from a file."""
+    return version("qdgrasp")
 
 
 class RunProgress(NamedTuple):

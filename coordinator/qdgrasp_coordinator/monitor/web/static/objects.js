@@ -119,6 +119,6 @@ export class ObjectPanel {
     this.find("objects-before").disabled = first === 0;
     this.find("objects-behind").disabled = first + objects.length >= found;
     const rows = objects.map((each) => ({ ...each, job, api: this.api }));
-    this.table.show(rows, (row) => `${row.state}${row.little ? " little" : ""}${row.file === object ? " chosen" : ""}`);
+    this.table.show(rows, (row) => `${row.state}${words(row) ? " noted" : ""}${row.file === object ? " chosen" : ""}`);
   }
 }
