@@ -216,7 +216,7 @@ def object_words(objects: Sequence[ObjectListing], figures: JobStatus) -> str:
     parts = [
         *([", ".join([f"{done} of {counted(whole, 'object')} done", *others])] if objects else []),
         *([f"{little} got little"] if little else []),
-        *([f"{figures.shapes} built"] if figures.scenes else []),
+        *([figures.shapes] if figures.scenes else []),
         counted(figures.evaluations + figures.trials, "row"),
     ]
     return "; ".join(parts)

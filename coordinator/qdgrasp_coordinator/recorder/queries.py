@@ -185,7 +185,7 @@ SCENES_KEPT = 8  # Number of scenes kept in memory
 
 
 LISTED_SECONDS = 3.0  # seconds for which a list of objects is given again
-LISTING_SECONDS = 1.0  # seconds for which runs are counted before a list is given without the others
+LISTING_SECONDS = 2.0  # seconds for which runs are counted before a list is given without the others
 
 
 class ObjectIndex:
@@ -211,7 +211,7 @@ class ObjectIndex:
         with self._lock:
             if time.monotonic() >= self._due:
                 self._listings, self._uncounted = self._list(time.monotonic() + LISTING_SECONDS)
-                self._due = time.monotonic() + LISTED_SECONDS
+                self._due = time.monotonic() + (0.0 if self._uncounted else LISTED_SECONDS)
             return self._listings, self._uncounted
 
     def page(self, first: int) -> ObjectListings:
@@ -225,7 +225,7 @@ class ObjectIndex:
     def _list(self, until: float) -> tuple[list[ObjectListing], int]:
         begun = {path.name: path for path in _run_paths(self._path)}
         specs, uncounted = self._specs(begun), 0
-        unfinished = specs.keys() & begun.keys() - self._finished
+        unfinished = [name for name in specs if name in begun and name not in self._finished]
         for name in sorted(unfinished, key=lambda name: name in self._totals):  # unknown ones first
             if time.monotonic() > until:
                 uncounted += 1

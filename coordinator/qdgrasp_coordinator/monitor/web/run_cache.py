@@ -339,7 +339,11 @@ class RunCaches:
             )
 
         def objects(job: str) -> TtlCache[ObjectListings]:
-            return TtlCache(lambda _: records.objects(job), lambda _: OBJECTS_SECONDS, clock)
+            return TtlCache(
+                lambda _: records.objects(job),
+                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
+                clock,
+            )
 
         self._listings = made_once(MAX_JOBS, listings)
         self._entries = made_once(MAX_ENTRIES, entry)

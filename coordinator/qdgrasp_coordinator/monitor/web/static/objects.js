@@ -78,7 +78,7 @@ export class ObjectPanel {
   show(job) {
     this.#job = job;
     if (this.#name !== job.job) this.#begin(job.job);
-    const isDue = performance.now() > this.#asked + 1000 * SECONDS;
+    const isDue = performance.now() > this.#asked + 1000 * (this.#page?.uncounted ? 1 : SECONDS);
     if (job.figures.runs > 1 && isDue && !(OVER.includes(job.state) && this.#page && !this.#page.uncounted)) this.#query(this.#first);
     this.#draw();
   }
