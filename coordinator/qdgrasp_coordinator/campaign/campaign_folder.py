@@ -115,7 +115,7 @@ class RunProgress(NamedTuple):
 
 
 def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
-    """Return the totals of the run that `spec` asks for, where its folder holds all of it; else None."""
+    """Return the totals of the run that `spec` asks for; None: its folder does not hold all."""
     found = run_progress(path, spec)
     return found.totals if found is not None and found.is_finished else None
 

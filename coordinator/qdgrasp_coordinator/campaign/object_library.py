@@ -162,7 +162,7 @@ def skip_report(skipped: Iterable[SkippedObject]) -> bytes:
 
 
 def read_skip_report(report: Path) -> list[SkippedObject]:
-    """Read the table of the objects that are left out; empty where there is none."""
+    """Read the table of the objects that are left out; a missing one is empty."""
     if not report.is_file():
         return []
     text = atomic_files.read(report).decode(errors="replace")

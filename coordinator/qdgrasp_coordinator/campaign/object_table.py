@@ -172,7 +172,10 @@ def main_loss(found: RunTotals) -> str:
 def with_events(
     listings: Sequence[ObjectListing], events: Iterable[JobEvent], building: Collection[str] = ()
 ) -> list[ObjectListing]:
-    """Return objects with what a coordinator says of them: failed runs, shapes with a fault or in work."""
+    """Return objects with what a coordinator says of them.
+
+    That is which runs failed, which shapes have a fault, and whose shape is being built.
+    """
     failed: dict[str, dict[str, str]] = {}
     warned: dict[str, dict[str, None]] = {}
     files = {name: each.file for each in listings for name in each.names}
@@ -230,9 +233,10 @@ def _name_parts(name: str) -> list[str | int]:
 def select_objects(
     listings: Iterable[ObjectListing], search: str = "", sort: str = "", *, down: bool = False
 ) -> list[ObjectListing]:
-    """Return the objects in whose words all words of a search occur, sorted; empty: as they come.
+    """Return the objects that match a search, sorted.
 
-    Raises UnknownName if there is no such key to sort by.
+    All of its words are to occur in what is said of an object. Without `sort` the order stays. Raises
+    UnknownName if there is no such key to sort by.
     """
     if sort and sort not in SORT_KEYS:
         raise UnknownName("key to sort by", sort, SORT_KEYS)

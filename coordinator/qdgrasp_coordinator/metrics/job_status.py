@@ -322,7 +322,7 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
 
     @property
     def shapes(self) -> str:
-        """How many shapes are built, in words."""
+        """Number of the shapes that are built, in words."""
         failed = f" and {self.scenes_failed} failed" if self.scenes_failed else ""
         return f"{self.scenes_done} of {counted(self.scenes, 'shape')}{failed}"
 

@@ -269,7 +269,7 @@ class ObjectIndex:
 
 
 class QueryServer(ExitStack):
-    """Answers `rec/runs`, `rec/objects`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
+    """Answers queries on a job's folder: runs, objects, finds and scenes (docs/bus.md)."""
 
     def __init__(self, bus: Bus, job: str, path: Path) -> None:
         super().__init__()

@@ -139,7 +139,10 @@ class RenderedView:
 
 
 def object_picture(scene: Scene, pixels: int) -> bytes:
-    """Render the object alone, as large as fits, on a transparent ground: PNG, `pixels` wide and high."""
+    """Render the object alone on a transparent ground, as large as fits.
+
+    Returns a PNG, `pixels` wide and high.
+    """
     body = object_mesh(scene)
     side = RAYS_PER_PIXEL * pixels
     image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))

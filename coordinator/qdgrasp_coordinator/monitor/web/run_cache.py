@@ -268,9 +268,10 @@ class RunCache:
 
 
 class ObjectPictures:
-    """Small pictures of the objects of runs, each rendered once and kept in memory and in a folder.
+    """Small pictures of the objects of runs, each rendered once.
 
-    A folder that cannot be written is no error: pictures are then in memory alone.
+    They are kept in memory and in a folder. A folder that cannot be written is no error: pictures are then in
+    memory alone.
     """
 
     def __init__(self, records: Records, folder: Path, clock: Callable[[], float]) -> None:
@@ -303,7 +304,7 @@ class ObjectPictures:
         return self._folder / f"{name}.png"
 
     def _read(self, digest: str) -> bytes:
-        """Return the picture in the folder; empty: there is none."""
+        """Return the picture in the folder, empty where it is not there."""
         with suppress(OSError):
             return self._file(digest).read_bytes()
         return b""

@@ -248,7 +248,7 @@ def test_objects_are_sorted_by_keyboard_and_the_head_says_so(look: Look, place: 
 def test_pictures_are_asked_for_where_they_are_seen(look: Look, place: str, objects: ObjectLibrary) -> None:
     page = look(place)
     picture = page.locator("#objects img").first
-    page.wait_for_function("() => document.querySelector('#objects img').naturalWidth === 96")
+    page.wait_for_function("() => document.querySelector('#objects img')?.naturalWidth === 96")
     expect(picture).to_have_attribute("src", "api/jobs/parts/runs/panda-part_000-s0/picture")
     assert 0 < len(objects.pictured) <= 50
     page.get_by_role("searchbox").fill("waiting")
