@@ -29,7 +29,7 @@ from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_me
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import FolderError, MessageError, UnknownName
-from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
 
@@ -114,6 +114,10 @@ class FolderJob:
     named: frozenset[Path] | None = None
     """Folders of the runs that are shown; None: all, also those that begin later."""
 
+    def holds(self, path: Path) -> bool:
+        """Return whether a folder is that of a run that is shown."""
+        return (self.named is None or path.absolute() in self.named) and RunFolder.is_run(path)
+
     @property
     def runs(self) -> dict[str, RunFolder]:
         """Its runs by their names, printable."""
@@ -148,7 +152,10 @@ class FolderIndex:
 
     def run(self, job: str, run: str) -> RunFolder:
         """Return the folder of a run, or raise `UnknownName`."""
-        runs = self.job(job).runs
+        asked = self.job(job)
+        if NAME.fullmatch(run) and asked.holds(path := asked.folder.run_path(run)):
+            return RunFolder(path)  # without a look at thousands of others
+        runs = asked.runs
         if run not in runs:
             raise UnknownName("run", run, runs)
         return runs[run]
