@@ -41,6 +41,8 @@ class Keys:
         """Anyone to recorder, query: recorded rows from a number on."""
         self.entries = f"{self.root}/rec/runs"
         """Monitors to recorder, query: all runs in the folder, finished ones too, or one; JSON."""
+        self.objects = f"{self.root}/rec/objects"
+        """Monitors to recorder, query `?from=<number>`: objects of a campaign and what they got; JSON."""
         self.finds = f"{self.root}/rec/finds"
         """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
         self.recent = f"{self.root}/event/recent"

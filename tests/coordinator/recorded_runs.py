@@ -53,13 +53,20 @@ def record_spec(
 ) -> RunFolder:
     """A run's folder with these rows, recorded in blocks of so many; it may have no scene yet."""
     folder = RunFolder.create(path, spec, bundle)
+    write_journal(path, spec, rows, bundle, block)
+    return folder
+
+
+def write_journal(
+    path: Path, spec: RunSpec, rows: Rows, bundle: Bundle | None, block: int = 1 << 20, run: str = "run"
+) -> None:
+    """Record rows in the folder of a run that was begun."""
     shape = RowShape(
         *(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor", "contact_links"))
     )
-    identity = JournalIdentity("run", to_toml(spec), bundle.digest if bundle else "0" * 64, shape)
+    identity = JournalIdentity(run, to_toml(spec), bundle.digest if bundle else "0" * 64, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_epoch(1, 0.0)
         for first in range(0, len(rows), block):
             part = rows[first : first + block]
             journal.append(JournalSlice(first, part, cpu_seconds=len(part) / 100), 1, 1.0)
-    return folder

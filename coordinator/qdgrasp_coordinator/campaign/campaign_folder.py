@@ -4,26 +4,35 @@ The end of a run that has begun may be put off, not taken back below what is rec
 runs tells what is done without a look into their journals; a run that is not in it is counted, and added.
 """
 
-import csv
 import re
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from msgspec import Struct, structs
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
 from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
-from qdgrasp_coordinator.campaign.object_library import skip_report
+from qdgrasp_coordinator.campaign.object_library import read_skip_report, skip_report
+from qdgrasp_coordinator.campaign.object_table import (
+    ObjectQuantiles,
+    ObjectRun,
+    count_states,
+    least_objects,
+    list_objects,
+    object_quantiles,
+)
 from qdgrasp_coordinator.campaign.summary import summary_listing
-from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
     RunPlan,
     RunQueue,
     ShapesMissing,
+    ShapeWarning,
     WantedShapes,
     plan_run,
     prepare_scene,
@@ -78,10 +87,24 @@ SCENE_KEYS = (
 """The keys of a spec that its scene depends on."""
 
 
-def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
-    """Count the run that `spec` asks for, where its folder holds all of it.
+class RunProgress(NamedTuple):
+    """Counts of a run in a folder, finished or not."""
 
-    None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
+    totals: RunTotals
+    ended: str
+    """Why it is finished, in words; empty while it is not."""
+
+
+def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
+    """Count the run that `spec` asks for; None: its folder does not hold all of it."""
+    listing = run_listing(path, spec)
+    return listing if listing is not None and listing.finished else None
+
+
+def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
+    """Return the counts of the run that `spec` asks for.
+
+    None: it has not begun, or its journal cannot be read; the recorder that opens it says why. Raises
     FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
     or successes alone of fewer; ImpossibleValue where the spec in its journal is none of this version.
     """
@@ -98,13 +121,35 @@ def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
                     found.check_budget(spec)
                 except ImpossibleValue as reason:
                     raise EndsTooSoon(folder.path, reason) from None
-                return RunListing.of(journal.run, spec, journal.scene, found) if found.finished else None
+                return RunListing.of(journal.run, spec, journal.scene, found)
             listing = summary_listing(journal)
     except FolderError:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
     return listing
+
+
+def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[str, RunProgress]:
+    """Return the counts of a campaign's runs that have begun, by name; raises as `run_listing`.
+
+    Finished ones are read from the index; those that it lacks are counted, and added.
+    """
+    found, index = dict[str, RunProgress](), FinishedRuns(folder.path)
+    index.refresh()
+    for name, spec in runs.items():
+        path = folder.run_path(name)
+        listing = index.find(path, spec)
+        if listing is None and (listing := run_listing(path, spec)) is not None and listing.finished:
+            index.add(path, spec, listing)
+        if listing is not None:
+            found[name] = RunProgress(listing.totals, listing.finished)
+    return found
+
+
+def count_endings(runs: Iterable[RunProgress]) -> Counter[str]:
+    """Count finished runs by why they ended; numbers in it are left out."""
+    return Counter(DIGITS.sub("N", run.ended) for run in runs if run.ended)
 
 
 class CampaignRunQueue(RunQueue):
@@ -121,11 +166,12 @@ class CampaignRunQueue(RunQueue):
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        finished = dict(_finished(folder, runs)) if folder else {}
+        begun = campaign_progress(folder, runs) if folder else {}
+        finished = {name: found.totals for name, found in begun.items() if found.ended}
         self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
             finished
         )
-        self.ends = Counter(DIGITS.sub("N", listing.finished) for listing in finished.values())
+        self.ends = count_endings(begun.values())
         """Number of finished runs for each reason of their end; numbers in it are left out."""
         self._left = deque(self.extent.budgets)  # Runs that were not looked at
         self._ready: deque[str] = deque()
@@ -175,26 +221,25 @@ class CampaignRunQueue(RunQueue):
         shapes = tuple(self._wanted.popleft() for _ in range(min(most, len(self._wanted))))
         return WantedShapes(shapes, is_last=not (self._left or self._wanted))
 
-    def take_shape(self, reply: BuildReply) -> str:
-        """Keep a shape that was built, and have its runs made, or failed; returns a warning in words."""
+    def take_shape(self, reply: BuildReply) -> ShapeWarning | None:
+        """Keep a shape that was built, and have its runs made, or failed."""
         runs = self._waiting.pop(reply.key, [])
         if reply.reason:
             reason = f"The shape of its object cannot be built: {reply.reason}"
             self._failed.extend(RunFailed(run, reason) for run in runs)
-            return ""
+            return None
         self._ready.extend(runs)
-        if not reply.pieces:
-            return ""
+        if not reply.pieces or not runs:
+            return None
+        name = self._runs[runs[0]].object
         try:
             payload = join_payload(reply.pieces, MAX_SHAPE)
             shape = unpack_shape(payload)
         except MessageError as error:  # `next` builds it
-            return f"A worker's shape of {self._object_of(runs)} is left aside: {error}."
+            words = f"A worker's shape of '{Path(name).name}' is left aside: {error}."
+            return ShapeWarning(name, words)
         self._shapes.put(reply.key, payload)
-        return f"{self._object_of(runs)}: {shape.warning}." if shape.warning else ""
-
-    def _object_of(self, runs: list[str]) -> str:
-        return f"'{Path(self._runs[runs[0]].object).name}'" if runs else "an object"
+        return ShapeWarning(name, f"'{Path(name).name}': {shape.warning}.") if shape.warning else None
 
     def _look_at_next(self) -> None:
         """Find out whether the next run waits for a shape."""
@@ -235,19 +280,6 @@ class CampaignRunQueue(RunQueue):
             shape = self._shapes.get(key) if key else None
             self._scene = known = spec, prepare_scene(spec, shape)
         return known[1]
-
-
-def _finished(folder: JobFolder, runs: Mapping[str, RunSpec]) -> Iterator[tuple[str, RunTotals]]:
-    """Yield the finished runs of a campaign with their totals; add missing ones to the index."""
-    index = FinishedRuns(folder.path)
-    index.refresh()
-    for name, spec in runs.items():
-        path = folder.run_path(name)
-        listing = index.find(path, spec)
-        if listing is None and (listing := finished_listing(path, spec)) is not None:
-            index.add(path, spec, listing)
-        if listing is not None:
-            yield name, listing.totals
 
 
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
@@ -300,40 +332,87 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     """Number of finished runs for each reason of their end, the most frequent first, as in `reasons`."""
     reasons: dict[str, int]
     """Number of objects left out for each reason, the most frequent first; numbers in it are left out."""
+    states: dict[str, int]
+    """Number of objects in each state."""
+    quantiles: dict[str, ObjectQuantiles]
+    """Quantiles over the objects with a finished run, of grasps and of cells; empty before there is one."""
+    little: int
+    """Objects that got little."""
+    least: list[ObjectListing]
+    """Of these the first few, by what they got."""
 
     @property
     def table(self) -> str:
         """All counts, one to a line."""
         values = structs.asdict(self)
-        ended, reasons = values.pop("ended"), values.pop("reasons")
+        reasons, states = values.pop("reasons"), values.pop("states")
+        ended = values.pop("ended")
+        del values["quantiles"]
+        named, little = len(values.pop("least")), values.pop("little")
         lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
         lines += [f"{'ended':<16} {count}: {reason}" for reason, count in ended.items()]
         lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
+        lines.append(f"{'objects by state':<16} {', '.join(f'{n} {state}' for state, n in states.items())}")
+        for name, found in self.quantiles.items():
+            lines.append(f"{f'{name} of each':<16} {found.words} (least, quarters, most)")
+        lines.append(f"{'got little':<16} {little}")
+        lines += [f"  {one.object}: {one.note}" for one in self.least]
+        if little > named:
+            lines.append(f"  and {little - named} more, which --objects --sort note lists first")
         return "\n".join(lines)
+
+
+LEAST_NAMED = 10  # The most objects that a summary names
+
+
+def campaign_objects(folder: JobFolder) -> list[ObjectListing]:
+    """Return the table of a campaign's objects, also while it goes on."""
+    return _list_objects(folder, *_runs_so_far(folder))
 
 
 def campaign_summary(folder: JobFolder) -> CampaignSummary:
     """Count what a campaign asks for, has finished and left out, also while it goes on."""
-    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
-    queue = CampaignRunQueue(folder, asked.runs)
-    extent = queue.extent
-    report, reasons = folder.path / SKIPPED, Counter[str]()
-    if report.is_file():
-        rows = csv.DictReader(atomic_files.read(report).decode(errors="replace").splitlines())
-        reasons.update(DIGITS.sub("N", row.get("reason") or "") for row in rows)
+    runs, begun = _runs_so_far(folder)
+    finished = {name: found.totals for name, found in begun.items() if found.ended}
+    extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(finished)
+    objects = _list_objects(folder, runs, begun)
+    reasons = Counter(DIGITS.sub("N", skipped.reason) for skipped in read_skip_report(folder.path / SKIPPED))
+    little = [each for each in objects if each.little]
     return CampaignSummary(
         campaign=folder.name,
         runs=extent.runs,
         runs_done=extent.runs_done,
-        objects=len({spec.object for spec in asked.runs.values()}),
+        objects=len({spec.object for spec in runs.values()}),
         evaluations=extent.evaluations,
         evaluations_done=extent.done.evaluations,
         successes=extent.done.successes,
         grasps=extent.done.grasps,
         skipped=reasons.total(),
-        ended=dict(queue.ends.most_common()),
+        ended=dict(count_endings(begun.values()).most_common()),
         reasons=dict(reasons.most_common()),
+        states=count_states(objects),
+        quantiles=object_quantiles(objects),
+        little=len(little),
+        least=least_objects(little, LEAST_NAMED),
     )
+
+
+def _runs_so_far(folder: JobFolder) -> tuple[Mapping[str, RunSpec], dict[str, RunProgress]]:
+    """Return the runs that a begun campaign asks for, and the counts of those that have begun."""
+    runs = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True).runs
+    return runs, campaign_progress(folder, runs)
+
+
+def _list_objects(
+    folder: JobFolder, runs: Mapping[str, RunSpec], begun: Mapping[str, RunProgress]
+) -> list[ObjectListing]:
+    shown = [
+        ObjectRun(name, spec, begun[name].totals, bool(begun[name].ended))
+        if name in begun
+        else ObjectRun(name, spec)
+        for name, spec in runs.items()
+    ]
+    return list_objects(shown, read_skip_report(folder.path / SKIPPED))
 
 
 def open_campaign(path: Path) -> JobFolder:

@@ -19,6 +19,7 @@ from msgspec import Struct, structs
 
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
+from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.keys import job_name
@@ -159,6 +160,15 @@ def skip_report(skipped: Iterable[SkippedObject]) -> bytes:
     table.writerow(REPORT_COLUMNS)
     table.writerows(structs.astuple(each) for each in skipped)
     return text.getvalue().encode()
+
+
+def read_skip_report(report: Path) -> list[SkippedObject]:
+    """Read the table of the objects that are left out; a missing one is empty."""
+    if not report.is_file():
+        return []
+    text = atomic_files.read(report).decode(errors="replace")
+    rows = csv.DictReader(text.splitlines(), restval="")
+    return [SkippedObject(*(row.get(column) or "" for column in REPORT_COLUMNS)) for row in rows]
 
 
 def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | None:

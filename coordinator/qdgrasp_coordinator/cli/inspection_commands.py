@@ -7,19 +7,27 @@ import json
 import os
 import threading
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 import typer
 
-from qdgrasp_coordinator.campaign.campaign_folder import campaign_summary
+from qdgrasp_coordinator.campaign.campaign_folder import campaign_objects, campaign_summary
+from qdgrasp_coordinator.campaign.object_table import (
+    SORT_KEYS,
+    least_objects,
+    select_objects,
+    table_lines,
+    to_csv,
+)
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.options import host_and_port
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
 from qdgrasp_coordinator.metrics.reference_coverage import (
     is_stand_in,
@@ -43,7 +51,7 @@ from qdgrasp_coordinator.verification.verify import (
 )
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.text import counted, parse_numbers
+from qdgrasp_protocol.text import counted, parse_numbers, printable
 
 if TYPE_CHECKING:
     from qdgrasp_coordinator.verification.replay_client import PictureSize
@@ -51,19 +59,71 @@ if TYPE_CHECKING:
 
 def info(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a campaign.")],
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Of a campaign: print a table of its objects.")
+    ] = False,
+    search: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="With --objects: those with these words in name, state or note."),
+    ] = None,
+    sort: Annotated[
+        str | None,
+        typer.Option(metavar="KEY", help=f"With --objects: by {', '.join(SORT_KEYS)}; -KEY: greatest first."),
+    ] = None,
+    least: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="With --objects: the N with a finished run that got least."),
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="With --objects: write the table there.")
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Say what a run is and what it has found, also while it goes on.
 
-    Of a campaign it says how much of it is done, and how many objects were left out, and why.
+    Of a campaign it says how much of it is done, what its objects got, which got little and why, and how many
+    were left out; with --objects each object has a line.
 
     Example: qdgrasp info runs/demo --json
+
+    Example: qdgrasp info runs/parts --objects --sort grasps --search mug
     """
     is_campaign = JobFolder.is_job(directory) and (directory / CAMPAIGN).is_file()
+    given = options.given(objects=objects or None, search=search, sort=sort, least=least, csv=table)
+    if given and not is_campaign:
+        raise InputError(
+            f"--{next(iter(given))} is about the objects of a campaign, and {directory} holds none; leave it "
+            "out, or name the folder of a campaign."
+        )
+    if given and not objects:
+        raise InputError(f"--{next(iter(given))} does nothing without --objects; add it, or leave it out.")
+    if objects:
+        output = OutFile(table, instead="name another file with --csv") if table else None
+        if output:
+            output.check()
+        key = (sort or "").removeprefix("-")
+        down = (sort or "").startswith("-")
+        select_objects((), sort=key)
+        listed = campaign_objects(JobFolder.open(directory))
+        shown = select_objects(
+            least_objects(listed, least) if least else listed, search or "", key, down=down
+        )
+        _print_objects(shown, output, as_json=as_json)
+        return
     found = (
         campaign_summary(JobFolder.open(directory)) if is_campaign else run_summary(RunFolder.open(directory))
     )
     typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def _print_objects(shown: Sequence[ObjectListing], output: OutFile | None, *, as_json: bool) -> None:
+    if output:
+        output.write(to_csv(shown))
+        typer.echo(f"{counted(len(shown), 'object')} in {output.path}")
+    elif as_json:
+        typer.echo(json.dumps(msgspec.to_builtins(shown)))
+    else:
+        typer.echo("\n".join(printable(line) for line in table_lines(shown)))
 
 
 def show(

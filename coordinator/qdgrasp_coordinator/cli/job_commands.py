@@ -1,7 +1,7 @@
 """`qdgrasp jobs`, `pause`, `continue`, `cancel` and `drain`: running jobs on the bus."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -9,12 +9,15 @@ from typing import Annotated
 import msgspec
 import typer
 
+from qdgrasp_coordinator.campaign.object_table import with_events
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.metrics.job_status import utc_now
+from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
 from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.records import BusRecords
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
+from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.session import Credentials, Role, default_endpoint
@@ -47,6 +50,17 @@ def router_endpoint(connect: str | None, security: Path | None) -> str:
     return connect or default_endpoint(encrypted=security is not None).text
 
 
+def recorded_objects(bus: Bus, view: JobView) -> Sequence[ObjectListing]:
+    """Return the objects of a job of several runs; none where no recorder answers."""
+    if view.figures.runs < 2:
+        return ()
+    try:
+        listings = BusRecords(bus).objects(view.job).objects
+    except (BusError, MessageError):
+        return ()
+    return with_events(listings, view.events, view.figures.building)
+
+
 def jobs(
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
@@ -59,12 +73,13 @@ def jobs(
     endpoint = router_endpoint(connect, security)
     with open_session(endpoint, security, Role.MONITOR) as bus:
         found = reachable_jobs(bus)
+        objects = {job.job: recorded_objects(bus, job) for job in ([] if as_json else found)}
     if as_json:
         typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
     elif not found:
         typer.echo(no_job_message(endpoint))
     for job in () if as_json else found:
-        for line in summary_lines(job, utc_now()):
+        for line in summary_lines(job, utc_now(), objects[job.job]):
             typer.echo(printable(line))
 
 

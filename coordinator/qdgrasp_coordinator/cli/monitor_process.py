@@ -15,8 +15,9 @@ from rich.console import Console
 
 from qdgrasp_coordinator.cli.job_commands import SESSION_SECONDS, open_session, router_endpoint
 from qdgrasp_coordinator.cli.options import host_and_port
-from qdgrasp_coordinator.monitor.feed import Feed, query_jobs
+from qdgrasp_coordinator.monitor.feed import Feed, ObjectFeed, query_jobs
 from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.records import BusRecords
 from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard
 from qdgrasp_coordinator.monitor.terminal.screen import ScreenState, local_time, report_lines, watch_jobs
 from qdgrasp_coordinator.monitor.terminal.text_tables import glyphs_of
@@ -81,8 +82,8 @@ def monitor(
 ) -> None:
     """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
 
-    Nothing is changed or slowed by it. On a terminal: q leaves, tab or a number takes another job; r, w and e
-    show all runs, workers and events.
+    Nothing is changed or slowed by it. On a terminal: q leaves, tab or a number takes another job; o, r, w
+    and e show all objects, runs, workers and events.
 
     Example: qdgrasp-monitor --connect tcp/head:7447
     """
@@ -108,7 +109,8 @@ def monitor(
             stream_looks(feed, endpoint, stop)
         else:
             console = Console()
-            watch_jobs(feed, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
+            objects = ObjectFeed(BusRecords(bus).objects)
+            watch_jobs(feed, objects, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
     raise typer.Exit(stop.exit_code)
 
 
@@ -167,7 +169,6 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     """Serve the page; its libraries are loaded for it alone."""
-    from qdgrasp_coordinator.monitor.records import BusRecords
     from qdgrasp_coordinator.monitor.web.routes import live_site
     from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
     from qdgrasp_coordinator.monitor.web.server import serve as serve_site

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Annotated, Literal, TypeVar, get_type_hints
 
 import msgspec
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, Struct, field, structs
 
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_protocol.errors import MessageError
@@ -78,10 +78,68 @@ class RunListings(Struct, frozen=True, kw_only=True):
     ] = None
 
 
+OBJECTS_PER_PAGE = 256  # The most objects in one answer
+MOST_NAMES = 32  # The most runs that are named of an object
+ObjectState = Literal["waiting", "building", "running", "done", "failed", "skipped"]
+"""State of an object; a "skipped" one was left out before the campaign began."""
+
+
+class ObjectListing(RunTotals, frozen=True, kw_only=True):
+    """An object of a campaign, and what the rows of its runs add up to."""
+
+    object: Annotated[str, "Its id in its library; elsewhere as specs name it."]
+    file: Annotated[str, "As specs name it: built in, on the asset path, or a file."]
+    category: Annotated[str, "As its library has it; empty: not said."] = ""
+    hands: Annotated[list[str], "Grippers of its runs."] = field(default_factory=list)
+    names: Annotated[list[str], "Its runs by name, those that have begun first; at most 32."] = field(
+        default_factory=list
+    )
+    runs: Annotated[int, "Its runs, begun or not."] = 0
+    runs_done: Annotated[int, "Those that are finished."] = 0
+    runs_failed: Annotated[int, "Those that cannot be carried out."] = 0
+    state: Annotated[
+        ObjectState,
+        (
+            '"waiting", "building" (its shape), "running", "done", "failed" (all of its runs) or "skipped" '
+            "(left out, as it cannot be used)."
+        ),
+    ] = "waiting"
+    little: Annotated[
+        str, "Why it got no grasp, or few beside the median object, in words; empty where it did not."
+    ] = ""
+    warnings: Annotated[
+        list[str], "What makes its results worse, or why it failed or was left out, in words."
+    ] = field(default_factory=list)
+
+    @property
+    def success_share(self) -> float:
+        """Successes over evaluations, 0 to 1."""
+        return self.successes / self.evaluations if self.evaluations else 0.0
+
+    @property
+    def grasp_share(self) -> float:
+        """Grasps over evaluations, 0 to 1."""
+        return self.grasps / self.evaluations if self.evaluations else 0.0
+
+    @property
+    def note(self) -> str:
+        """All that is said about it, in words."""
+        return "; ".join([self.little, *self.warnings] if self.little else self.warnings)
+
+
+class ObjectListings(Struct, frozen=True, kw_only=True):
+    """Objects of a campaign, in the order of its runs. JSON, the answer on `rec/objects`."""
+
+    objects: Annotated[list[ObjectListing], "At most 256 of them."]
+    next: Annotated[int, "Ask with `from=<next>` for the objects behind these; 0: there are none."] = 0
+    uncounted: Annotated[int, "Runs whose rows are still being counted: ask again in a while."] = 0
+
+
 EVENTS_KEPT = 200  # Events that a coordinator keeps for late subscribers
 
-EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
-"""Subject; "trouble" keeps a job from going on, "error" is a row or run that is given up."""
+EventKind = Literal["job", "run", "worker", "recorder", "warning", "trouble", "error"]
+"""Subject; "warning" makes results worse, as a coarse shape does, "trouble" keeps a job from going on, and
+"error" is a row, a run or an object that is given up."""
 
 
 class JobEvent(Struct, frozen=True, kw_only=True):
@@ -91,11 +149,15 @@ class JobEvent(Struct, frozen=True, kw_only=True):
     at: Annotated[datetime, Meta(tz=True), "When."]
     kind: Annotated[
         EventKind,
-        "job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up.",
+        (
+            "job, run, worker, recorder; warning makes results worse, as a coarse shape does; trouble keeps "
+            "a job from going on; error: a row, a run or an object is given up."
+        ),
     ]
     words: Annotated[str, "What, in a sentence for a person."]
     run: Annotated[str, "Which run it is about; empty: none."] = ""
     worker: Annotated[str, "Which worker (its `wid`) it is about; empty: none."] = ""
+    object: Annotated[str, "Which object it is about, as specs name it; empty: none."] = ""
 
 
 class JobEvents(Struct, frozen=True, kw_only=True):
@@ -231,13 +293,21 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         ('"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled".'),
     ] = "running"
     recorders: Annotated[int, "Recorders of this job that are there."] = 0
+    scenes: Annotated[int, "Shapes of objects that the job needs and that must be built."] = 0
+    scenes_done: Annotated[int, "Of these, shapes that are built."] = 0
+    scenes_failed: Annotated[int, "Of these, shapes that cannot be built; their runs fail."] = 0
+    scenes_seconds: Annotated[float, "CPU time spent on building them [s]."] = 0.0
+    building: Annotated[
+        list[str], "Objects whose shapes are being built, as specs name them; at most 16 of them."
+    ] = field(default_factory=list)
 
     @property
     def words(self) -> str:
         """One line for a person."""
         failed = f" and {self.runs_failed} failed" if self.runs_failed else ""
         runs = f"{self.runs_done} of {self.runs} runs{failed}, " if self.runs > 1 else ""
-        done = f"{runs}{self.evaluations} of {counted(self.budget, 'evaluation')}"
+        shapes = f"{self.shapes}, " if self.scenes else ""
+        done = f"{shapes}{runs}{self.evaluations} of {counted(self.budget, 'evaluation')}"
         if self.obstacle:
             return f"{done}, paused: {self.obstacle}"
         if self.state == "starting":
@@ -249,6 +319,12 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         trials = f"{counted(self.trials, 'trial')}, " if self.trials else ""
         workers = counted(self.workers, "worker")
         return f"{done}, {self.rate:.0f}/s, {self.found}, {self.screened}, {trials}{workers}"
+
+    @property
+    def shapes(self) -> str:
+        """Number of the shapes that are built, in words."""
+        failed = f" and {self.scenes_failed} failed" if self.scenes_failed else ""
+        return f"{self.scenes_done} of {counted(self.scenes, 'shape')}{failed}"
 
     @property
     def obstacle(self) -> str:
@@ -319,12 +395,13 @@ class EventLog:
         self._latest: tuple[JobEvent, ...] = ()
         self._count = 0
 
-    def note(self, kind: EventKind, words: str, *, run: str = "", worker: str = "") -> None:
-        """Add an event: a sentence, and the run or worker that it is about, if any."""
+    def note(
+        self, kind: EventKind, words: str, *, run: str = "", worker: str = "", object_: str = ""
+    ) -> None:
+        """Add an event: a sentence, and the run, worker or object that it is about, if any."""
         self._count += 1
-        event = JobEvent(
-            number=self._count, at=self._clock(), kind=kind, words=shorten(words), run=run, worker=worker
-        )
+        subject = {"run": run, "worker": worker, "object": object_}
+        event = JobEvent(number=self._count, at=self._clock(), kind=kind, words=shorten(words), **subject)
         self._latest = (*self._latest[1 - EVENTS_KEPT :], event)
         self._show(event)
 

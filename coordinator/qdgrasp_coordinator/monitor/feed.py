@@ -8,19 +8,21 @@ no other process waits for it. Another thread sends the queries: a missing answe
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from queue import SimpleQueue
 from typing import Self
 
 import structlog
 
+from qdgrasp_coordinator.campaign.object_table import count_states, with_events
+from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing, ObjectListings
 from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_protocol.bus import Bus, RingBuffer
-from qdgrasp_protocol.errors import BusError
+from qdgrasp_protocol.errors import BusError, MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.text import counted, first_few
 
@@ -29,6 +31,7 @@ log = structlog.get_logger()
 INTERVAL = 0.1  # seconds between two readings of the rings
 ANSWER_SECONDS = 1.0  # seconds that coordinators may take to answer
 OVERVIEW_SECONDS = 2.0  # seconds that they may take where commands print and end
+OBJECTS_SECONDS = 5.0  # seconds between two readings of a job's objects
 SHOWN = 6  # The most runs and hosts that are named of each job
 SUBSCRIBED_KEYS: dict[str, int] = {
     "meta": 64,
@@ -138,6 +141,35 @@ class Feed:
         self._changed.notify_all()
 
 
+class ObjectFeed:
+    """The objects of jobs, read in a thread while they are asked for; no caller waits.
+
+    `read` returns the objects of a job; it may take long, and raises as `Records.objects`.
+    """
+
+    def __init__(self, read: Callable[[str], ObjectListings]) -> None:
+        self._read = read
+        self._known: dict[str, Sequence[ObjectListing]] = {}
+        self._due: dict[str, float] = {}
+        self._thread: threading.Thread | None = None
+
+    def objects(self, view: JobView) -> Sequence[ObjectListing] | None:
+        """Return a job's objects as they were read last, with its events; None: not read yet."""
+        now = time.monotonic()
+        if now >= self._due.get(view.job, 0.0) and not (self._thread and self._thread.is_alive()):
+            self._due[view.job] = now + OBJECTS_SECONDS
+            self._thread = threading.Thread(
+                target=self._update, args=(view.job,), name="objects", daemon=True
+            )
+            self._thread.start()
+        known = self._known.get(view.job)
+        return None if known is None else with_events(known, view.events, view.figures.building)
+
+    def _update(self, job: str) -> None:
+        with suppress(BusError, MessageError):  # those read before stay
+            self._known[job] = self._read(job).objects
+
+
 def query_jobs(bus: Bus) -> JobModels:
     """Return the jobs whose coordinators answer now."""
     jobs = JobModels()
@@ -153,7 +185,7 @@ def reachable_jobs(bus: Bus) -> list[JobView]:
     return query_jobs(bus).views(time.time())
 
 
-def summary_lines(view: JobView, now: datetime) -> Iterator[str]:
+def summary_lines(view: JobView, now: datetime, objects: Sequence[ObjectListing] = ()) -> Iterator[str]:
     """Yield a few lines about a job for a person; `now` is a time with its zone."""
     meta, figures = view.meta, view.figures
     uptime = duration_text(round((now - meta.since).total_seconds()))
@@ -162,6 +194,8 @@ def summary_lines(view: JobView, now: datetime) -> Iterator[str]:
     if figures.runs > 1:
         runs = [f"{one.run} {one.evaluations}/{one.budget}" for one in view.runs]
         yield f"  {counted(len(runs), 'run')} in progress" + (f": {first_few(runs, SHOWN)}" if runs else "")
+    if objects or figures.scenes:
+        yield f"  {object_words(objects, figures)}"
     if view.workers:
         hosts = Counter(worker.host for worker in view.workers).most_common()
         states = sorted(Counter(worker.state for worker in view.workers).items())
@@ -171,6 +205,21 @@ def summary_lines(view: JobView, now: datetime) -> Iterator[str]:
         yield "  workers: none has joined"
     if not figures.recorders:
         yield "  no recorder is there: found rows wait for one"
+
+
+def object_words(objects: Sequence[ObjectListing], figures: JobStatus) -> str:
+    """Return how many objects are done, how many shapes are built and rows evaluated, in words."""
+    states = count_states(objects)
+    done, whole = states.pop("done", 0), len(objects) - states.get("skipped", 0)
+    little = sum(bool(each.little) for each in objects)
+    others = [f"{n} {state}" for state, n in states.items() if state in ("failed", "skipped")]
+    parts = [
+        *([", ".join([f"{done} of {counted(whole, 'object')} done", *others])] if objects else []),
+        *([f"{little} got little"] if little else []),
+        *([figures.shapes] if figures.scenes else []),
+        counted(figures.evaluations + figures.trials, "row"),
+    ]
+    return "; ".join(parts)
 
 
 def duration_text(seconds: int) -> str:

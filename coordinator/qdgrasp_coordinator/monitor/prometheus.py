@@ -84,6 +84,7 @@ JOB_GAUGES: tuple[tuple[str, str, Callable[[JobView], float], str], ...] = (
 JOB = MetricGroup("job", ("job",), JobStatus, (
     *COUNT_METRICS,
     MetricSpec("remaining", GaugeMetricFamily, unit="evaluations"),
+    MetricSpec("scenes_seconds", name="scenes_cpu_seconds"),
 ))  # fmt: skip
 COORDINATED_JOB = MetricGroup("job", ("job",), JobStatus, (
     MetricSpec("requeued", name="requeued_batches"),
@@ -145,6 +146,8 @@ class JobCollector(Collector):
         yield metric(gauge, "job_state", "How the job is: 1 for the state that holds.", labels, states)
         runs = [((view.job, state), float(n)) for view in views for state, n in _run_states(view.figures)]
         yield metric(gauge, "job_runs", "The job's runs by state.", labels, runs)
+        scenes = [((view.job, state), float(n)) for view in views for state, n in _scene_states(view.figures)]
+        yield metric(gauge, "job_scenes", "Shapes that the job needs, by state.", labels, scenes)
         events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in views]
         words = meanings(job_status.JobEvent)["number"]
         yield metric(CounterMetricFamily, "job_events", words, ("job",), events)
@@ -167,6 +170,12 @@ class JobCollector(Collector):
         yield metric(GaugeMetricFamily, "workers", words, ("job", "host", "state"), samples)
         shown = [(view.job, each) for view in self._active for each in view.workers[:MOST_WORKERS]]
         yield from WORKER.metrics(((job, each.wid, each.host), each) for job, each in shown)
+
+
+def _scene_states(job: JobStatus) -> Iterator[tuple[str, int]]:
+    yield "done", job.scenes_done
+    yield "failed", job.scenes_failed
+    yield "waiting", max(0, job.scenes - job.scenes_done - job.scenes_failed)
 
 
 def _run_states(job: JobStatus) -> Iterator[tuple[str, int]]:

@@ -11,8 +11,15 @@ from typing import NamedTuple, Protocol
 import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
-from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings
+from qdgrasp_coordinator.metrics.job_status import (
+    ObjectListing,
+    ObjectListings,
+    RunListing,
+    RunListings,
+    from_json,
+)
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
+from qdgrasp_coordinator.recorder.queries import ObjectIndex, RunIndex
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage import atomic_files, success_pages
 from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
@@ -22,7 +29,7 @@ from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_me
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import FolderError, MessageError, UnknownName
-from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
 
@@ -83,6 +90,12 @@ class Records(Protocol):
     def entries(self, job: str) -> RunListings:
         """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
 
+    def entry(self, job: str, run: str) -> RunListing | None:
+        """Return a run of a job; None: it has not begun, or is not counted yet."""
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, as far as the rows of their runs are counted."""
+
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Return the curve of a run from its beginning on; without points where it is not known."""
 
@@ -100,6 +113,10 @@ class FolderJob:
     folder: JobFolder
     named: frozenset[Path] | None = None
     """Folders of the runs that are shown; None: all, also those that begin later."""
+
+    def holds(self, path: Path) -> bool:
+        """Return whether a folder is that of a run that is shown."""
+        return (self.named is None or path.absolute() in self.named) and RunFolder.is_run(path)
 
     @property
     def runs(self) -> dict[str, RunFolder]:
@@ -135,7 +152,10 @@ class FolderIndex:
 
     def run(self, job: str, run: str) -> RunFolder:
         """Return the folder of a run, or raise `UnknownName`."""
-        runs = self.job(job).runs
+        asked = self.job(job)
+        if NAME.fullmatch(run) and asked.holds(path := asked.folder.run_path(run)):
+            return RunFolder(path)  # without a look at thousands of others
+        runs = asked.runs
         if run not in runs:
             raise UnknownName("run", run, runs)
         return runs[run]
@@ -193,6 +213,21 @@ class BusRecords:
                 return RunListings(runs=runs, uncounted=uncounted, host=page.host)
             first = page.next
 
+    def entry(self, job: str, run: str) -> RunListing | None:
+        """Return the recorder's listing of the run."""
+        return next(iter(self._entries(job, f"run={run}").runs), None)
+
+    def objects(self, job: str) -> ObjectListings:
+        """Read all pages of the recorder's table."""
+        first, objects = 0, list[ObjectListing]()
+        while True:
+            answer = self._bus.ask(Keys(job).objects, parameters=f"from={first}")
+            page = from_json(answer, ObjectListings)
+            objects += page.objects
+            if page.next <= first:
+                return ObjectListings(objects=objects, uncounted=page.uncounted)
+            first = page.next
+
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Return the curve as far as the recorder has counted the run."""
         return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
@@ -222,6 +257,7 @@ class FolderRecords:
     def __init__(self, index: FolderIndex) -> None:
         self._index = index
         self._contexts = RowContextCache()
+        self._objects: dict[Path, ObjectIndex] = {}
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
         """Unpack the bundle in the run's folder."""
@@ -237,12 +273,22 @@ class FolderRecords:
 
     def entries(self, job: str) -> RunListings:
         """Count the rows of all journals."""
-        listings = []
-        for name, folder in self._index.job(job).runs.items():
-            with folder.journal() as journal:
-                found = count_rows(folder.spec, journal.blocks())
-            listings.append(RunListing.of(name, folder.spec, folder.bundle().digest, found))
-        return RunListings(runs=listings)
+        return RunListings(runs=[self.entry(job, name) for name in self._index.job(job).runs])
+
+    def entry(self, job: str, run: str) -> RunListing:
+        """Count the rows of the journal."""
+        folder = self._index.run(job, run)
+        with folder.journal() as journal:
+            found = count_rows(folder.spec, journal.blocks())
+        return RunListing.of(run, folder.spec, folder.bundle().digest, found)
+
+    def objects(self, job: str) -> ObjectListings:
+        """Count the rows of all journals."""
+        path = self._index.job(job).folder.path
+        if path not in self._objects:
+            self._objects[path] = ObjectIndex(path, RunIndex(path))
+        listings, uncounted = self._objects[path].listings()
+        return ObjectListings(objects=listings, uncounted=uncounted)
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Count the rows of the journal; a merged or pruned one has no curve."""

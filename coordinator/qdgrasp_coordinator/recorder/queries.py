@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -18,19 +18,32 @@ from typing import Any, Self
 
 from msgspec.structs import replace
 
+from qdgrasp_coordinator.campaign.campaign_file import read_campaign
+from qdgrasp_coordinator.campaign.object_library import read_skip_report
+from qdgrasp_coordinator.campaign.object_table import ObjectRun, list_objects
 from qdgrasp_coordinator.campaign.summary import summary_listing
-from qdgrasp_coordinator.metrics.job_status import RUNS_PER_PAGE, RunListing, RunListings, from_json, to_json
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
+from qdgrasp_coordinator.metrics.job_status import (
+    OBJECTS_PER_PAGE,
+    RUNS_PER_PAGE,
+    ObjectListing,
+    ObjectListings,
+    RunListing,
+    RunListings,
+    from_json,
+    to_json,
+)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus, Query
-from qdgrasp_protocol.errors import FolderError, Refused
+from qdgrasp_protocol.errors import FolderError, InputError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
@@ -200,8 +213,90 @@ SCENES_KEPT = 8  # Number of scenes kept in memory
 HOMES_KEPT = 256  # Number of scenes of which the folder is remembered
 
 
+LISTED_SECONDS = 3.0  # seconds for which a list of objects is given again
+LISTING_SECONDS = 2.0  # seconds for which runs are counted before a list is given without the others
+
+
+class ObjectIndex:
+    """Lists the objects of a job's folder with what they got; writes nothing.
+
+    The objects are those of the campaign's file; without one, those of the runs that have begun. The counts
+    of a run that is finished are read once: from the index of such runs, else from its journal, bit by bit.
+    """
+
+    def __init__(self, path: Path, runs: RunIndex) -> None:
+        self._path = path
+        self._runs = runs
+        self._index = FinishedRuns(path)
+        self._lock = threading.Lock()
+        self._asked: tuple[FileStamp, Mapping[str, RunSpec]] = (), {}
+        self._totals: dict[str, RunTotals] = {}
+        self._finished: set[str] = set()
+        self._listings: list[ObjectListing] = []
+        self._uncounted = 0
+        self._due = 0.0
+
+    def listings(self) -> tuple[list[ObjectListing], int]:
+        """Return all objects, and the number of runs whose rows are still being counted."""
+        with self._lock:
+            if time.monotonic() >= self._due:
+                self._listings, self._uncounted = self._list(time.monotonic() + LISTING_SECONDS)
+                self._due = time.monotonic() + (0.0 if self._uncounted else LISTED_SECONDS)
+            return self._listings, self._uncounted
+
+    def page(self, first: int) -> ObjectListings:
+        """Return the objects from this number on."""
+        listings, uncounted = self.listings()
+        behind = first + OBJECTS_PER_PAGE
+        return ObjectListings(
+            objects=listings[first:behind], next=behind if behind < len(listings) else 0, uncounted=uncounted
+        )
+
+    def _list(self, until: float) -> tuple[list[ObjectListing], int]:
+        self._index.refresh()
+        begun = {path.name: path for path in _run_paths(self._path)}
+        specs, uncounted = self._specs(begun), 0
+        unfinished = [name for name in specs if name in begun and name not in self._finished]
+        for name in sorted(unfinished, key=lambda name: name in self._totals):  # unknown ones first
+            if time.monotonic() > until:
+                uncounted += 1
+            else:
+                with suppress(InputError):  # there may be no journal yet, or no good one
+                    self._count(name, begun[name], specs[name])
+        runs = [
+            ObjectRun(name, spec, self._totals.get(name), name in self._finished)
+            for name, spec in specs.items()
+        ]
+        return list_objects(runs, read_skip_report(self._path / SKIPPED)), uncounted
+
+    def _count(self, name: str, path: Path, spec: RunSpec) -> None:
+        if name not in self._totals and (known := self._index.find(path, spec)):
+            self._totals[name] = known.totals
+            self._finished.add(name)
+            return
+        for listing in self._runs.one(name).runs:
+            self._totals[name] = listing.totals
+            if listing.finished:
+                self._finished.add(name)
+
+    def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
+        """Return the runs of the campaign by name, or those that have begun."""
+        file = self._path / CAMPAIGN
+        if not file.is_file():
+            known = self._asked[1]
+            found = {name: known.get(name) or RunFolder(path).spec for name, path in begun.items()}
+            self._asked = (), found
+            return found
+        stat = file.stat()
+        stamp = ((stat.st_ino, stat.st_size, stat.st_mtime_ns),)
+        if self._asked[0] != stamp:
+            self._asked = stamp, read_campaign(file, here=False, is_begun=True).runs
+            self._finished, self._totals = set(), {}  # runs may have got other ends
+        return self._asked[1]
+
+
 class QueryServer(ExitStack):
-    """Answers `rec/runs`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
+    """Answers queries on a job's folder: runs, objects, finds and scenes (docs/bus.md)."""
 
     def __init__(self, bus: Bus, job: str, path: Path) -> None:
         super().__init__()
@@ -209,6 +304,7 @@ class QueryServer(ExitStack):
         self._keys = Keys(job)
         self._path = path
         self._index = RunIndex(path)
+        self._objects = ObjectIndex(path, self._index)
         self._contexts = RowContextCache()
         self._lock = threading.Lock()
         self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, in the order of their queries
@@ -217,6 +313,7 @@ class QueryServer(ExitStack):
     def __enter__(self) -> Self:
         for pattern, answer in (
             (self._keys.entries, self.entries),
+            (self._keys.objects, self.objects),
             (self._keys.finds, self.finds),
             (self._keys.recorded_asset(), self.scene),
         ):
@@ -230,6 +327,13 @@ class QueryServer(ExitStack):
                 raise Refused(f"this recorder has no run '{run[:64]}'")
             return to_json(self._index.one(run))
         return to_json(self._index.page(_number(query, "from")))
+
+    def objects(self, query: Query) -> bytes:
+        """Return the objects from number `from` on."""
+        try:
+            return to_json(self._objects.page(_number(query, "from")))
+        except InputError as error:
+            raise Refused(str(error)) from None
 
     def finds(self, query: Query) -> bytes:
         """Return successes of the run `run` from journal number `from` on."""

@@ -1,11 +1,13 @@
 """Renders hands on an object, or the cells around it; chooses side and grasps to show."""
 
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -18,6 +20,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
+    FAR,
     RAYS_PER_PIXEL,
     Floats,
     LayeredImage,
@@ -100,6 +103,7 @@ def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating],
 
 
 ELEVATION = np.radians(26.0)
+OBJECT_AZIMUTH = np.radians(40.0)
 CLAY = "#f7e6ca"  # Colour of the object
 FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
@@ -132,6 +136,24 @@ class RenderedView:
     shown: Rows
     is_uncut: bool = True
     """True: nothing was left out to show the inside."""
+
+
+def object_picture(scene: Scene, pixels: int) -> bytes:
+    """Render the object alone on a transparent ground, as large as fits.
+
+    Returns a PNG, `pixels` wide and high.
+    """
+    body = object_mesh(scene)
+    side = RAYS_PER_PIXEL * pixels
+    image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
+    paint_solid(image, RayMesh(body), rgb(CLAY))
+    cells = (pixels, RAYS_PER_PIXEL, pixels, RAYS_PER_PIXEL)
+    covered = (image.depth < 2 * FAR).reshape(cells).mean(axis=(1, 3))
+    colour = (image.composed() - 1) / np.maximum(covered, 1e-3)[:, :, None] + 1  # without the white ground
+    layers = np.concatenate([np.clip(colour, 0, 1), covered[:, :, None]], axis=2)
+    file = io.BytesIO()
+    Image.fromarray(np.rint(255 * layers).astype(np.uint8)).save(file, format="PNG")
+    return file.getvalue()
 
 
 def best_azimuth(scene: Scene, successes: Rows) -> float:

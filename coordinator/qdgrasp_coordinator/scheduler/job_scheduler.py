@@ -18,7 +18,7 @@ from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_jso
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement, read_result
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
-from qdgrasp_coordinator.scheduler.run_plan import WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     EpochOpened,
@@ -213,12 +213,12 @@ class JobScheduler:
             self._drop(reply.superseded, [built.batch])
         self.runs.shapes.end(reply)
 
-    def _on_shapes_found(self, wanted: WantedShapes, warnings: Iterable[str]) -> None:
+    def _on_shapes_found(self, wanted: WantedShapes, warnings: Iterable[ShapeWarning]) -> None:
         self.runs.shapes.add(wanted)
         self.dispatcher.build(shape.task for shape in wanted.shapes)
-        for words in warnings:
-            log.warning("a shape", words=words)
-            self.events.note("error", words)
+        for warning in warnings:
+            log.warning("a shape", object=warning.object, words=warning.words)
+            self.events.note("warning", warning.words, object_=warning.object)
 
     def _on_recorded(self, report: Recorded, now: float) -> None:
         """Note the durable rows; reopen a run whose recorder lost some."""

@@ -6,7 +6,7 @@ From what a user asks for to a run that can be carried out: spec, scene, search 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from msgspec import structs
@@ -125,6 +125,14 @@ class WantedShapes:
     """No run is left that was not looked at."""
 
 
+class ShapeWarning(NamedTuple):
+    """A fault of a shape that is used all the same, or was left aside."""
+
+    object: str
+    """As specs name it."""
+    words: str
+
+
 class ShapesMissing(Exception):  # a state of the queue, not an error
     """Runs are left, and all of them wait for shapes."""
 
@@ -159,12 +167,12 @@ class RunQueue(Protocol):
         """Number of runs known to be left that wait for no shape; in any thread."""
         return 0
 
-    def take_shape(self, reply: BuildReply) -> str:
-        """Take the end of a build of a shape that was wanted; returns a warning in words, or nothing.
+    def take_shape(self, reply: BuildReply) -> ShapeWarning | None:
+        """Take the end of a build of a shape that was wanted.
 
         Without a shape or a reason it is left to `next` to build it.
         """
-        return ""
+        return None
 
 
 class SingleRunQueue(RunQueue):

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from msgspec import structs
@@ -18,7 +19,13 @@ from qdgrasp_coordinator.metrics.job_status import JobStatus, RunListing, RunSta
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, ShapesMissing, WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import (
+    RunPlan,
+    RunQueue,
+    ShapesMissing,
+    ShapeWarning,
+    WantedShapes,
+)
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
 from qdgrasp_protocol.messages import Opened
@@ -137,7 +144,7 @@ class ShapesFound:
     """Shapes that are to be built, and warnings about those that were."""
 
     wanted: WantedShapes
-    warnings: tuple[str, ...]
+    warnings: tuple[ShapeWarning, ...]
 
 
 LoaderEvent = RunOpened | RunNotOpened | NoRunLeft | NoRunOpened | EpochOpened | ShapesFound
@@ -244,6 +251,7 @@ class _Closed(Exception):  # a way out, not an error
     """The loader is not needed any more."""
 
 
+BUILDING_SHOWN = 8  # Most meshes that are named while their shapes are built
 MOST_LOOKED_AT = 64  # Most shapes that are looked for before the next run is opened
 
 
@@ -282,6 +290,11 @@ class ShapeProgress:
         self._under_way.pop(reply.key, None)
         used = {file.sha256 for shape in self._under_way.values() for file in shape.task.files}
         self.files = {digest: path for digest, path in self.files.items() if digest in used}
+
+    @property
+    def building(self) -> list[str]:
+        """The first of the meshes whose shapes are under way."""
+        return [str(shape.mesh) for shape in islice(self._under_way.values(), BUILDING_SHOWN)]
 
     def take_ended(self) -> tuple[BuildReply, ...]:
         """Return the builds that have ended since the last call."""
@@ -429,4 +442,9 @@ class RunRegistry:
             seconds=seconds,
             rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,
             trouble=next(filter(None, troubles), ""),
+            scenes=self.shapes.wanted,
+            scenes_done=self.shapes.built,
+            scenes_failed=self.shapes.failed,
+            scenes_seconds=self.shapes.cpu_seconds,
+            building=self.shapes.building,
         )

@@ -69,6 +69,7 @@ TRAFFIC = (
     _query(JOBS.meta, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
     _query(JOBS.recent, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
     _query(JOBS.entries, MONITORING, {RECORDER}, 4 * KIB, MIB),
+    _query(JOBS.objects, MONITORING, {RECORDER}, 4 * KIB, MIB),
     _query(JOBS.finds, MONITORING, {RECORDER}, 4 * KIB, 2 * MIB),
     _query(JOBS.recorded_asset(), MONITORING, {RECORDER}, 4 * KIB, MIB),
     _query(JOBS.join, {WORKER}, {COORDINATOR}, 256 * KIB, 256 * KIB),

@@ -1,5 +1,6 @@
 """Commands that look at runs: what they print and refuse."""
 
+import csv
 import json
 from pathlib import Path
 from queue import SimpleQueue
@@ -7,11 +8,13 @@ from typing import Any
 
 import pytest
 from tests.common import PATIENCE
+from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.report.test_row_report import OUTCOMES, run_of
 from tests.coordinator.scenes import SceneMaker, made_scene
 from typer.testing import CliRunner, Result
 
+from qdgrasp_coordinator.campaign import campaign_folder
 from qdgrasp_coordinator.cli.inspection_commands import has_desktop
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.cli.options import host_and_port
@@ -182,3 +185,85 @@ def test_machines_get_the_same_table() -> None:
         name: entry.prior for name, entry in METHODS.items()
     }
     assert next(entry for entry in table if entry["name"] == "cma_mae")["population"] == 540
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign over ten objects, eight of which have begun, with two hands."""
+    return record_campaign(tmp_path_factory.mktemp("campaigns") / "parts", 10, begun=0.8).path
+
+
+def info(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["info", *map(str, arguments)])
+
+
+def test_a_campaign_says_what_its_objects_got_and_which_got_little(campaign: Path) -> None:
+    lines = info(campaign).stdout.splitlines()
+    assert "runs done        15" in lines
+    assert "objects by state 3 skipped, 1 running, 2 waiting, 7 done" in lines
+    assert "grasps of each   0 / 0 / 15 / 41 / 80 (least, quarters, most)" in lines
+    assert "got little       4" in lines
+    assert "  part_00002: no grasp: the open hand overlaps it in 100 of 100 poses" in lines
+    assert "left out         2: it is not closed" in lines
+
+
+def test_machines_are_told_of_the_objects_too(campaign: Path) -> None:
+    found = json.loads(info(campaign, "--json").stdout)
+    assert (found["skipped"], found["little"], found["states"]["done"]) == (3, 4, 7)
+    assert found["quantiles"]["grasps"]["most"] == 80
+    assert {each["object"] for each in found["least"]} == {f"part_0000{n}" for n in (2, 3, 4, 6)}
+
+
+def objects_of(result: Result) -> list[str]:
+    return [line.split()[0] for line in result.stdout.splitlines()[1:]]
+
+
+def test_the_table_of_objects_is_searched_sorted_and_cut_to_the_least(campaign: Path) -> None:
+    assert len(objects_of(info(campaign, "--objects"))) == 13
+    assert objects_of(info(campaign, "--objects", "--sort", "-grasps"))[0] == "part_00001"
+    assert objects_of(info(campaign, "--objects", "--search", "no grasp dropped")) == ["part_00004"]
+    assert objects_of(info(campaign, "--objects", "--search", "skipped", "--sort", "object")) == [
+        "cracked", "split", "torn",
+    ]  # fmt: skip
+    assert objects_of(info(campaign, "--objects", "--least", "2")) == ["part_00002", "part_00006"]
+    (one,) = json.loads(info(campaign, "--objects", "--search", "part_00007", "--json").stdout)
+    assert (one["state"], one["runs_done"], one["evaluations"]) == ("running", 1, 75)
+
+
+def test_the_table_is_written_as_csv(campaign: Path, tmp_path: Path) -> None:
+    file = tmp_path / "objects.csv"
+    assert "13 objects in" in info(campaign, "--objects", "--csv", file).stdout
+    with file.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert [row["object"] for row in rows][:2] == ["part_00000", "part_00001"]
+    assert rows[2]["little"].startswith("no grasp: the open hand")
+    assert "is there already" in str(info(campaign, "--objects", "--csv", file).exception)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--sort", "grasps"], "--sort does nothing without --objects"),
+        (["--objects", "--sort", "grabs"], "Unknown key to sort by 'grabs'"),
+        (["--csv", "x.csv"], "--csv does nothing without --objects"),
+    ],
+)
+def test_flags_of_the_table_that_do_nothing_are_refused(campaign: Path, flags: list[str], words: str) -> None:
+    assert words in str(info(campaign, *flags).exception)
+
+
+def test_a_run_has_no_table_of_objects(path: Path) -> None:
+    assert "--objects is about the objects of a campaign" in str(info(path, "--objects").exception)
+
+
+def test_finished_runs_are_not_counted_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = info(campaign, "--objects").stdout
+    counted = []
+    count = campaign_folder.count_within_budget
+    monkeypatch.setattr(
+        campaign_folder,
+        "count_within_budget",
+        lambda folder, spec: counted.append(folder) or count(folder, spec),
+    )
+    assert info(campaign, "--objects").stdout == before
+    assert [folder.path.name.partition("-s0")[0] for folder in counted] == ["allegro-part_00007-aimed"]

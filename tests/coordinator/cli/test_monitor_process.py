@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli import monitor_process
 from qdgrasp_coordinator.cli.monitor_process import app
+from qdgrasp_coordinator.metrics.job_status import ObjectListings
+from qdgrasp_coordinator.monitor.feed import ObjectFeed
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.terminal import screen
 from qdgrasp_coordinator.monitor.terminal.screen import watch_jobs
@@ -77,7 +79,9 @@ class OneLook:
     "work",
     [
         lambda feed, stop: monitor_process.stream_looks(feed, ENDPOINT, stop),
-        lambda feed, stop: watch_jobs(feed, ENDPOINT, Console(), ASCII, stop),
+        lambda feed, stop: watch_jobs(
+            feed, ObjectFeed(lambda _: ObjectListings(objects=[])), ENDPOINT, Console(), ASCII, stop
+        ),
     ],
     ids=["json", "lines"],
 )

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from msgspec import Struct
+from msgspec import Struct, json, to_builtins
 from tests.coordinator.monitor.sample_jobs import event, figures, run, team, worker
 
 from qdgrasp_coordinator.metrics import job_status
@@ -55,6 +55,21 @@ def test_one_of_a_thing_is_told_in_the_singular() -> None:
     one = figures(evaluations=1, budget=1, runs=1, rate=1.0, workers=1, successes=1, cells=1, trials=1)
     assert one.words.startswith("1 of 1 evaluation, 1/s, 1 success in 1 cell, ")
     assert one.words.endswith("1 trial, 1 worker")
+
+
+def test_a_job_tells_of_its_shapes_before_its_runs() -> None:
+    building = figures(
+        evaluations=16_000, budget=40_000, runs=2000, runs_done=80, scenes=1000, scenes_done=120
+    )
+    assert building.words.startswith("120 of 1000 shapes, 80 of 2000 runs, 16000 of 40000 evaluations, ")
+    failed = figures(scenes=10, scenes_done=4, scenes_failed=2)
+    assert failed.words.startswith("4 of 10 shapes and 2 failed, ")
+
+
+def test_figures_of_a_sender_that_knows_no_shapes_are_read() -> None:
+    new = ("scenes", "scenes_done", "scenes_failed", "scenes_seconds", "building")
+    sent = {name: value for name, value in to_builtins(figures()).items() if name not in new}
+    assert job_status.from_json(json.encode(sent), job_status.JobStatus) == figures()
 
 
 def test_what_is_no_json_is_refused() -> None:

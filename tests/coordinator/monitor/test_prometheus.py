@@ -70,6 +70,13 @@ def test_the_runs_of_a_job_are_counted_by_state(job: JobView) -> None:
     assert found == {"open": 2, "done": 3, "failed": 1, "waiting": 3}
 
 
+def test_shapes_are_counted_by_state() -> None:
+    told = samples(text(*views(values(scenes=10, scenes_done=4, scenes_failed=1, scenes_seconds=72.5))))
+    states = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_scenes"}
+    assert states == {"done": 4, "failed": 1, "waiting": 5}
+    assert told["qdgrasp_job_scenes_cpu_seconds_total", "mugs"] == 72.5
+
+
 def test_outcomes_are_told_one_by_one(job: JobView) -> None:
     told = samples(text(job))
     assert {how: told["qdgrasp_run_outcomes_total", "mugs", how, "a"] for how in OUTCOMES} == OUTCOMES

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.report.test_row_report import OUTCOMES, run_of, run_of_synergies
 
@@ -242,3 +243,20 @@ def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         told = [BusRecords(ours).entries("mug") for _ in range(3)]
     assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
+
+
+def test_objects_and_single_runs_are_the_same_over_the_bus_and_from_folders(
+    tmp_path: Path, network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 2)
+    job = record_campaign(tmp_path / "parts", 3, hands=("panda",))
+    folders, bus = FolderRecords(FolderIndex([job.path])), BusRecords(network.session())
+    with QueryServer(network.session(), "parts", job.path):
+        over_bus = bus.objects("parts")
+        (run, *_) = over_bus.objects[0].names
+        entry = bus.entry("parts", run)
+        assert bus.entry("parts", "other") is None
+    assert len(over_bus.objects) == 6
+    assert over_bus.objects == folders.objects("parts").objects
+    assert entry is not None
+    assert entry.totals == folders.entry("parts", run).totals

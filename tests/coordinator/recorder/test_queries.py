@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import asdict
-from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block
+from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
+from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block, write_journal
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
-from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.recorder import queries
-from qdgrasp_coordinator.recorder.queries import RunIndex, has_rested
+from qdgrasp_coordinator.recorder.queries import ObjectIndex, RunIndex, has_rested
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
@@ -281,3 +282,70 @@ def test_before_a_run_is_opened_there_is_nothing_to_show(network, coordinator, p
         assert entries(network).runs == []
         with pytest.raises(Refused, match="no run 'run'"):
             all_finds(network)
+
+
+def object_index(job: JobFolder, monkeypatch: pytest.MonkeyPatch) -> ObjectIndex:
+    """An index of which every answer is new."""
+    monkeypatch.setattr(queries, "LISTED_SECONDS", 0.0)
+    return ObjectIndex(job.path, RunIndex(job.path))
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> JobFolder:
+    """A campaign over four objects, three of which have begun, the third not to its end."""
+    return record_campaign(tmp_path_factory.mktemp("library") / "parts", 4)
+
+
+def test_objects_are_those_of_the_campaign_with_what_their_runs_got(library: JobFolder) -> None:
+    found = ObjectIndex(library.path, RunIndex(library.path)).page(0)
+    assert (len(found.objects), found.next, found.uncounted) == (7, 0, 0)
+    first, _, third, fourth, *skipped = found.objects
+    assert (first.object, first.category, first.state, first.runs_done) == ("part_00000", "mug", "done", 2)
+    assert (first.evaluations, first.successes, first.grasps) == (2 * BUDGET, 60, 40)
+    assert (third.state, third.runs_done, third.overlaps) == ("running", 1, BUDGET * 3 // 2)
+    assert third.little == f"no grasp: the open hand overlaps it in {BUDGET} of {BUDGET} poses"
+    assert (fourth.state, fourth.runs, fourth.evaluations) == ("waiting", 2, 0)
+    assert [each.state for each in skipped] == ["skipped"] * 3
+
+
+def test_finished_runs_are_read_once_and_what_comes_is_added(
+    tmp_path: Path, opened: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = record_campaign(tmp_path / "parts", 2, begun=0.5, hands=("panda",))
+    index = object_index(job, monkeypatch)
+    assert [each.state for each in index.page(0).objects[:2]] == ["running", "waiting"]
+    (path,) = job.run_paths
+    spec = RunFolder(path).spec
+    (path / "run.sqlite").unlink()
+    write_journal(path, spec, rows_of("good"), RunFolder(path).bundle(), run=path.name)
+    assert index.page(0).objects[0].state == "done"
+    opened.clear()
+    assert index.page(0).objects[0].evaluations == BUDGET
+    assert opened == []
+
+
+def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(
+    library: JobFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = object_index(library, monkeypatch)
+    monkeypatch.setattr(queries, "LISTING_SECONDS", -1.0)
+    assert index.page(0).uncounted == 6
+    monkeypatch.setattr(queries, "LISTING_SECONDS", 60.0)
+    assert index.page(0).uncounted == 0
+
+
+def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign: Path) -> None:
+    (found,) = ObjectIndex(campaign, RunIndex(campaign)).page(0).objects
+    assert (found.object, found.runs, found.runs_done, found.state) == ("block.stl", 2, 1, "running")
+
+
+def test_objects_are_told_page_by_page(network: MemoryNetwork, library: JobFolder, monkeypatch) -> None:
+    monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 3)
+    keys = Keys("parts")
+    with queries.QueryServer(network.session(), "parts", library.path):
+        asked = [network.session().ask(keys.objects, parameters=f"from={first}") for first in (0, 3, 6)]
+        pages = [from_json(answer, ObjectListings) for answer in asked]
+        with pytest.raises(Refused, match="is no number: from"):
+            network.session().ask(keys.objects, parameters="from=x")
+    assert [len(page.objects) for page in pages] == [3, 3, 1]
+    assert [page.next for page in pages] == [3, 6, 0]

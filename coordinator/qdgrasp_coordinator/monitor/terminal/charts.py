@@ -93,6 +93,7 @@ def count_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     successes = counted(one.successes, "success", "successes", count_text)
     budget = counted(one.budget, "evaluation", told=count_text)
     runs = f"{one.runs_done} of {one.runs} runs{glyphs.between}" if one.runs > 1 else ""
+    runs = f"{one.shapes}{glyphs.between}{runs}" if one.scenes else runs
     lines = [
         f"{runs}{count_text(one.evaluations)} of {budget}{glyphs.between}"
         f"{short_count(view.history.latest_rate)}/s lately, {short_count(one.rate)}/s so far",

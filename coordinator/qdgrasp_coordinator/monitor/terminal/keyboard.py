@@ -20,6 +20,7 @@ SEQUENCES = {
     b"\x1b[5~": "pageup", b"\x1b[6~": "pagedown", b"\x1b[Z": "backtab",
     b"\x1b[H": "home", b"\x1b[F": "end", b"\x1bOH": "home", b"\x1bOF": "end", b"\x1b[1~": "home",
     b"\x1b[4~": "end", b"\x1b": "escape", b"\t": "tab",
+    b"\r": "enter", b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace",
 }  # fmt: skip
 """Bytes that terminals send for keys that are no characters."""
 KEY = re.compile(b"|".join([*map(re.escape, sorted(SEQUENCES, key=len, reverse=True)), b"[ -~]"]))

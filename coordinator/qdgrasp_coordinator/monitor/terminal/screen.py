@@ -3,7 +3,7 @@
 A screen has exactly the lines and columns of its terminal. Keys select the job and the list that are shown.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from textwrap import wrap
@@ -14,8 +14,9 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import utc_now
-from qdgrasp_coordinator.monitor.feed import Feed, summary_lines
+from qdgrasp_coordinator.campaign.object_table import SORT_KEYS, select_objects
+from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
+from qdgrasp_coordinator.monitor.feed import Feed, ObjectFeed, summary_lines
 from qdgrasp_coordinator.monitor.job_view import JobView, end_state
 from qdgrasp_coordinator.monitor.terminal import text_tables as tables
 from qdgrasp_coordinator.monitor.terminal.charts import count_lines, curve_lines, outcome_lines, progress_line
@@ -23,12 +24,13 @@ from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard, keyboard
 from qdgrasp_coordinator.monitor.terminal.text_tables import Glyphs, Lines, fit_text, text_line
 from qdgrasp_protocol.process import Stop
 
-ListName = Literal["", "runs", "workers", "events"]
-LIST_KEYS: dict[str, ListName] = {"r": "runs", "w": "workers", "e": "events"}
+ListName = Literal["", "objects", "runs", "workers", "events"]
+LIST_KEYS: dict[str, ListName] = {"o": "objects", "r": "runs", "w": "workers", "e": "events"}
 BACK_KEYS = frozenset({"a", "escape"})
 STEP_KEYS = {"up": -1, "down": 1}
 JOB_KEYS = {**STEP_KEYS, "tab": 1, "right": 1, "backtab": -1, "left": -1}
 QUIT_KEYS = frozenset({"q", "Q"})
+OBJECT_KEYS = frozenset({"s", "S", "/"})
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,10 @@ class ScreenSelection:
     job: str = ""  # Its name; where there is no such job, the first one is selected
     list: ListName = ""  # The list that has all the room; empty: each has some
     top: int = 0  # The number of the first row of that list
+    sort: str = ""  # The key by which objects are sorted; empty: the order of their runs
+    down: bool = False  # Whether the greatest object comes first
+    search: str = ""  # Words of the objects that are shown
+    is_typing: bool = False  # Whether keys are letters of the search
 
     def index(self, jobs: Sequence[str]) -> int:
         """Return the index of the selected job among these names."""
@@ -45,6 +51,10 @@ class ScreenSelection:
 
     def after_key(self, key: str, jobs: Sequence[str], page: int) -> "ScreenSelection":
         """Return the selection after a key; `page` is the number of rows that a list shows."""
+        if self.is_typing:
+            return self._after_letter(key)
+        if self.list == "objects" and key in OBJECT_KEYS:
+            return self._after_object_key(key)
         if key in LIST_KEYS:
             return replace(self, list="" if self.list == LIST_KEYS[key] else LIST_KEYS[key], top=0)
         if key in BACK_KEYS:
@@ -59,13 +69,34 @@ class ScreenSelection:
             index = int(key) - 1
         return replace(self, job=jobs[(index + step) % len(jobs)], top=self.top if not step else 0)
 
+    def _after_object_key(self, key: str) -> "ScreenSelection":
+        """Return the selection after a key that sorts or searches objects."""
+        if key == "/":
+            return replace(self, is_typing=True, top=0)
+        if key == "S":
+            return replace(self, down=not self.down, top=0)
+        orders = ["", *SORT_KEYS]
+        return replace(self, sort=orders[(orders.index(self.sort) + 1) % len(orders)], top=0)
+
+    def _after_letter(self, key: str) -> "ScreenSelection":
+        """Return the selection after a key while a search is typed."""
+        if key == "enter":
+            return replace(self, is_typing=False)
+        if key == "escape":
+            return replace(self, is_typing=False, search="", top=0)
+        if key == "backspace":
+            return replace(self, search=self.search[:-1], top=0)
+        return replace(self, search=self.search + key, top=0) if len(key) == 1 else self
+
 
 MIN_SIZE = (40, 12)  # The least columns and lines in which something can be shown
 WIDE_COLUMNS = 160  # columns from which two lists stand side by side
 MAX_CURVE_ROWS = 30  # The most lines of the curves
 ROUTER_AWAY = "The router is away; it is sought until it is back."
 ROUTER_LEFT = "The router has left, as all jobs are over; what begins there is shown."
-KEY_HELP = "q quit  tab job  r runs  w workers  e events  arrows scroll"
+KEY_HELP = "q quit  tab job  o objects  r runs  w workers  e events  arrows scroll"
+OBJECT_HELP = "q quit  a all  s sort  S turn the order  / search  arrows scroll"
+SEARCH_HELP = "letters search  enter keep the search  escape end it"
 
 
 @dataclass(frozen=True)
@@ -77,6 +108,7 @@ class ScreenState:
     at: datetime  # Local time
     is_linked: bool = True  # False while the router cannot be reached
     foreign_jobs: Sequence[str] = ()  # Jobs of another version
+    objects: Sequence[ObjectListing] | None = None  # Of the selected job; None: they are not known
 
     @property
     def names(self) -> list[str]:
@@ -103,11 +135,19 @@ def screen_lines(
     if width < MIN_SIZE[0] or height < MIN_SIZE[1]:
         return [text_line(f"{MIN_SIZE[0]} columns, {MIN_SIZE[1]} lines", width, glyphs)]
     head = _head(shown, width, glyphs)
-    foot = Text(fit_text(f"{KEY_HELP}  a all" if choice.list else KEY_HELP, width, glyphs), style="reverse")
+    foot = Text(fit_text(_key_help(choice), width, glyphs), style="reverse")
     room = height - len(head) - 1
     body = _body(shown, choice, width, room, glyphs) if shown.views else no_job_lines(shown, width, glyphs)
     filled = [*body[:room], *([Text()] * (room - len(body)))]
     return [*head, *filled, foot]
+
+
+def _key_help(choice: ScreenSelection) -> str:
+    if choice.is_typing:
+        return SEARCH_HELP
+    if choice.list == "objects":
+        return OBJECT_HELP
+    return f"{KEY_HELP}  a all" if choice.list else KEY_HELP
 
 
 def report_lines(shown: ScreenState, width: int, glyphs: Glyphs) -> Lines:
@@ -172,6 +212,8 @@ def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int, gl
     rows = min(len(shown.views), max(2, room // 7))
     if choice.list:
         jobs = tables.job_list(shown.views, chosen, width, min(2, rows), glyphs)
+        if choice.list == "objects":
+            return [*jobs, *_object_lines(shown, view, choice, width, room - len(jobs), glyphs)]
         return [*jobs, *_long_list(view, choice, width, room - len(jobs), glyphs)]
     jobs = tables.job_list(shown.views, chosen, width, rows, glyphs)
     above = [*jobs, *_job_lines(view.job, view, width, glyphs)]
@@ -222,7 +264,7 @@ def share_rows(room: int, wishes: Sequence[tuple[int, int]]) -> list[int]:
 
 def _long_list(view: JobView, choice: ScreenSelection, width: int, room: int, glyphs: Glyphs) -> Lines:
     """Return the selected list with all the room, from the row that it is scrolled to."""
-    lists = {
+    lists: dict[ListName, Callable[[], Lines]] = {
         "runs": lambda: tables.run_list(view, width, glyphs),
         "workers": lambda: tables.worker_list(view, width, glyphs),
         "events": lambda: tables.event_list(view.events, width, glyphs),
@@ -232,6 +274,29 @@ def _long_list(view: JobView, choice: ScreenSelection, width: int, room: int, gl
     last = min(len(rows), first + room - 2)
     title = f"{choice.list} of {view.job}: {first + 1} to {last} of {len(rows)}" if rows else choice.list
     return [_rule(title, width, glyphs), head, *rows[first:last]]
+
+
+def _object_lines(
+    shown: ScreenState, view: JobView, choice: ScreenSelection, width: int, room: int, glyphs: Glyphs
+) -> Lines:
+    """Return the objects of a job with all the room, as they are sorted and searched."""
+    if shown.objects is None:
+        words = (
+            "No recorder has told of the objects yet." if view.figures.recorders else "There is no recorder."
+        )
+        return [_rule(f"objects of {view.job}", width, glyphs), text_line(words, width, glyphs)]
+    found = select_objects(shown.objects, choice.search, choice.sort, down=choice.down)
+    first = tables.first_row(len(found), room - 2, choice.top)
+    rows = found[first : first + room - 2]
+    parts = [f"{first + 1} to {first + len(rows)} of {len(found)}" if rows else "none"]
+    parts += [f"by {choice.sort}{', greatest first' if choice.down else ''}"] if choice.sort else []
+    parts += (
+        [f"search: {choice.search}{'_' if choice.is_typing else ''}"]
+        if choice.search or choice.is_typing
+        else []
+    )
+    title = f"objects of {view.job}: {glyphs.text('; '.join(parts))}"
+    return [_rule(title, width, glyphs), *tables.object_list(rows, width, glyphs)]
 
 
 def _titled_list(title: str, lines: Lines, width: int, room: int, glyphs: Glyphs) -> Lines:
@@ -263,17 +328,25 @@ DRAW_INTERVAL = 0.5  # seconds between two pictures
 PRINT_INTERVAL = 5.0  # seconds between two reports where nothing can be drawn
 
 
-def watch_jobs(feed: Feed, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop) -> None:
+def watch_jobs(
+    feed: Feed, objects: ObjectFeed, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop
+) -> None:
     """Show jobs until a key or a signal ends it."""
     if console.is_terminal and not console.is_dumb_terminal:
         with keyboard(stop) as keys:
-            draw_screen(feed, endpoint, console, glyphs, keys, stop)
+            draw_screen(feed, objects, endpoint, console, glyphs, keys, stop)
     else:
         print_status(feed, endpoint, console, glyphs, Keyboard(stop, None), stop)
 
 
 def draw_screen(
-    feed: Feed, endpoint: str, console: Console, glyphs: Glyphs, keys: Keyboard, stop: Stop
+    feed: Feed,
+    objects: ObjectFeed,
+    endpoint: str,
+    console: Console,
+    glyphs: Glyphs,
+    keys: Keyboard,
+    stop: Stop,
 ) -> None:
     """Draw the whole terminal twice a second, and after each key."""
     choice = ScreenSelection()
@@ -284,10 +357,13 @@ def draw_screen(
         with screen:
             while not (stop.is_set or keys.is_suspended):
                 shown, (width, height) = screen_state(feed, endpoint), console.size
+                if choice.list == "objects" and shown.views:
+                    view = shown.views[choice.index(shown.names)]
+                    shown = replace(shown, objects=objects.objects(view))
                 screen.update(Group(*screen_lines(shown, choice, width, height, glyphs)), refresh=True)
                 rows = list_rows(shown, width, height, glyphs)
                 for key in keys.wait(DRAW_INTERVAL):
-                    if key in QUIT_KEYS:
+                    if key in QUIT_KEYS and not choice.is_typing:
                         return
                     choice = choice.after_key(key, shown.names, rows)
         if keys.is_suspended:

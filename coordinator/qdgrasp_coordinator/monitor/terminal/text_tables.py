@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import JobEvent, RunStatus, WorkerStatus
+from qdgrasp_coordinator.metrics.job_status import JobEvent, ObjectListing, RunStatus, WorkerStatus
 from qdgrasp_coordinator.monitor.job_view import OVER, JobView
 from qdgrasp_protocol.text import counted, printable
 
@@ -174,7 +174,7 @@ STYLES = {
     "starting": "cyan", "running": "green", "paused": "yellow", "ending": "cyan",
     "silent": "bold yellow", "gone": "bold red", "ended": "dim", "cancelled": "dim",
     "working": "", "idle": "dim", "stuck": "bold yellow", "leaving": "cyan",
-    "job": "cyan", "run": "green", "trouble": "bold yellow", "error": "bold red",
+    "job": "cyan", "run": "green", "warning": "yellow", "trouble": "bold yellow", "error": "bold red",
 }  # fmt: skip
 """Styles of the states of jobs and workers, and of the kinds of events."""
 
@@ -226,6 +226,28 @@ def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
         TableColumn("", lambda run: glyphs.text(run.trouble or run.finished), 12, rank=7, align="left"),
     ]
     return table_lines(columns, runs, width, glyphs, _run_style)
+
+
+def object_list(objects: Sequence[ObjectListing], width: int, glyphs: Glyphs) -> Lines:
+    """Return the table of objects in their order."""
+    columns: list[TableColumn[ObjectListing]] = [
+        TableColumn("object", lambda one: glyphs.text(one.object), 18, align="left"),
+        TableColumn("state", lambda one: glyphs.text(one.state), 8, align="left"),
+        TableColumn("runs", lambda one: f"{one.runs_done}/{one.runs}" if one.runs else "-", 5),
+        TableColumn("evaluations", lambda one: count_text(one.evaluations), 11, rank=4),
+        TableColumn("success", lambda one: percent_text(one.successes, one.evaluations), 7, rank=3),
+        TableColumn("cells", lambda one: count_text(one.cells), 6),
+        TableColumn("grasps", lambda one: count_text(one.grasps), 7),
+        TableColumn("errors", lambda one: count_text(one.errors), 6, rank=5),
+        TableColumn("note", lambda one: glyphs.text(one.note), 12, rank=2, align="left", grows=True),
+    ]
+    return table_lines(columns, objects, width, glyphs, _object_style)
+
+
+def _object_style(one: ObjectListing) -> str:
+    if one.state in ("failed", "skipped") or one.note:
+        return "yellow"
+    return "dim" if one.state == "waiting" else ""
 
 
 def worker_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:

@@ -1,6 +1,7 @@
 """Routes of the two sites: jobs that a monitor watches, and jobs in folders."""
 
 import re
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from qdgrasp_coordinator.campaign.object_table import count_states, select_objects, with_events
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_coordinator.monitor.records import FolderIndex, FolderRecords
@@ -26,6 +29,9 @@ PAGES = Path(__file__).with_name("pages")
 PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
 MAX_THREADS = 16  # Threads for answers that may take long; requests that wait for them delay no others
 MAX_ROW = (1 << 32) - 1  # The greatest number of a row in a journal
+PAGE_ROWS = 50  # Objects on a page
+MAX_PICTURE_THREADS = 2  # So that pictures leave room for other answers
+PICTURE_CACHING = "private, max-age=300"
 JSON = "application/json"
 
 
@@ -35,6 +41,18 @@ class Site:
 
     routes: list[BaseRoute]
     end: Callable[[], None] = lambda: None  # Called when the server ends, to end streams
+
+
+class ObjectPage(Struct, frozen=True, kw_only=True):
+    """Some objects of a job, as a browser asked for them."""
+
+    objects: list[ObjectListing]
+    first: int  # Number of the first of these among the objects found
+    found: int  # Objects that the search leaves
+    total: int
+    states: dict[str, int]  # Number of all objects in each state
+    little: int  # Number of all objects that got little
+    uncounted: int  # Runs whose rows are still being counted
 
 
 class JobListing(Struct, frozen=True):
@@ -55,6 +73,10 @@ def live_site(feed: Feed, runs: RunCaches) -> Site:
             return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
         return EventStream(broadcast, packed="gzip" in request.headers.get("accept-encoding", ""))
 
+    async def objects(request: Request) -> Response:
+        text = await to_thread.run_sync(_object_page, request, runs, state, limiter=limiter)
+        return _json_if_new(request, text)
+
     def metrics(_request: Request) -> Response:
         text, kind = exposition(state.views())
         return Response(text, headers={"Content-Type": kind})
@@ -65,9 +87,51 @@ def live_site(feed: Feed, runs: RunCaches) -> Site:
         Route("/api/stream", stream),
         Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: runs.runs(request.path_params["job"]), limiter),
+        Route("/api/jobs/{job}/objects", objects),
+        _slow(
+            "/api/jobs/{job}/objects/runs",
+            lambda request: runs.object_runs(
+                request.path_params["job"], request.query_params.get("file", "")
+            ),
+            limiter,
+        ),
+        _picture_route(runs),
         Route("/metrics", metrics),
     ]
     return Site([*routes, *_run_routes(runs, limiter)], broadcast.end)
+
+
+def _object_page(request: Request, runs: RunCaches, state: PageState) -> bytes:
+    """Return a page of a job's objects, searched and sorted as the address says."""
+    job, query = request.path_params["job"], request.query_params
+    found = runs.objects(job)
+    told = found.objects
+    for view in state.views():
+        if view.job == job:
+            told = with_events(told, view.events, view.figures.building)
+    shown = select_objects(told, query.get("search", ""), query.get("sort", ""), down="down" in query)
+    first = min(parse_number(query.get("from", "")) or 0, max(0, len(shown) - 1) // PAGE_ROWS * PAGE_ROWS)
+    page = ObjectPage(
+        objects=shown[first : first + PAGE_ROWS],
+        first=first,
+        found=len(shown),
+        total=len(told),
+        states=count_states(told),
+        little=sum(bool(each.little) for each in told),
+        uncounted=found.uncounted,
+    )
+    return msgspec.json.encode(page)
+
+
+def _picture_route(runs: RunCaches) -> BaseRoute:
+    """Return the route of small pictures, of which few are made at once."""
+    limiter = CapacityLimiter(MAX_PICTURE_THREADS)
+
+    async def picture(request: Request) -> Response:
+        payload = await to_thread.run_sync(runs.picture, *_run(request), limiter=limiter)
+        return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
+
+    return Route("/api/jobs/{job}/runs/{run}/picture", picture)
 
 
 def folder_site(index: FolderIndex) -> Site:
@@ -130,6 +194,15 @@ def _slow(
 def _json(text: bytes) -> Response:
     """Return JSON that is not cached."""
     return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON)
+
+
+def _json_if_new(request: Request, text: bytes) -> Response:
+    """Return JSON with a tag; without content where the browser has it already."""
+    tag = f'W/"{zlib.crc32(text):08x}-{len(text)}"'
+    headers = {"Cache-Control": "no-cache", "ETag": tag}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    return Response(text, headers=headers, media_type=JSON)
 
 
 def _run(request: Request) -> tuple[str, str]:

@@ -3,14 +3,18 @@
 One thread at a time queries an answer; the others take the one before.
 """
 
+import hashlib
 import threading
 import time
 import zlib
+from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import msgspec
@@ -18,9 +22,10 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
-from qdgrasp_coordinator.metrics.job_status import RunListings
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
 from qdgrasp_coordinator.monitor.web.scene_data import (
@@ -30,15 +35,24 @@ from qdgrasp_coordinator.monitor.web.scene_data import (
     grasp_view,
 )
 from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
+from qdgrasp_coordinator.rendering.views import object_picture
+from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
+from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoReply, QdgraspError
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
 MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
 MAX_JOBS = 16  # Jobs whose lists of runs are kept
 MAX_CURVES = 64
+MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
+MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
+MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
+PICTURE_PIXELS = 96
+SCENE_SECONDS = 300.0  # A run's scene is not asked for again for so long [s]
+LAST_ROW = (1 << 32) - 1  # Behind every row of a journal: what is read from there on is empty
+OBJECTS_SECONDS = 5.0  # Objects are not read again for so long [s]
 MAX_SCENES = 2  # Scenes of a run: another journal may have another one
 FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
 LISTED_SECONDS = 5.0  # Nor are lists of runs and curves [s]
@@ -253,6 +267,56 @@ class RunCache:
         return pages
 
 
+class ObjectPictures:
+    """Small pictures of the objects of runs, each rendered once.
+
+    They are kept in memory and in a folder. A folder that cannot be written is no error: pictures are then in
+    memory alone.
+    """
+
+    def __init__(self, records: Records, folder: Path, clock: Callable[[], float]) -> None:
+        self._records = records
+        self._folder = folder
+
+        def digest(job: str, run: str) -> TtlCache[str]:
+            return TtlCache(
+                lambda _: records.page(job, run, LAST_ROW).origin.scene, lambda _: SCENE_SECONDS, clock
+            )
+
+        self._digests = made_once(MAX_DIGESTS, digest)
+        self._pictures: OrderedDict[str, bytes] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, job: str, run: str) -> bytes:
+        """Return the picture of a run's object: PNG; raises as `Records`."""
+        digest = self._digests(job, run).get()
+        with self._lock:
+            picture = self._pictures.pop(digest, b"") or self._read(digest) or self._render(job, run, digest)
+            self._pictures[digest] = picture
+            if len(self._pictures) > MAX_PICTURES:
+                self._pictures.popitem(last=False)
+        return picture
+
+    def _file(self, digest: str) -> Path:
+        name = hashlib.sha256(
+            f"{digest} {PICTURE_PIXELS}".encode()
+        ).hexdigest()  # a digest comes over the bus
+        return self._folder / f"{name}.png"
+
+    def _read(self, digest: str) -> bytes:
+        """Return the picture in the folder, empty where it is not there."""
+        with suppress(OSError):
+            return self._file(digest).read_bytes()
+        return b""
+
+    def _render(self, job: str, run: str, digest: str) -> bytes:
+        picture = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
+        with suppress(OSError, FolderError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            atomic_files.replace(self._file(digest), picture)
+        return picture
+
+
 class RunCaches:
     """Data of all runs, as the page reads them; `clock` gives the time [s].
 
@@ -270,13 +334,42 @@ class RunCaches:
         def cache(job: str, run: str) -> RunCache:
             return RunCache(records, job, run, clock)
 
+        def entry(job: str, run: str) -> TtlCache[tuple[RunListing, ...]]:
+            return TtlCache(
+                lambda _: tuple(filter(None, (records.entry(job, run),))), lambda _: LISTED_SECONDS, clock
+            )
+
+        def objects(job: str) -> TtlCache[ObjectListings]:
+            return TtlCache(
+                lambda _: records.objects(job),
+                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
+                clock,
+            )
+
         self._listings = made_once(MAX_JOBS, listings)
+        self._entries = made_once(MAX_ENTRIES, entry)
+        self._objects = made_once(MAX_JOBS, objects)
+        self._pictures = ObjectPictures(records, cache_folder() / "pictures", clock)
         self._curves = made_once(MAX_CURVES, curve)
         self._runs = made_once(MAX_RUNS, cache)
 
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""
         return msgspec.json.encode(self._listings(job).get())
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, with what they got."""
+        return self._objects(job).get()
+
+    def object_runs(self, job: str, file: str) -> bytes:
+        """Return the runs of one object that have begun, finished ones too: JSON of `RunListings`."""
+        names = next((each.names for each in self.objects(job).objects if each.file == file), [])
+        runs = [entry for name in names for entry in self._entries(job, name).get()]
+        return msgspec.json.encode(RunListings(runs=runs))
+
+    def picture(self, job: str, run: str) -> bytes:
+        """Return a small picture of a run's object: PNG with a transparent ground."""
+        return self._pictures.get(job, run)
 
     def curve(self, job: str, run: str) -> bytes:
         """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""

@@ -9,13 +9,15 @@ from typing import Any, get_args, get_type_hints
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from msgspec import Struct
+from msgspec import Struct, structs
 from rich.cells import cell_len
 from rich.console import Console
 from tests.coordinator.monitor.sample_jobs import ENDPOINT, NOW, event, figures, job, shown, worker
 
+from qdgrasp_coordinator.campaign.object_library import SkippedObject
+from qdgrasp_coordinator.campaign.object_table import ObjectRun, list_objects
 from qdgrasp_coordinator.metrics import job_status
-from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, CurvePoint, GrowthCurve
 from qdgrasp_coordinator.monitor.feed import summary_lines as told
 from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
@@ -25,8 +27,10 @@ from qdgrasp_coordinator.monitor.terminal.keyboard import parse_keys
 from qdgrasp_coordinator.monitor.terminal.screen import ScreenSelection, ScreenState
 from qdgrasp_coordinator.monitor.terminal.text_tables import ASCII, UNICODE, Glyphs
 from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.spec import RunSpec
 
 JOBS = ["a", "b", "c"]
+GOOD = structs.replace(NO_TOTALS, evaluations=100, successes=50, grasps=20, cells=10)
 
 
 def after(*pressed: str) -> ScreenSelection:
@@ -49,7 +53,9 @@ def test_a_job_that_is_no_more_leaves_the_first_chosen() -> None:
     assert ScreenSelection(job="b").index(["new", "a", "b"]) == 2
 
 
-@pytest.mark.parametrize(("key", "long"), [("r", "runs"), ("w", "workers"), ("e", "events")])
+@pytest.mark.parametrize(
+    ("key", "long"), [("o", "objects"), ("r", "runs"), ("w", "workers"), ("e", "events")]
+)
 def test_a_list_takes_all_the_room_and_gives_it_back(key: str, long: str) -> None:
     assert after(key).list == long
     assert after(key, key).list == after(key, "a").list == after(key, "escape").list == ""
@@ -71,7 +77,8 @@ def test_keys_without_a_meaning_and_without_a_job_change_nothing() -> None:
     ("sent", "found"),
     [
         (b"q", ["q"]), (b"\x1b[A\x1b[B", ["up", "down"]), (b"\x1bOA", ["up"]), (b"\x1b", ["escape"]),
-        (b"\t\x1b[Z", ["tab", "backtab"]), (b"w\x1b[6~2", ["w", "pagedown", "2"]), (b"\x00\xff\x7f", []),
+        (b"\t\x1b[Z", ["tab", "backtab"]), (b"w\x1b[6~2", ["w", "pagedown", "2"]), (b"\x00\xff", []),
+        (b"\r\x7f", ["enter", "backspace"]),
     ],
 )  # fmt: skip
 def test_what_terminals_send_is_understood(sent: bytes, found: list[str]) -> None:
@@ -105,7 +112,7 @@ def check_fits(shown: str, width: int, height: int) -> None:
 class TestRoom:
     @pytest.mark.parametrize(("width", "height"), SIZES)
     @pytest.mark.parametrize("what", [ONE, MANY, shown()], ids=["one", "many", "none"])
-    @pytest.mark.parametrize("long", ["", "runs", "workers", "events"])
+    @pytest.mark.parametrize("long", ["", "objects", "runs", "workers", "events"])
     @pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
     def test_a_frame_fills_its_terminal_exactly(
         self, width: int, height: int, what: ScreenState, long: str, glyphs: Glyphs
@@ -152,6 +159,58 @@ class TestLongLists:
             seen = text(many, job=f"job-{number:02}")
             assert f"▸{'' if number > 8 else f'  {number + 1}'}" in seen
             assert f"── job-{number:02} ──" in seen
+
+
+LIBRARY = shown(
+    job("parts", runs=80),
+    objects=list_objects(
+        [
+            ObjectRun(f"panda-part_{n}-s0", RunSpec(gripper="panda", object=f"part_{n}"), GOOD, is_done=True)
+            for n in range(40)
+        ],
+        [SkippedObject("torn", "torn.stl", "it is not closed", "--remesh")],
+    ),
+)
+
+
+class TestObjects:
+    def test_a_campaign_shows_its_objects_with_what_they_got(self) -> None:
+        seen = text(LIBRARY, list="objects")
+        assert "objects of parts: 1 to 18 of 41" in seen
+        assert "part_17" in seen
+        assert "part_18" not in seen
+        assert "s sort  S turn the order  / search" in seen
+        assert "1/1" in seen.splitlines()[6]
+
+    def test_objects_are_sorted_and_turned(self) -> None:
+        seen = text(LIBRARY, list="objects", sort="object", down=True)
+        assert "by object, greatest first" in seen
+        assert seen.index("torn") < seen.index("part_39") < seen.index("part_38")
+
+    def test_a_search_shows_what_is_typed_and_what_it_leaves(self) -> None:
+        seen = text(LIBRARY, list="objects", search="remesh", is_typing=True)
+        assert "1 to 1 of 1; search: remesh_" in seen
+        assert "left out" in seen
+        assert "enter keep the search" in seen
+        assert "objects of parts: none; search: nothing" in text(LIBRARY, list="objects", search="nothing")
+
+    def test_a_job_whose_objects_are_not_known_says_so(self) -> None:
+        assert "No recorder has told of the objects yet." in text(MANY, list="objects")
+        assert "There is no recorder." in text(shown(job(recorders=0)), list="objects")
+
+    def test_keys_sort_and_search_where_objects_are_shown(self) -> None:
+        assert after("o", "s").sort == "object"
+        assert after("o", *(["s"] * 10)).sort == ""
+        assert after("o", "S").down
+        assert after("s", "S", "/") == ScreenSelection(job="a")
+        typed = after("o", "pagedown", "/", "m", "u", "q", "2", "backspace")
+        assert (typed.search, typed.is_typing, typed.top, typed.job) == ("muq", True, 0, "")
+        assert (after("o", "/", "m", "enter").search, after("o", "/", "m", "enter").is_typing) == ("m", False)
+        assert after("o", "/", "m", "escape") == ScreenSelection(list="objects")
+
+    def test_shapes_are_counted_beside_runs(self) -> None:
+        seen = text(shown(job(runs=3, scenes=40, scenes_done=12, scenes_failed=1)), 120)
+        assert "12 of 40 shapes and 1 failed · 0 of 3 runs" in seen
 
 
 class TestTrouble:
@@ -233,6 +292,7 @@ def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
         float: WILD_FLOAT,
         str: WILD_TEXT,
         datetime: st.datetimes(timezones=st.just(UTC)),
+        list[str]: st.lists(WILD_TEXT, max_size=3),
         dict[str, int]: st.dictionaries(WILD_TEXT, WILD, max_size=3),
         job_status.EventKind: st.sampled_from(get_args(job_status.EventKind)),
         list[job_status.WorkerStatus]: st.lists(

@@ -21,7 +21,15 @@ from tests.common import PATIENCE, free_port
 from tests.coordinator.monitor import sample_jobs
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.job_status import JobEvent, RunListings, RunStatus, WorkerStatus, to_json
+from qdgrasp_coordinator.metrics.job_status import (
+    JobEvent,
+    ObjectListings,
+    RunListing,
+    RunListings,
+    RunStatus,
+    WorkerStatus,
+    to_json,
+)
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.job_model import JobModels
 from qdgrasp_coordinator.monitor.job_view import JobView
@@ -162,6 +170,15 @@ class FakeLibrary:
             raise NoReply("nobody answers")
         return b'{"runs":[],"next":0,"uncounted":0}'
 
+    def objects(self, job: str) -> ObjectListings:
+        raise NoReply("nobody answers")
+
+    def object_runs(self, job: str, file: str) -> bytes:
+        return b'{"runs":[],"next":0,"uncounted":0}'
+
+    def picture(self, job: str, run: str) -> bytes:
+        raise UnknownName("run", run, ["mug"])
+
     def curve(self, job: str, run: str) -> bytes:
         return b'{"run":"","points":[]}'
 
@@ -288,6 +305,12 @@ class HandMadeRecords:
         self.listed += 1
         return RunListings(runs=[])
 
+    def entry(self, job: str, run: str) -> RunListing | None:
+        return None
+
+    def objects(self, job: str) -> ObjectListings:
+        return ObjectListings(objects=[])
+
     def curve(self, job: str, run: str) -> GrowthCurve:
         return GrowthCurve(run=run, points=[])
 
@@ -326,9 +349,11 @@ def feed() -> FakeFeed:
     return FakeFeed().step().step().step()
 
 
-def client(feed: FakeFeed, access: Access | None = None) -> TestClient:
+def client(
+    feed: FakeFeed, access: Access | None = None, library: FakeLibrary | RunCaches | None = None
+) -> TestClient:
     """A client on this machine."""
-    app = application(live_site(feed, FakeLibrary()), access or Access(local=True))
+    app = application(live_site(feed, library or FakeLibrary()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 

@@ -7,6 +7,7 @@ import { GraspPanel } from "./grasp_panel.js";
 import { OVER, Selection, withEndedState } from "./job_state.js";
 import { OutcomePanel, SummaryPanel } from "./job_summary.js";
 import { EventPanel, JobList, RunPanel, WorkerPanel } from "./lists.js";
+import { ObjectPanel } from "./objects.js";
 import { RecordedRuns } from "./run_queries.js";
 
 const API = "api";
@@ -14,7 +15,7 @@ const find = (id) => document.getElementById(id);
 const selection = new Selection(show);
 const recorded = new RecordedRuns(API, show);
 const list = new JobList(find("jobs"));
-const panels = [SummaryPanel, RunPanel, CurvePanels, OutcomePanel, WorkerPanel, EventPanel, GraspPanel].map(
+const panels = [SummaryPanel, ObjectPanel, RunPanel, CurvePanels, OutcomePanel, WorkerPanel, EventPanel, GraspPanel].map(
   (Panel) => new Panel(find, API),
 );
 const connection = new ConnectionStatus(find("link"));
@@ -29,7 +30,7 @@ function selected(jobs) {
 function show() {
   if (!state) return;
   const shown = selected(state.jobs);
-  const job = shown && { ...shown, runs: recorded.of(shown) };
+  const job = shown && { ...shown, object: selection.object, runs: recorded.of(shown, selection.object) };
   const run = job?.runs.find((each) => each.run === selection.run) ?? null;
   list.show(state.jobs, job?.job);
   setText(find("strangers"), state.strangers.length ? `Of another version, and not shown: ${state.strangers.join(", ")}` : "");

@@ -39,11 +39,16 @@ export function updateChildren(parent, items, keyOf, make, update) {
 
 /** A table of rows by key, sorted by the column whose head was pressed. */
 export class Table {
-  /** `columns`: [{ name, title, value(row), words(row), link(row)?, number? }]; rows are sorted by `value`. */
-  constructor(root, columns, { caption, key, sorted = null }) {
+  /**
+   * `columns`: [{ name, title, value(row), words(row), link(row)?, number?, more? }]; rows are sorted by
+   * `value`. `more` is { make(), update(node, row) } of what stands in a cell beside its words. With
+   * `onsort(name, down)` rows come in their order, and it is called when a head was pressed.
+   */
+  constructor(root, columns, { caption, key, sorted = null, onsort = null }) {
     this.columns = columns;
     this.key = key;
     this.by = sorted;
+    this.onsort = onsort;
     this.down = false;
     this.rows = [];
     this.body = element("tbody");
@@ -72,7 +77,8 @@ export class Table {
     this.down = this.by === name ? !this.down : this.columns.find((each) => each.name === name).number;
     this.by = name;
     this.#mark();
-    this.show(this.rows, this.state);
+    if (this.onsort) this.onsort(this.by, this.down);
+    else this.show(this.rows, this.state);
   }
 
   #mark() {
@@ -83,7 +89,7 @@ export class Table {
 
   #sorted() {
     const column = this.columns.find(({ name }) => name === this.by);
-    if (!column) return this.rows;
+    if (!column || this.onsort) return this.rows;
     const order = (a, b) => {
       const [one, other] = [column.value(a), column.value(b)];
       return typeof one === "string" ? one.localeCompare(other, "en", { numeric: true }) : one - other;
@@ -95,10 +101,11 @@ export class Table {
     return element(
       "tr",
       {},
-      ...this.columns.map(({ name, number, link }, place) => {
+      ...this.columns.map(({ name, number, link, more }, place) => {
         const shown = { class: number ? "number" : null, "data-name": name, scope: place ? null : "row" };
         const cell = element(place ? "td" : "th", shown);
         if (link) cell.append(element("a"));
+        if (more) cell.append(more.make());
         return cell;
       }),
     );
@@ -106,10 +113,11 @@ export class Table {
 
   #fill(node, row) {
     setAttribute(node, "data-state", this.state(row));
-    this.columns.forEach(({ words, link }, place) => {
+    this.columns.forEach(({ words, link, more }, place) => {
       const cell = node.children[place];
       if (link) setAttribute(cell.firstChild, "href", link(row));
       setText(link ? cell.firstChild : cell, words(row));
+      if (more) more.update(cell.lastChild, row);
     });
   }
 }

@@ -15,12 +15,18 @@ export class Selection {
     return this.#read("run");
   }
 
+  /** The object whose runs are shown, as specs name it; empty: those of all. */
+  get object() {
+    return this.#read("object");
+  }
+
   #read(name) {
     return new URLSearchParams(location.hash.slice(1)).get(name) ?? "";
   }
 
-  static address(job, run = "") {
-    return `#${new URLSearchParams(run ? { job, run } : { job })}`;
+  static address(job, run = "", object = "") {
+    const named = Object.entries({ run, object }).filter(([, value]) => value);
+    return `#${new URLSearchParams([["job", job], ...named])}`;
   }
 }
 

@@ -3,6 +3,7 @@
 import { element, setAttribute, setText, Table, updateChildren } from "./dom.js";
 import { ago, bytes, count, percent, rate, several, span, time } from "./format.js";
 import { extentOf, Selection } from "./job_state.js";
+import { MANY } from "./run_queries.js";
 
 /** The list of jobs: their names, states and progress. */
 export class JobList {
@@ -34,7 +35,7 @@ function jobItem(job) {
 }
 
 const RUN_COLUMNS = [
-  { name: "run", title: "Run", value: ({ run }) => run, words: ({ run }) => run, link: ({ job, run }) => Selection.address(job, run) },
+  { name: "run", title: "Run", value: ({ run }) => run, words: ({ run }) => run, link: ({ job, run, chosenObject }) => Selection.address(job, run, chosenObject) },
   { name: "done", title: "Done", number: true, value: (run) => run.evaluations / extentOf(run), words: (run) => (run.finished ? "finished" : percent(run.evaluations, extentOf(run))) },
   { name: "evaluations", title: "Evaluations", number: true, value: ({ evaluations }) => evaluations, words: ({ evaluations }) => count(evaluations) },
   { name: "successes", title: "Successes", number: true, value: ({ successes }) => successes, words: ({ successes }) => count(successes) },
@@ -55,14 +56,18 @@ export class RunPanel {
   }
 
   show(job, chosen) {
-    const runs = job.runs.map((run) => ({ ...run, job: job.job }));
+    const runs = job.runs.map((run) => ({ ...run, job: job.job, chosenObject: job.object }));
     this.panel.hidden = job.figures.runs < 2 && runs.length < 2;
     setAttribute(this.all, "href", Selection.address(job.job));
-    setAttribute(this.all, "aria-current", chosen ? null : "true");
-    const { runs_open: open, runs_done: done, runs_failed: failed } = job.figures;
-    setText(this.words, `${count(open)} in progress, ${count(done)} done${failed ? `, ${count(failed)} failed` : ""}`);
+    setAttribute(this.all, "aria-current", chosen || job.object ? null : "true");
+    setText(this.words, job.object ? `${several(runs.length, "run")} of ${job.object} ${runs.length === 1 ? "has" : "have"} begun` : allRuns(job.figures));
     this.table.show(runs, ({ run, finished }) => `${finished ? "ended" : ""} ${run === chosen?.run ? "chosen" : ""}`.trim());
   }
+}
+
+function allRuns({ runs, runs_open: open, runs_done: done, runs_failed: failed }) {
+  const others = runs > MANY ? "; those that have ended are shown with their object" : "";
+  return `${count(open)} in progress, ${count(done)} done${failed ? `, ${count(failed)} failed` : ""}${others}`;
 }
 
 const NO_WORKERS = { gone: "the job has no coordinator", ended: "the job has ended", cancelled: "the job was cancelled" };

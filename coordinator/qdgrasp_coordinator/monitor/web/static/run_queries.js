@@ -12,6 +12,7 @@ export async function fetchJson(address) {
 
 const SECONDS = 15; // between two queries for the same
 const MOST = 64; // curves that are kept
+export const MANY = 256; // runs of a job: of more, those that have ended are shown object by object
 
 /** All runs of a job, also those that ended before the monitor started. */
 export class RecordedRuns {
@@ -23,23 +24,29 @@ export class RecordedRuns {
     this.onnews = onnews;
   }
 
-  /** The runs of a job: those whose status is published, and before them what the recorder knew of the others. */
-  of(job) {
-    if (job.figures.runs <= job.runs.length) return job.runs;
-    this.#query(job);
-    const published = new Set(job.runs.map(({ run }) => run));
-    return [...(this.#known.get(job.job)?.runs ?? []).filter(({ run }) => !published.has(run)), ...job.runs];
+  /**
+   * The runs of a job, or of one of its objects: those whose status is published, and before them what the
+   * recorder knew of the others. Of a job of many runs and no object: the published ones.
+   */
+  of(job, object = "") {
+    const shown = object ? job.runs.filter((run) => run.object === object) : job.runs;
+    if (!object && (job.figures.runs <= job.runs.length || job.figures.runs > MANY)) return shown;
+    const address = `${this.api}/jobs/${encodeURIComponent(job.job)}/${object ? `objects/runs?${new URLSearchParams({ file: object })}` : "runs"}`;
+    this.#query(address, job.figures.runs_done);
+    const published = new Set(shown.map(({ run }) => run));
+    return [...this.#known.get(address).runs.filter(({ run }) => !published.has(run)), ...shown];
   }
 
-  async #query({ job, figures: { runs_done: done } }) {
-    const known = this.#known.get(job) ?? { asked: -Infinity, done: -1, runs: [] };
+  async #query(address, done) {
+    const known = this.#known.get(address) ?? { asked: -Infinity, done: -1, runs: [] };
     const since = performance.now() - known.asked;
     if (since < 1000 || (since < 1000 * SECONDS && known.done === done)) return;
-    this.#known.set(job, { ...known, asked: performance.now(), done });
-    const answer = await fetchJson(`${this.api}/jobs/${encodeURIComponent(job)}/runs`);
+    this.#known.set(address, { ...known, asked: performance.now(), done });
+    if (this.#known.size > MOST) this.#known.delete(this.#known.keys().next().value);
+    const answer = await fetchJson(address);
     if (!answer) return; // no recorder, or a finished one: the published ones are shown
     const { runs, uncounted } = answer;
-    Object.assign(this.#known.get(job), { runs }, uncounted ? { done: -1 } : {}); // uncounted ones: ask again soon
+    Object.assign(this.#known.get(address) ?? {}, { runs }, uncounted ? { done: -1 } : {}); // uncounted ones: ask again soon
     this.onnews();
   }
 }
