@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from qdgrasp_assets.asset_paths import A_FOLDER, SPECIAL, path_problem
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
 from qdgrasp_assets.geometry.mesh import STL_HEADER, STL_TRIANGLE, Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 
@@ -147,15 +147,21 @@ def _load_scene(path: Path) -> Any:
     from trimesh.resolvers import FilePathResolver
 
     class SiblingFileResolver(FilePathResolver):
-        """Materials, textures and buffers beside the mesh file; pipes and devices are never opened."""
+        """Materials, textures and buffers in the folder of the mesh file.
+
+        No other file is read, and pipes and devices are never opened.
+        """
 
         def get(self, name: str) -> bytes:
-            plain = name.strip()
+            plain, folder = name.strip(), Path(self.parent).resolve()
             for tried in (plain, plain.lstrip("/"), PurePath(plain).name):
-                if (why := path_problem(Path(self.parent, tried))) in (A_FOLDER, SPECIAL):
+                path = (folder / tried).resolve()
+                if not path.is_relative_to(folder) or (why := path_problem(path)) == NOT_THERE:
+                    continue
+                if why:
                     raise OSError(f"'{name}', which it names, {why}")
-            content: bytes = super().get(name)
-            return content
+                return path.read_bytes()
+            raise FileNotFoundError(name)
 
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():

@@ -130,6 +130,12 @@ class Urdf:
             joints=tuple(joint for joint in self.joints if joint.name in joints),
         )
 
+    @property
+    def mesh_places(self) -> tuple[Path, ...]:
+        """Paths at which its meshes lie, or may lie, those of visual shapes too."""
+        names = {mesh.get("filename", "") for mesh in self.element.iter("mesh")}
+        return tuple(place for name in sorted(names) for place in _mesh_places(self.path, name))
+
     def bundled(self) -> tuple[ET.Element, dict[str, bytes]]:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
