@@ -258,14 +258,19 @@ def _gltf_triangles(document: Any) -> int:
     return int(count)
 
 
-def linked_files(path: Path) -> tuple[Path, ...]:
-    """Return the files beside a glTF file that hold its geometry; none of any other format."""
+def linked_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the files with the geometry of a glTF file; none of any other format."""
     if path.suffix.lower() != ".gltf":
         return ()
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         names = [str(buffer.get("uri", "data:")) for buffer in json.loads(path.read_bytes())["buffers"]]
-        return tuple(path.parent / name for name in names if not name.startswith("data:"))
+        return tuple(name for name in names if not name.startswith("data:"))
     return ()
+
+
+def linked_files(path: Path) -> tuple[Path, ...]:
+    """Return the files beside a glTF file that hold its geometry."""
+    return tuple(path.parent / name for name in linked_names(path))
 
 
 def to_bytes(mesh: Mesh, suffix: str) -> bytes:
