@@ -302,13 +302,12 @@ class ShapeStore:
     """
 
     MOST_BYTES = 8 << 30
-    PUTS = 256  # Puts of one store after which its size is looked at again
+    SWEPT = 256  # One put of so many, by its key, looks at the size of the whole
     KEPT = 0.9  # Share of the most bytes that is left then
 
     def __init__(self, folder: Path | None = None, most_bytes: int = MOST_BYTES) -> None:
         self._folder = folder or cache_folder() / "shapes"
         self._most_bytes = most_bytes
-        self._puts = 0
 
     def get(self, key: str) -> ObjectShape | None:
         """Return a shape; None if it is not there, or not whole."""
@@ -328,9 +327,8 @@ class ShapeStore:
         """Keep the bytes of a shape; what cannot be written is left out."""
         with suppress(OSError):
             write_whole(self._file(key), hashlib.sha256(payload).digest() + payload)
-            if self._puts % self.PUTS == 0:
+            if int(key, 16) % self.SWEPT == 0:
                 self._sweep(time.time())
-            self._puts += 1
 
     def _file(self, key: str) -> Path:
         return self._folder / f"{key}{SUFFIX}"

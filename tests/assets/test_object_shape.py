@@ -415,7 +415,7 @@ def test_a_store_that_cannot_be_written_or_read_is_no_error(block, tmp_path, mon
 
 def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monkeypatch):
     payload = pack_shape(block)
-    monkeypatch.setattr(ShapeStore, "PUTS", 1)
+    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
     store = ShapeStore(tmp_path, most_bytes=int(3.5 * len(payload)))
     for age, key in enumerate(KEYS[:3]):
         store.put(key, payload)
@@ -432,7 +432,7 @@ def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monke
 
 def test_several_may_write_and_read_a_store_at_once(block, tmp_path, monkeypatch):
     payload, seen = pack_shape(block), list[ObjectShape | None]()
-    monkeypatch.setattr(ShapeStore, "PUTS", 2)
+    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
 
     def use() -> None:
         store = ShapeStore(tmp_path, most_bytes=2 * len(payload))

@@ -14,6 +14,7 @@ from qdgrasp_protocol.messages import ShapeTask
 
 MEMORY = 1 << 29
 GREEDY = f"bytearray({2 * MEMORY})"
+READER = "(_ for _ in ()).throw(builder.AssetError('it cannot be read: MemoryError'))"
 BUSY = "sum(1 for _ in iter(int, 1))"
 REPLACED = """
 import sys, qdgrasp_assets.shape_builder as builder
@@ -24,8 +25,9 @@ sys.exit(builder.main())
 """The process with another way to build."""
 STARTER = """
 import subprocess, sys
-subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
+print(subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE).stdout.readline())
 """
+"""Starts a process, and ends when it has said something."""
 
 
 class ShapeBuild:
@@ -76,13 +78,16 @@ def test_a_mesh_that_cannot_be_used_is_said_in_a_sentence(tmp_path):
     assert not opened.out.exists()
 
 
-@pytest.mark.parametrize(("build", "means"), [(GREEDY, "0.5 GB of memory"), (BUSY, "1 s")])
+@pytest.mark.parametrize(
+    ("build", "means"), [(GREEDY, "0.5 GB of memory"), (READER, "0.5 GB of memory"), (BUSY, "1 s")]
+)
 def test_a_mesh_that_takes_too_much_is_said_in_a_sentence(tmp_path, build, means):
     sentence = f"The mesh takes more than {means}; simplify it, for example with --simplify 20000.\n"
     assert ShapeBuild(tmp_path, "block").ended(build) == (UNUSABLE, "", sentence)
 
 
 def test_it_ends_with_the_process_that_started_it(tmp_path):
-    command = ShapeBuild(tmp_path, "block").command("__import__('time').sleep(3600)")
-    starter = [sys.executable, "-c", STARTER, *command]
-    subprocess.run(starter, capture_output=True, check=True)  # comes back when both have closed their output
+    endless = "(print('it has begun', flush=True), __import__('time').sleep(3600))"
+    command = [sys.executable, "-c", STARTER, *ShapeBuild(tmp_path, "block").command(endless)]
+    done = subprocess.run(command, capture_output=True, check=True)  # comes back when both have ended
+    assert b"it has begun" in done.stdout

@@ -177,8 +177,6 @@ def _load_scene(path: Path) -> Any:
         )
     try:
         return trimesh.load_scene(path, process=False, resolver=SiblingFileResolver(str(path)))
-    except MemoryError:
-        raise
     except ImportError:  # a package that guesses what damaged text was meant to be
         raise AssetError(
             f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."
