@@ -194,7 +194,7 @@ class MeshFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All that the shape of an object depends on, its files by their content."""
 
-    files: Annotated[tuple[MeshFile, ...], Meta(min_length=1, max_length=1024)]
+    files: Annotated[tuple[MeshFile, ...], Meta(min_length=1, max_length=64)]
     """The mesh first, then the files with its geometry that it names."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
     """Metres to a unit of the mesh; None: 1."""

@@ -198,6 +198,33 @@ def test_the_key_is_another_for_all_that_the_shape_depends_on(tmp_path, monkeypa
     assert len({task.key for task in tasks if task}) == len(tasks)
 
 
+UNSAFE = (
+    "",
+    ".",
+    "..",
+    "/a",
+    "../a",
+    "a/..",
+    "a/../b",
+    "a//b",
+    "a/",
+    "./a",
+    "a\\b",
+    "a\nb",
+    "a\0b",
+    "x" * 201,
+)
+
+
+@pytest.mark.parametrize("name", UNSAFE)
+def test_a_file_whose_name_leads_out_of_its_folder_is_in_no_task(tmp_path, name):
+    values = msgspec.to_builtins(shape_task(mesh_spec(tmp_path)))
+    for good in ("mesh.stl", "a/b.bin", "..a", "a b.bin"):
+        msgspec.convert(values | {"files": [values["files"][0] | {"name": good}]}, ShapeTask)
+    with pytest.raises(msgspec.ValidationError, match=r"files\[0\]\.name"):
+        msgspec.convert(values | {"files": [values["files"][0] | {"name": name}]}, ShapeTask)
+
+
 def test_what_is_in_the_catalog_has_no_task():
     for name in ("mug", "ycb_mug"):
         assert shape_task(RunSpec(gripper="panda", object=name)) is None
