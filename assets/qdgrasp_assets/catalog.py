@@ -11,6 +11,7 @@ from qdgrasp_assets.geometry.mesh_io import check_file
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
+from qdgrasp_assets.grippers.urdf import mesh_places
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
@@ -89,7 +90,7 @@ def carried_hand(spec: RunSpec) -> SceneGripper:
     if spec.engine:
         check_convex(hand)
     file = gripper_path(spec.gripper)
-    places = (file, *gripper.file.urdf_places(file), *gripper.robot.mesh_places)
+    places = (file, *gripper.file.urdf_places(file), *mesh_places(gripper.robot))
     stamps = {path: _stamp(path) for path in places}
     if all(stamp is None or max(stamp[2:]) < begun - SETTLED for stamp in stamps.values()):
         _hands[key] = stamps, hand

@@ -130,12 +130,6 @@ class Urdf:
             joints=tuple(joint for joint in self.joints if joint.name in joints),
         )
 
-    @property
-    def mesh_places(self) -> tuple[Path, ...]:
-        """Paths at which its meshes lie, or may lie, those of visual shapes too."""
-        names = {mesh.get("filename", "") for mesh in self.element.iter("mesh")}
-        return tuple(place for name in sorted(names) for place in _mesh_places(self.path, name))
-
     def bundled(self) -> tuple[ET.Element, dict[str, bytes]]:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
@@ -253,6 +247,12 @@ def _mesh_bytes(path: Path) -> bytes:
         return content
     lines = content.splitlines(keepends=True)
     return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl", b"#")))
+
+
+def mesh_places(robot: Urdf) -> tuple[Path, ...]:
+    """Return the paths at which the meshes of a robot lie, or may lie, those of visual shapes too."""
+    names = {mesh.get("filename", "") for mesh in robot.element.iter("mesh")}
+    return tuple(place for name in sorted(names) for place in _mesh_places(robot.path, name))
 
 
 def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
