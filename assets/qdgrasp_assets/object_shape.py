@@ -33,7 +33,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     limited_parts,
 )
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_assets.geometry.mesh_io import linked_files
+from qdgrasp_assets.geometry.mesh_io import linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import (
@@ -206,7 +206,7 @@ def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | Non
     )
 
 
-FLEET_LIMITS = ProcessLimits(120.0, 4 << 30)
+FLEET_LIMITS = ProcessLimits(120.0, 4_000_000_000)
 """Limits of a shape that one of many workers builds."""
 OWN_LIMITS = ProcessLimits(TIME_LIMIT, 1 << 40)
 """Those of a shape that is built in the process that needs it, by the clock and with all memory there is."""
@@ -222,19 +222,15 @@ def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask
         return None
     path = named_path(spec.object)
     check_header(path, spec.mesh)
+    mesh, links = f"mesh{path.suffix.lower()}", {name: path.parent / name for name in linked_names(path)}
+    if mesh in links:
+        return None
     try:
-        links = {str(file.relative_to(path.parent)): file for file in linked_files(path)}
-        named = [(f"mesh{path.suffix.lower()}", path), *links.items()]
         files = [
-            {"name": name, "sha256": file_digest(file), "size": file.stat().st_size} for name, file in named
+            {"name": name, "sha256": file_digest(file), "size": file.stat().st_size}
+            for name, file in [(mesh, path), *links.items()]
         ]
-    except OSError as error:
-        if not os.access(path, os.R_OK):
-            raise AssetError(f"The mesh '{path}' cannot be read: {error.strerror or error}.") from None
-        return None
-    except ValueError:  # an absolute path
-        return None
-    if named[0][0] in links:
+    except OSError:  # reading the mesh says what is wrong
         return None
     values = {
         "files": files,
@@ -310,13 +306,12 @@ class ShapeStore:
     """
 
     MOST_BYTES = 8 << 30
-    PUTS = 256  # Puts of one store after which its size is looked at again
+    SWEPT = 256  # One put of so many, by its key, looks at the size of the whole
     KEPT = 0.9  # Share of the most bytes that is left then
 
     def __init__(self, folder: Path | None = None, most_bytes: int = MOST_BYTES) -> None:
         self._folder = folder or cache_folder() / "shapes"
         self._most_bytes = most_bytes
-        self._puts = 0
 
     def get(self, key: str) -> ObjectShape | None:
         """Return a shape; None if it is not there, or not whole."""
@@ -340,9 +335,8 @@ class ShapeStore:
         """Keep the bytes of a shape; what cannot be written is left out."""
         with suppress(OSError):
             write_whole(self._file(key), hashlib.sha256(payload).digest() + payload)
-            if self._puts % self.PUTS == 0:
+            if int(key, 16) % self.SWEPT == 0:
                 self._sweep(time.time())
-            self._puts += 1
 
     def _file(self, key: str) -> Path:
         return self._folder / f"{key}{SUFFIX}"
@@ -354,12 +348,12 @@ class ShapeStore:
         for path, stat in found.items():
             if PurePath(path).name.startswith(UNFINISHED) and now - stat.st_mtime > ABANDONED:
                 shutil.rmtree(path, ignore_errors=True)
-        total = sum(stat.st_size for stat in found.values())
+        shapes = {path: stat for path, stat in found.items() if path.endswith(SUFFIX)}
+        total = sum(stat.st_size for stat in shapes.values())
         if total <= self._most_bytes:
             return
-        for path, stat in sorted(found.items(), key=lambda item: item[1].st_mtime):
+        for path, stat in sorted(shapes.items(), key=lambda item: item[1].st_mtime):
             if total <= self.KEPT * self._most_bytes:
                 return
-            if path.endswith(SUFFIX):
-                Path(path).unlink(missing_ok=True)
-                total -= stat.st_size
+            Path(path).unlink(missing_ok=True)
+            total -= stat.st_size

@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import sys
+import warnings
 from pathlib import Path
 from types import FrameType
 
@@ -60,6 +61,7 @@ def main() -> int:
     """Build the shape of the task in the first file; return the exit code."""
     end_with_parent_only()
     logging.disable()
+    warnings.simplefilter("ignore")
     task_file, folder, out = map(Path, sys.argv[1:])
     task = msgspec.msgpack.decode(task_file.read_bytes(), type=ShapeTask)
     signal.signal(signal.SIGXCPU, _end_out_of_time)
@@ -68,11 +70,11 @@ def main() -> int:
     limit_memory(task.memory)
     try:
         built = build(task, folder, ShapeStore())
-    except AssetError as error:
-        sys.stderr.write(f"{str(error).replace(f'{folder}{os.sep}', '')}\n")
-        return UNUSABLE
-    except MemoryError:
-        sys.stderr.write(f"{_too_large(f'{task.memory / 1e9:.1f} GB of memory')}\n")
+    except (AssetError, MemoryError) as error:
+        # readers of meshes name it in an error of their own
+        is_of_memory = isinstance(error, MemoryError) or MemoryError.__name__ in str(error)
+        sentence = _too_large(f"{task.memory / 1e9:.1f} GB of memory") if is_of_memory else str(error)
+        sys.stderr.write(f"{sentence.replace(f'{folder}{os.sep}', '')}\n")
         return UNUSABLE
     write_whole(out, msgspec.msgpack.encode(built))
     return 0

@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 
@@ -5,9 +6,19 @@ import msgpack
 import numpy as np
 import pytest
 import trimesh
+from msgspec.structs import replace
 from tests.assets.test_stand_ins import PUBLISHED
 
-from qdgrasp_assets.catalog import build_scene, every_gripper, every_object, gripper_names, object_names
+from qdgrasp_assets import catalog
+from qdgrasp_assets.catalog import (
+    build_scene,
+    carried_hand,
+    every_gripper,
+    every_object,
+    find_gripper,
+    gripper_names,
+    object_names,
+)
 from qdgrasp_assets.scene import pack_scene, unpack_scene
 from qdgrasp_protocol.errors import AssetError, MessageError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
@@ -150,6 +161,65 @@ def test_the_catalog_lists_the_reference_data(asset_path):
 def test_a_reference_scene_is_the_same_bytes_again(asset_path):
     spec = {"gripper": "ref_panda_2f", "object": "ycb_power_drill"}
     assert pack_scene(scene(**spec)).digest == pack_scene(scene(**spec)).digest
+
+
+def counted_reads(monkeypatch) -> list[str]:
+    """The names of the grippers that are read from now on."""
+    read = []
+
+    def find(name):
+        read.append(name)
+        return find_gripper(name)
+
+    monkeypatch.setattr(catalog, "find_gripper", find)
+    monkeypatch.setattr(catalog, "_hands", {})
+    return read
+
+
+def test_a_hand_is_read_once_for_each_protocol_until_one_of_its_files_changes(monkeypatch, claw, edit):
+    monkeypatch.setattr(catalog, "SETTLED", 0)
+    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
+    first = carried_hand(spec)
+    assert carried_hand(spec) is first
+    assert carried_hand(replace(spec, protocol="released")) != first
+    assert carried_hand(replace(spec, protocol="robust")) is first
+    assert len(read) == 2
+    edit(claw, "palm_offset = 0.05", "palm_offset = 0.06")
+    assert carried_hand(spec).palm_offset == 0.06
+    edit(claw.with_suffix(".urdf"), 'value="0.1"', 'value="0.2"')
+    assert 'value="0.2"' in carried_hand(spec).urdf
+    mesh = claw.parent / "palm.stl"
+    mesh.write_bytes(mesh.read_bytes()[:-2] + b"\1\0")
+    assert carried_hand(spec).meshes["0_palm.stl"].endswith(b"\1\0")
+    assert len(read) == 5
+    mesh.unlink()
+    with pytest.raises(AssetError, match=r"palm\.stl"):
+        carried_hand(spec)
+
+
+def test_a_hand_whose_files_have_just_changed_is_read_again(monkeypatch, claw):
+    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
+    assert carried_hand(spec) == carried_hand(spec)
+    assert len(read) == 2
+
+
+def test_a_hand_is_read_again_where_another_asset_path_has_another_one(monkeypatch, tmp_path, claw):
+    monkeypatch.setattr(catalog, "SETTLED", 0)
+    claw.write_text(claw.read_text().replace('"claw.urdf"', '"asset://claw.urdf"'))
+    nearer, farther = tmp_path / "nearer", tmp_path / "farther"
+    for folder in (nearer, farther):
+        folder.mkdir()
+        shutil.copy(tmp_path / "palm.stl", folder)
+    shutil.copy(tmp_path / "claw.urdf", farther)
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", f"{nearer}:{farther}")
+    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
+    carried_hand(spec)
+    urdf = (farther / "claw.urdf").read_text()
+    (nearer / "claw.urdf").write_text(urdf.replace('value="0.1"', 'value="0.3"'))
+    assert 'value="0.3"' in carried_hand(spec).urdf
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(farther))
+    assert 'value="0.1"' in carried_hand(spec).urdf
+    assert len(read) == 3
 
 
 def test_the_worker_needs_no_geometry_library():

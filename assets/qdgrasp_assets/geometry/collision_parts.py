@@ -157,7 +157,7 @@ class ProcessLimits:
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "Cannot allocate memory")
 """Words with which a process ends that asked for more memory than it may have."""
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-PATIENCE = 10  # Multiple of its limit of CPU time that a process may take by the clock
+PATIENCE = 30  # Multiple of its limit of CPU time that a process may take by the clock
 
 
 def decompose(

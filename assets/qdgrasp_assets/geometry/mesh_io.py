@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from qdgrasp_assets.asset_paths import A_FOLDER, SPECIAL, path_problem
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
 from qdgrasp_assets.geometry.mesh import STL_HEADER, STL_TRIANGLE, Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 
@@ -147,15 +147,21 @@ def _load_scene(path: Path) -> Any:
     from trimesh.resolvers import FilePathResolver
 
     class SiblingFileResolver(FilePathResolver):
-        """Materials, textures and buffers beside the mesh file; pipes and devices are never opened."""
+        """Materials, textures and buffers in the folder of the mesh file.
+
+        No other file is read, and pipes and devices are never opened.
+        """
 
         def get(self, name: str) -> bytes:
-            plain = name.strip()
+            plain, folder = name.strip(), Path(self.parent).resolve()
             for tried in (plain, plain.lstrip("/"), PurePath(plain).name):
-                if (why := path_problem(Path(self.parent, tried))) in (A_FOLDER, SPECIAL):
+                path = (folder / tried).resolve()
+                if not path.is_relative_to(folder) or (why := path_problem(path)) == NOT_THERE:
+                    continue
+                if why:
                     raise OSError(f"'{name}', which it names, {why}")
-            content: bytes = super().get(name)
-            return content
+                return path.read_bytes()
+            raise FileNotFoundError(name)
 
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():
@@ -171,8 +177,6 @@ def _load_scene(path: Path) -> Any:
         )
     try:
         return trimesh.load_scene(path, process=False, resolver=SiblingFileResolver(str(path)))
-    except MemoryError:
-        raise
     except ImportError:  # a package that guesses what damaged text was meant to be
         raise AssetError(
             f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."
@@ -252,14 +256,19 @@ def _gltf_triangles(document: Any) -> int:
     return int(count)
 
 
-def linked_files(path: Path) -> tuple[Path, ...]:
-    """Return the files beside a glTF file that hold its geometry; none of any other format."""
+def linked_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the files with the geometry of a glTF file; none of any other format."""
     if path.suffix.lower() != ".gltf":
         return ()
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
         names = [str(buffer.get("uri", "data:")) for buffer in json.loads(path.read_bytes())["buffers"]]
-        return tuple(path.parent / name for name in names if not name.startswith("data:"))
+        return tuple(name for name in names if not name.startswith("data:"))
     return ()
+
+
+def linked_files(path: Path) -> tuple[Path, ...]:
+    """Return the files beside a glTF file that hold its geometry."""
+    return tuple(path.parent / name for name in linked_names(path))
 
 
 def to_bytes(mesh: Mesh, suffix: str) -> bytes:

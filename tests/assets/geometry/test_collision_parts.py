@@ -12,11 +12,14 @@ from qdgrasp_assets.geometry.collision_parts import (
     COACD_THRESHOLDS,
     CORNER_TOLERANCE,
     MOST_CORNERS,
+    DecompositionFailure,
     DecompositionTimeout,
     FingerClearance,
+    ProcessLimits,
     available_parts,
     collision_parts,
     decompose,
+    limited_parts,
     simplify_part,
 )
 from qdgrasp_assets.geometry.mesh import Mesh, join, parts_to_obj
@@ -31,6 +34,7 @@ HALVES = (
     box((0.02, 0.04, 0.02)).moved((0.01, 0.04, 0.01)),
 )
 """Convex parts of the angle."""
+WIDE_LIMITS = ProcessLimits(60.0, 1_000_000_000)
 CAPS = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
 
 
@@ -84,7 +88,7 @@ def found(monkeypatch):
     """Results of CoACD by its threshold: parts, or an error."""
     answers: dict[float, object] = {}
 
-    def decompose(mesh, name, threshold, time_limit):
+    def decompose(mesh, name, threshold, time_limit, limits=None):
         answer = answers[threshold]
         if isinstance(answer, Exception):
             raise answer
@@ -112,6 +116,65 @@ def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monk
     monkeypatch.setattr(module, "decompose", None)
     again = convex_parts(angle, "angle.stl")
     assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
+
+
+def test_parts_within_wide_limits_are_those_of_a_single_run_and_not_cached(angle, cache, monkeypatch):
+    source, parts, fit = limited_parts(angle, WIDE_LIMITS)
+    assert (source, fit.is_good) == ("coacd", True)
+    assert not cache.exists()
+    assert parts_to_obj(parts) == parts_to_obj(convex_parts(angle, "angle"))
+    source, parts, fit = limited_parts(bowed(), WIDE_LIMITS)
+    assert (source, fit.is_good) == ("own hull", True)
+    assert parts_to_obj(parts) == parts_to_obj(convex_parts(bowed(), "dented"))
+
+
+@pytest.mark.parametrize(
+    ("program", "source"),
+    [
+        ("while True: pass", "took more than 1 s"),
+        ("bytearray(1 << 31)", "took more than 0.5 GB"),
+        ("raise MemoryError", "took more than 0.5 GB"),
+        ("import os; os.abort()", "failed"),
+        ("raise ValueError", "failed"),
+        ("", "failed"),
+    ],
+)
+def test_where_coacd_cannot_keep_its_limits_the_own_hull_is_taken_and_says_why(
+    angle, tmp_path, monkeypatch, program, source
+):
+    (tmp_path / "coacd.py").write_text(program)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    found, (part,), fit = limited_parts(angle, ProcessLimits(1.0, 1 << 29))
+    assert found == f"own hull: CoACD {source}"
+    assert part.volume == pytest.approx(hull(angle.vertices).volume)
+    assert fit.filled > 0.1
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (DecompositionTimeout("mug", 1.0), "took more than 60 s"),
+        (DecompositionFailure("mug", -6, "terminate called: std::bad_alloc"), "took more than 1.0 GB"),
+        (DecompositionFailure("mug", -11, ""), "failed"),
+    ],
+)
+def test_where_finer_parts_cannot_be_had_the_finest_found_are_taken(found, error, words):
+    surface, own = mug()
+    found.update({COACD_THRESHOLDS[0]: own[:-8], COACD_THRESHOLDS[1]: error})
+    source, parts, fit = limited_parts(surface, WIDE_LIMITS)
+    assert source == f"coacd, coarse: finer parts {words}"
+    assert parts == own[:-8]
+    assert not fit.is_good
+
+
+def test_the_limit_of_time_is_for_all_attempts(found, monkeypatch):
+    surface, own = mug()
+    found.update(dict.fromkeys(COACD_THRESHOLDS[:2], own[:-8]))
+    clock = iter([0.0, 50.0, 50.0, 110.0])
+    monkeypatch.setattr(module, "_children_seconds", lambda: next(clock, 110.0))
+    source, parts, _ = limited_parts(surface, WIDE_LIMITS)
+    assert source == "coacd, coarse: finer parts took more than 60 s"
+    assert parts == own[:-8]
 
 
 @pytest.mark.slow

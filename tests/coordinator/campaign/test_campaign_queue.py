@@ -137,9 +137,7 @@ def test_a_shape_of_coarse_parts_is_warned_of(runs: dict[str, RunSpec], tmp_path
     coarse = structs.replace(shape, collision_source="own hull: CoACD took more than 120 s")
     warning = queue.take_shape(BuildReply(wanted.task.key, split_payload(pack_shape(coarse))))
     assert warning is not None
-    assert warning.words.startswith(
-        "'box40.stl': its convex parts are not as fine as they should be (own hull: "
-    )
+    assert warning.words.startswith("'box40.stl': its convex parts are not as fine as they should be (own ")
 
 
 def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(

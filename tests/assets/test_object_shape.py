@@ -1,0 +1,477 @@
+"""Shapes: the same wherever they are built, kept by content, and checked when they come from elsewhere."""
+
+import hashlib
+import json
+import logging
+import os
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+
+from qdgrasp_assets import object_shape
+from qdgrasp_assets.catalog import assemble_scene, build_scene, carried_hand
+from qdgrasp_assets.geometry import collision_parts
+from qdgrasp_assets.geometry.collision_parts import ProcessLimits
+from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_assets.geometry.surface_points import SURFACES
+from qdgrasp_assets.object_model import read_object
+from qdgrasp_assets.object_shape import (
+    FLEET_LIMITS,
+    ObjectShape,
+    ShapeStore,
+    build_shape,
+    pack_shape,
+    shape_task,
+    unpack_shape,
+)
+from qdgrasp_assets.scene import Scene, SceneObject, pack_scene, vector
+from qdgrasp_protocol.build_messages import MeshPreparation, ShapeTask
+from qdgrasp_protocol.errors import AssetError, MessageError
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec
+
+SIDES = (0.02, 0.03, 0.05)
+Changes = dict[str, Any]
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(collision_parts, "_unfinished", {})
+    return tmp_path / "cache"
+
+
+def angle(size: float = 0.03) -> trimesh.Trimesh:
+    """Two blocks that make an L: its hull is no stand-in for it."""
+    tall = trimesh.creation.box((size / 3, size, 2 * size))
+    foot = trimesh.creation.box((2 * size, size, size / 3)).apply_translation((size, 0, 0))
+    return trimesh.util.concatenate([tall, foot])
+
+
+def apart(gap: float) -> trimesh.Trimesh:
+    blocks = [trimesh.creation.box(SIDES) for _ in range(2)]
+    blocks[1].apply_translation((SIDES[0] + gap, 0, 0))
+    return trimesh.util.concatenate(blocks)
+
+
+def split(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with seams: each triangle has vertices of its own, and one is there twice."""
+    faces = np.concatenate([mesh.faces, mesh.faces[:1]])
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def open_block() -> tuple[Any, Any]:
+    block = trimesh.creation.box(SIDES)
+    return block.vertices, block.faces[1:]
+
+
+MESHES = {
+    "block": lambda: trimesh.creation.box(SIDES),
+    "angle": angle,
+    "ball": lambda: trimesh.creation.icosphere(radius=0.03),
+    "apart": lambda: apart(0.002),
+    "open": lambda: trimesh.Trimesh(*open_block(), process=False),
+    "split": lambda: split(trimesh.creation.box(SIDES)),
+}
+
+
+def mesh_spec(folder: Path, name: str = "block", suffix: str = ".stl", **values: Any) -> RunSpec:
+    file = folder / f"{name}{suffix}"
+    if not file.exists():
+        MESHES[name]().export(file)
+    return RunSpec(**{"gripper": "panda", "object": str(file), "mass": 0.1} | values)
+
+
+def folder_of(task: ShapeTask, spec: RunSpec, folder: Path) -> Path:
+    """A folder with the files of a task under the names that they have in it."""
+    source = Path(spec.object)
+    folder.mkdir()
+    shutil.copy(source, folder / task.files[0].name)
+    for file in task.files[1:]:
+        shutil.copy(source.parent / file.name, folder / file.name)
+    return folder
+
+
+def built_elsewhere(spec: RunSpec, folder: Path) -> ObjectShape:
+    task = shape_task(spec)
+    assert task is not None
+    return unpack_shape(pack_shape(build_shape(task, folder_of(task, spec, folder))))
+
+
+def scene_of_model(spec: RunSpec) -> Scene:
+    """The scene of a mesh file, put together from its mesh and parts."""
+    made = read_object(Path(spec.object), spec.mass, spec.scale, spec.mesh, spec.about)
+    mesh, parts = made.centred_mesh, made.centred_parts
+    cloud = SURFACES[spec.protocol](mesh, parts, made.com_in_mesh, spec.surface_seed)
+    low, high = mesh.bounds
+    return Scene(
+        protocol=spec.protocol,
+        gripper=carried_hand(spec),
+        object=SceneObject(
+            name=made.name,
+            source=made.source,
+            licence=made.licence,
+            collision_source=made.collision_source,
+            mass=made.mass,
+            lateral_friction=0.5 if spec.friction is None else spec.friction,
+            rolling_friction=0.01,
+            spinning_friction=0.1,
+            com_in_mesh=vector(made.com_in_mesh),
+            collision=parts_to_obj(parts),
+            mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
+            mesh_faces=mesh.faces.astype("<u4").tobytes(),
+        ),
+        points=cloud.points.astype("<f4").tobytes(),
+        normals=cloud.normals.astype("<f4").tobytes(),
+        finder_low=vector(cloud.finder_low),
+        finder_high=vector(cloud.finder_high),
+        object_low=vector(low),
+        object_high=vector(high),
+        contact_slots=8,
+    )
+
+
+SPECS: dict[str, tuple[str, Changes]] = {
+    "plain": ("block", {"friction": 0.7}),
+    "scaled, decomposed": ("angle", {"scale": 0.5, "about": ObjectRecord(id="an angle", source="acme")}),
+    "glued": ("apart", {"mesh": MeshPreparation(glued=True)}),
+    "hull": ("angle", {"mesh": MeshPreparation(hull=True), "surface_seed": 3}),
+    "simplified": ("ball", {"mesh": MeshPreparation(simplify=100)}),
+    "repaired": ("split", {}),
+    "released": ("ball", {"protocol": "released"}),
+}
+
+
+@pytest.mark.parametrize(("name", "values"), SPECS.values(), ids=SPECS)
+def test_a_scene_has_the_same_bytes_whether_its_shape_is_built_here_or_elsewhere_or_kept(
+    tmp_path, monkeypatch, name, values
+):
+    spec = mesh_spec(tmp_path, name, **values)
+    plain = pack_scene(scene_of_model(spec))
+    assert pack_scene(build_scene(spec)).digest == plain.digest
+    monkeypatch.setattr(object_shape, "read_object", None)
+    assert pack_scene(build_scene(spec)).digest == plain.digest
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "another"))
+    shape = built_elsewhere(spec, tmp_path / "elsewhere")
+    assert pack_scene(assemble_scene(spec, shape)).digest == plain.digest
+    assert not (tmp_path / "another").exists()
+
+
+def test_files_of_another_name_and_objects_of_another_mass_share_a_shape(tmp_path):
+    spec = mesh_spec(tmp_path)
+    (tmp_path / "other").mkdir()
+    copy = shutil.copy(spec.object, tmp_path / "other" / "copy.STL")
+    others: Changes = {"mass": 2.0, "friction": 0.1, "about": ObjectRecord(id="z"), "gripper": "barrett"}
+    other = msgspec.structs.replace(
+        spec, object=str(copy), protocol="robust", seed=7, evaluations=5, **others
+    )
+    assert shape_task(spec) == shape_task(other)
+    made = assemble_scene(other, built_elsewhere(spec, tmp_path / "elsewhere")).object
+    assert (made.name, made.source, made.mass, made.lateral_friction) == ("z", "copy.STL", 2.0, 0.1)
+
+
+OTHERS: dict[str, Changes] = {
+    "scale": {"scale": 1.0},
+    "changes": {"mesh": MeshPreparation(hull=True)},
+    "surface": {"protocol": "released"},
+    "seed": {"surface_seed": 1},
+}
+
+
+def test_the_key_is_another_for_all_that_the_shape_depends_on(tmp_path, monkeypatch):
+    spec = mesh_spec(tmp_path)
+    limits = [FLEET_LIMITS, ProcessLimits(60.0, FLEET_LIMITS.memory), ProcessLimits(120.0, 1 << 30)]
+    tasks = [shape_task(spec, each) for each in limits]
+    tasks += [shape_task(msgspec.structs.replace(spec, **values)) for values in OTHERS.values()]
+    monkeypatch.setattr(object_shape, "building_code", lambda: "0" * 64)
+    tasks.append(shape_task(spec))
+    monkeypatch.undo()
+    trimesh.creation.box((0.02, 0.03, 0.06)).export(spec.object)
+    tasks.append(shape_task(spec))
+    assert all(tasks)
+    assert len({task.key for task in tasks if task}) == len(tasks)
+
+
+UNSAFE = (
+    "",
+    ".",
+    "..",
+    "/a",
+    "../a",
+    "a/..",
+    "a/../b",
+    "a//b",
+    "a/",
+    "./a",
+    "a\\b",
+    "a\nb",
+    "a\0b",
+    "x" * 201,
+)
+
+
+@pytest.mark.parametrize("name", UNSAFE)
+def test_a_file_whose_name_leads_out_of_its_folder_is_in_no_task(tmp_path, name):
+    values = msgspec.to_builtins(shape_task(mesh_spec(tmp_path)))
+    for good in ("mesh.stl", "a/b.bin", "..a", "a b.bin"):
+        msgspec.convert(values | {"files": [values["files"][0] | {"name": good}]}, ShapeTask)
+    with pytest.raises(msgspec.ValidationError, match=r"files\[0\]\.name"):
+        msgspec.convert(values | {"files": [values["files"][0] | {"name": name}]}, ShapeTask)
+
+
+def test_what_is_in_the_catalog_has_no_task():
+    for name in ("mug", "ycb_mug"):
+        assert shape_task(RunSpec(gripper="panda", object=name)) is None
+
+
+def buffered(folder: Path, uri: str = "gltf_buffer_0.bin") -> RunSpec:
+    """A spec whose mesh has its coordinates in another file."""
+    for name, content in trimesh.creation.box(SIDES).export(file_type="gltf").items():
+        (folder / name).write_bytes(content)
+    file = folder / "model.gltf"
+    document = json.loads(file.read_text())
+    document["buffers"][0]["uri"] = uri
+    file.write_text(json.dumps(document))
+    return RunSpec(gripper="panda", object=str(file), mass=0.1)
+
+
+def test_files_that_a_mesh_names_are_part_of_its_task(tmp_path):
+    spec = buffered(tmp_path)
+    task = shape_task(spec)
+    assert task is not None
+    assert [file.name for file in task.files] == ["mesh.gltf", "gltf_buffer_0.bin", "gltf_buffer_1.bin"]
+    shape = built_elsewhere(spec, tmp_path / "elsewhere")
+    assert pack_scene(assemble_scene(spec, shape)) == pack_scene(build_scene(spec))
+    content = bytearray((tmp_path / "gltf_buffer_1.bin").read_bytes())
+    content[0] ^= 1
+    (tmp_path / "gltf_buffer_1.bin").write_bytes(content)
+    changed = shape_task(spec)
+    assert changed is not None
+    assert changed.key != task.key
+
+
+@pytest.mark.parametrize(
+    "uri", ["../gltf_buffer_0.bin", "{folder}/gltf_buffer_0.bin", "lost.bin", "mesh.gltf"]
+)
+def test_a_mesh_whose_files_no_other_folder_can_have_has_no_task(tmp_path, uri):
+    spec = buffered(tmp_path, uri.format(folder=tmp_path))
+    assert shape_task(spec) is None
+
+
+def test_a_mesh_reads_no_file_outside_its_folder(tmp_path):
+    (tmp_path / "inner").mkdir()
+    spec = buffered(tmp_path / "inner", "../secret.bin")
+    shutil.move(tmp_path / "inner" / "gltf_buffer_0.bin", tmp_path / "secret.bin")
+    with pytest.raises(AssetError, match=r"cannot be read as \.gltf"):
+        build_scene(spec)
+
+
+def test_materials_play_no_part(tmp_path):
+    block = trimesh.creation.box(SIDES)
+    lines = ["mtllib materials.mtl", *(f"v {x} {y} {z}\nvt {x} {y}" for x, y, z in block.vertices)]
+    for number, (a, b, c) in enumerate(block.faces + 1):
+        lines += [f"usemtl {('red', 'blue')[number % 2]}", f"f {a}/{a} {b}/{b} {c}/{c}"]
+    (tmp_path / "part.obj").write_text("\n".join(lines))
+    (tmp_path / "materials.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n")
+    spec = mesh_spec(tmp_path, "part", ".obj")
+    shape = built_elsewhere(spec, tmp_path / "elsewhere")
+    assert pack_scene(assemble_scene(spec, shape)) == pack_scene(build_scene(spec))
+
+
+def test_a_shape_is_built_of_the_files_of_its_task_by_its_code_alone(tmp_path):
+    spec = mesh_spec(tmp_path)
+    task = shape_task(spec)
+    assert task is not None
+    folder = folder_of(task, spec, tmp_path / "elsewhere")
+    with pytest.raises(AssetError, match="another version of qdgrasp"):
+        build_shape(msgspec.structs.replace(task, code="0" * 64), folder)
+    (folder / "mesh.stl").write_bytes(b"another")
+    with pytest.raises(AssetError, match=r"The file 'mesh\.stl' is not the one"):
+        build_shape(task, folder)
+
+
+def test_warnings_are_said_again_when_the_shape_is_known(tmp_path, caplog):
+    split_block, blocks = mesh_spec(tmp_path, "split"), mesh_spec(tmp_path, "apart")
+    said = []
+    for _ in range(2):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            build_scene(split_block)
+            build_scene(blocks)
+        said.append(caplog.messages)
+    assert said[0] == said[1]
+    repaired, air = said[0]
+    assert "was repaired: " in repaired
+    assert "0.002 m of air" in air
+
+
+def test_a_known_shape_still_needs_a_mass_and_a_file(tmp_path):
+    spec = mesh_spec(tmp_path)
+    build_scene(spec)
+    with pytest.raises(AssetError, match="has no mass"):
+        build_scene(msgspec.structs.replace(spec, mass=None))
+    Path(spec.object).unlink()
+    with pytest.raises(AssetError, match="No mesh file at"):
+        build_scene(spec)
+
+
+def test_parts_for_which_time_ran_out_are_not_kept(tmp_path, cache, monkeypatch):
+    coarse = collision_parts.hull(angle().vertices)
+
+    def decompose(_mesh: Any, name: str, threshold: float, _limit: float) -> Any:
+        if threshold == collision_parts.COACD_THRESHOLDS[0]:
+            return (coarse,)
+        raise collision_parts.DecompositionTimeout(name, 1.0)
+
+    monkeypatch.setattr(collision_parts, "decompose", decompose)
+    assert build_scene(mesh_spec(tmp_path, "angle")).object.collision_source == "coacd"
+    assert not (cache / "shapes").exists()
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> ObjectShape:
+    folder = tmp_path_factory.mktemp("block")
+    return built_elsewhere(mesh_spec(folder), folder / "elsewhere")
+
+
+def test_bytes_of_a_shape_are_canonical(block):
+    payload = pack_shape(block)
+    assert unpack_shape(payload) == block
+    assert list(msgpack.unpackb(payload)) == sorted(msgspec.structs.asdict(block))
+    assert pack_shape(unpack_shape(payload)) == payload
+
+
+def array(*values: float, kind: str = "<f4") -> bytes:
+    return np.array(values, kind).tobytes()
+
+
+FAULTS: dict[str, Changes] = {
+    "no faces": {"mesh_faces": b""},
+    "half a face": {"mesh_faces": bytes(8)},
+    "faces beyond the vertices": {"mesh_faces": array(*[0, 1, 8] * 4, kind="<u4")},
+    "no vertices": {"mesh_vertices": b""},
+    "text in place of bytes": {"mesh_vertices": "AAAA"},
+    "a number that is none": {"points": array(0, 0, np.nan), "normals": array(0, 0, 1)},
+    "a point far away": {"points": array(0, 0, 1e9), "normals": array(0, 0, 1)},
+    "no points": {"points": b"", "normals": b""},
+    "fewer normals than points": {"normals": array(0, 0, 1)},
+    "a long normal": {"points": array(0, 0, 0), "normals": array(0, 0, 2)},
+    "a centre of mass that is nowhere": {"com_in_mesh": (0.0, 0.0, float("inf"))},
+    "an empty box": {"finder_high": (0.0, -1.0, 0.0)},
+    "two numbers": {"object_low": (0.0, 0.0)},
+    "no parts": {"collision": b""},
+    "a part of other text": {"collision": b"mtllib x\n"},
+    "a share of two": {"filled": 2.0},
+    "many repairs": {"repairs": ("merged",) * 65},
+    "long words": {"collision_source": "x" * 2000},
+    "another field": {"more": 1},
+    "no map": {},
+}
+
+
+@pytest.mark.parametrize("values", FAULTS.values(), ids=FAULTS)
+def test_a_shape_that_cannot_be_used_is_refused(block, values):
+    whole = msgspec.to_builtins(block, builtin_types=(bytes,))
+    with pytest.raises(MessageError):
+        unpack_shape(msgpack.packb(whole | values if values else [1]))
+
+
+def test_a_part_has_vertices_of_its_own(block):
+    part = block.collision
+    faces = [line.split()[1:] for line in part.splitlines() if line.startswith(b"f ")]
+    moved = b"".join(b"f %d %d %d\n" % tuple(int(corner) + 8 for corner in face) for face in faces)
+    second = part[: part.index(b"f ")] + moved
+    two = msgspec.structs.replace(block, collision=part + second)
+    assert unpack_shape(pack_shape(two)) == two
+    for text in (part + part, second, part[: part.index(b"f ")], part.replace(b"f 1", b"f 0")):
+        with pytest.raises(MessageError, match="convex parts"):
+            unpack_shape(pack_shape(msgspec.structs.replace(block, collision=text)))
+
+
+def test_bytes_that_are_no_shape_are_refused(block):
+    payload = pack_shape(block)
+    for damaged in (
+        b"",
+        payload[:-1],
+        payload + b"\0",
+        b"\x90" * 1_000_000,
+        bytes(object_shape.MAX_SHAPE + 1),
+    ):
+        with pytest.raises(MessageError):
+            unpack_shape(damaged)
+
+
+KEYS = [hashlib.sha256(bytes([number])).hexdigest() for number in range(4)]
+
+
+def test_a_store_gives_back_what_is_whole(block, cache):
+    store = ShapeStore()
+    assert store.get(KEYS[0]) is None
+    store.put(KEYS[0], pack_shape(block))
+    assert ShapeStore().get(KEYS[0]) == block
+    (file,) = (cache / "shapes").iterdir()
+    whole = file.read_bytes()
+    for damaged in (b"", whole[:-1], bytes(len(whole)), whole.replace(b"part_0", b"part_1")):
+        file.write_bytes(damaged)
+        assert store.get(KEYS[0]) is None
+    store.put(KEYS[0], pack_shape(block))
+    assert store.get(KEYS[0]) == block
+
+
+def test_what_is_no_shape_is_not_given_back_though_it_was_kept(cache):
+    store = ShapeStore()
+    store.put(KEYS[0], b"no shape")
+    assert store.get(KEYS[0]) is None
+
+
+def test_a_store_that_cannot_be_written_or_read_is_no_error(block, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    store = ShapeStore(tmp_path / "file")
+    store.put(KEYS[0], pack_shape(block))
+    assert store.get(KEYS[0]) is None
+    spec = mesh_spec(tmp_path)
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "file"))
+    assert build_scene(spec).object.collision_source == "own hull"
+
+
+def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monkeypatch):
+    payload = pack_shape(block)
+    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
+    store = ShapeStore(tmp_path, most_bytes=int(3.5 * len(payload)))
+    for age, key in enumerate(KEYS[:3]):
+        store.put(key, payload)
+        os.utime(tmp_path / f"{key}.shape", (age, age))
+    abandoned, recent = (tmp_path / f"{object_shape.UNFINISHED}{name}" for name in ("old", "new"))
+    for folder in (abandoned, recent):
+        folder.mkdir()
+    os.utime(abandoned, (0, 0))
+    assert store.get(KEYS[0]) == block  # so it was used last
+    store.put(KEYS[3], payload)
+    assert [store.get(key) is not None for key in KEYS] == [True, False, True, True]
+    assert (abandoned.exists(), recent.exists()) == (False, True)
+
+
+def test_several_may_write_and_read_a_store_at_once(block, tmp_path, monkeypatch):
+    payload, seen = pack_shape(block), list[ObjectShape | None]()
+    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
+
+    def use() -> None:
+        store = ShapeStore(tmp_path, most_bytes=2 * len(payload))
+        for key in KEYS * 10:
+            store.put(key, payload)
+            seen.append(store.get(key))
+
+    threads = [threading.Thread(target=use) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(seen) == 160
+    assert {shape for shape in seen if shape is not None} == {block}
+    assert all(file.suffix == ".shape" for file in tmp_path.iterdir())
