@@ -33,7 +33,7 @@ from qdgrasp_coordinator.storage.journal_schema import (
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.messages import Failure
-from qdgrasp_protocol.rows import Rows, RowShape
+from qdgrasp_protocol.rows import Rows, RowShape, impossible_rows
 from qdgrasp_protocol.spec import RunSpec, from_toml
 
 
@@ -203,6 +203,8 @@ class Journal:
                     raise damaged_file(
                         self._file, f"rows {number} to {number + n - 1} are not what was recorded"
                     )
+                for place, reason in impossible_rows(rows).items():
+                    raise damaged_file(self._file, f"of row {number + place}, {reason}")
                 here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
                 yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
                 expected = number + n

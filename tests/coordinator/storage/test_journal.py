@@ -278,6 +278,16 @@ class TestRefusals:
             with pytest.raises(FolderError, match="rows 50 to 99 are not what was recorded"):
                 journal.rows(60, 1)
 
+    def test_a_number_that_no_row_holds_is_named(self, tmp_path: Path) -> None:
+        rows = make_rows(100)
+        rows["fitness"][37] = 3e38
+        record(tmp_path, rows, [30, 70])
+        with (
+            Journal.open(tmp_path) as journal,
+            pytest.raises(FolderError, match="of row 37, column 'fitness' holds 3e"),
+        ):
+            list(journal.blocks())
+
     def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(30), [10, 10, 10])
         with sqlite3.connect(tmp_path / FILE) as database:
