@@ -30,7 +30,7 @@ from setproctitle import setproctitle
 from structlog.typing import EventDict, ExcInfo
 
 from qdgrasp_protocol.session import SECURITY_VARIABLE
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import printable, printable_lines
 
 SUPERVISED = "QDGRASP_SUPERVISED"
 """Set for a process that ends when its standard input is closed by its parent process."""
@@ -139,6 +139,14 @@ def write_traceback(sink: TextIO, error: ExcInfo) -> None:
             sink.write(f"\n{printable(line)}")
 
 
+class EscapingFormatter(logging.Formatter):
+    """Formats the records of libraries, with untrusted text escaped."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines of a record."""
+        return printable_lines(super().format(record))
+
+
 def configure_logging(role: str, *, level: int = logging.INFO) -> None:
     """Send this process's log to standard error, each line marked with its role."""
     structlog.configure(
@@ -155,6 +163,8 @@ def configure_logging(role: str, *, level: int = logging.INFO) -> None:
         logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, UnbufferedStderr())),
     )
     structlog.contextvars.bind_contextvars(role=role)
+    if logging.lastResort is not None:  # it prints what no handler takes
+        logging.lastResort.setFormatter(EscapingFormatter())
 
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed
