@@ -70,7 +70,7 @@ def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
     """Return the stored totals of a run that was finished under `spec`; None: not known."""
     file = folder.path / TOTALS_FILE
     if file.is_file():
-        with suppress(FolderError, msgspec.MsgspecError):
+        with suppress(FolderError, msgspec.MsgspecError, RecursionError):
             known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
             if known.mark == _journal_mark(folder, spec):
                 return known.totals

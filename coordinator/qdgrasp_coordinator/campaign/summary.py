@@ -1,6 +1,5 @@
 """Summary of a run: the figures that `info` prints, counted from its journal."""
 
-import msgspec
 from msgspec import field, structs
 
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
@@ -107,7 +106,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
     spec = folder.spec
     with folder.journal() as journal:
         if journal.sources:
-            return msgspec.json.decode(journal.summary, type=RunSummary)
+            return journal.summary(RunSummary)
         metrics, archive = (
             SuccessMetrics(TrialPlan.of(spec)),
             empty_niche_archive(folder),

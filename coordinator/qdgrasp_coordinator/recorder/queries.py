@@ -161,7 +161,7 @@ def has_rested(stamp: FileStamp, now: float) -> bool:
 
 def summary_listing(journal: Journal) -> RunListing:
     """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
-    summary = asdict(msgspec.json.decode(journal.summary, type=RunSummary))
+    summary = asdict(journal.summary(RunSummary))
     known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
     known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
     return msgspec.convert(known, RunListing)

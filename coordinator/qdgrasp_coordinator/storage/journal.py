@@ -5,13 +5,12 @@ rows; beside them stand the successes with what queries need, reasons of errors,
 One process writes; any number may read while it does, each sees the journal as it was when it was opened.
 """
 
-import json
 import sqlite3
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -38,6 +37,8 @@ from qdgrasp_protocol.messages import Failure, Width
 from qdgrasp_protocol.rows import Rows, RowShape, impossible_rows
 from qdgrasp_protocol.spec import RunSpec, from_toml
 from qdgrasp_protocol.text import printable
+
+Kind = TypeVar("Kind", bound=msgspec.Struct)
 
 
 class JournalMeta(msgspec.Struct):
@@ -128,7 +129,12 @@ class Journal:
     @property
     def platform(self) -> dict[str, str]:
         """The platform that the rows were made on; empty while the journal has no rows."""
-        return dict(json.loads(self._meta().get("platform", "{}"))) if self.count else {}
+        if not self.count:
+            return {}
+        try:
+            return msgspec.json.decode(self._meta().get("platform", "{}"), type=dict[str, str])
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise damaged_file(self._file, printable(f"its platform cannot be read ({error})")) from None
 
     @property
     def count(self) -> int:
@@ -192,10 +198,12 @@ class Journal:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
 
-    @property
-    def summary(self) -> str:
-        """Summary of all rows of its sources, as JSON; empty where it holds every row itself."""
-        return self._meta().get("summary", "")
+    def summary(self, kind: type[Kind]) -> Kind:
+        """Return the summary of all rows of its sources; only a journal with sources has one."""
+        try:
+            return msgspec.json.decode(self._meta().get("summary", ""), type=kind)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise damaged_file(self._file, printable(f"its summary cannot be read ({error})")) from None
 
     def check_whole(self) -> None:
         """Raise `FolderError` if the journal keeps successes alone, not every row."""
