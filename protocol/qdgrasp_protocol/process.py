@@ -72,8 +72,12 @@ class Stop:
 
 @contextmanager
 def lifetime(title: str) -> Iterator[Stop]:
-    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`."""
-    setproctitle(title)
+    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`.
+
+    Blanks in the title become dashes: Slurm 22.05, which reads names in /proc up to the first blank, does not
+    find a process with one, nor signal it.
+    """
+    setproctitle(title.replace(" ", "-"))
     stop = Stop()
     end, begin = os.pipe()
     os.set_blocking(begin, False)
