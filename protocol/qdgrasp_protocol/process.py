@@ -143,7 +143,7 @@ def write_traceback(sink: TextIO, error: ExcInfo) -> None:
             sink.write(f"\n{printable(line)}")
 
 
-class EscapingFormatter(logging.Formatter):
+class LogFormatter(logging.Formatter):
     """Formats the records of libraries, with untrusted text escaped."""
 
     def format(self, record: logging.LogRecord) -> str:
@@ -168,7 +168,7 @@ def configure_logging(role: str, *, level: int = logging.INFO) -> None:
     )
     structlog.contextvars.bind_contextvars(role=role)
     if logging.lastResort is not None:  # it prints what no handler takes
-        logging.lastResort.setFormatter(EscapingFormatter())
+        logging.lastResort.setFormatter(LogFormatter())
 
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed

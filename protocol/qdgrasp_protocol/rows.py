@@ -325,7 +325,7 @@ def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes])
 
 
 def unpack_possible(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> dict[int, str]:
-    """Fill `columns` of `rows`; return why rows are impossible, by place: numbers outside `LIMITS`.
+    """Fill `columns` of `rows`; return why rows are impossible, by place (`impossible_rows`).
 
     A MessageError if a blob is missing or of the wrong length.
     """
@@ -343,7 +343,7 @@ def unpack_possible(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str
 
 
 def impossible_rows(rows: Rows, columns: Sequence[RowColumn] = COLUMNS) -> dict[int, str]:
-    """Return why rows are impossible, by place: the first column of each that is outside its `LIMITS`."""
+    """Return why rows are impossible, by place: their first column outside `LIMITS`."""
     if not len(rows) or _are_possible(columns, pack(rows, columns)):
         return {}
     reasons: dict[int, str] = {}
@@ -376,7 +376,7 @@ def _are_possible(columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> b
 
 @lru_cache(maxsize=16)
 def _bounds(sizes: tuple[tuple[str, int], ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Least and greatest values (m,) of float32 columns one after the other, by name and size [bytes]."""
+    """Least and greatest values (m,) of float32 columns in turn, by name and size [bytes]."""
     counts = [size // 4 for _, size in sizes]
     low, high = np.repeat(
         np.array([LIMITS[name] for name, _ in sizes], dtype=np.float32), counts, axis=0

@@ -262,7 +262,7 @@ def stated_triangles(path: Path) -> int | None:
 
 
 def _gltf_document(file: IO[bytes], kind: str) -> Any:
-    """Return the JSON in a glTF file; ValueError if there is none."""
+    """Return the values in the JSON of a glTF file, or raise `ValueError`."""
     if kind == ".gltf":
         return json.loads(file.read(LARGEST_JSON))
     magic, _, _, length, chunk = struct.unpack("<4sII I4s", file.read(20).ljust(20, b"\0"))
@@ -299,7 +299,7 @@ def _check_claims(path: Path) -> None:
 
 
 def _gltf_zeros(accessors: Any) -> int:
-    """Return the most bytes of zeros that accessors without data stand for; 0 where they are few."""
+    """Return the most bytes that accessors without data stand for; 0 where they are few."""
     counts = [one.get("count") for one in accessors if isinstance(one, dict) and "bufferView" not in one]
     zeros = GLTF_ITEM * sum(count for count in counts if isinstance(count, int))
     return zeros if zeros > LARGEST_ZEROS else 0

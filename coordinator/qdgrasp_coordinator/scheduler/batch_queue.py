@@ -123,7 +123,7 @@ def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
 
 
 def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
-    """Return a result and its rows; impossible ones count as failed, and all if they cannot be read."""
+    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
     if len(result.failures) == result.n:
         return result, shape.empty(result.n)
     rows = shape.empty(result.n)

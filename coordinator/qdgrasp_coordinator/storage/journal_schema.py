@@ -154,7 +154,7 @@ def _known_schema() -> dict[tuple[str, str], str]:
 
 
 def _schema(database: sqlite3.Connection, limit: int = 100) -> dict[tuple[str, str], str]:
-    """Return the statement that made each object of a database, by kind and name, without comments."""
+    """Return the statements that made a database, by kind and name, without comments."""
     found = database.execute("SELECT type, name, sql FROM sqlite_schema LIMIT ?", (limit,)).fetchall()
     return {
         (str(kind), str(name)): " ".join(re.sub(r"--.*", "", str(statement)).split())
