@@ -20,9 +20,9 @@ PATIENCE = 120.0
 Found = TypeVar("Found")
 
 
-def wait_for(look: Callable[[], Found], what: str = "something") -> Found:
+def wait_for(look: Callable[[], Found], what: str = "something", patience: float = PATIENCE) -> Found:
     """Look again and again until something is found, and give it; the test fails when it takes too long."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + patience
     while not (found := look()):
         assert time.monotonic() < deadline, f"waited in vain for {what}"
         time.sleep(0.01)  # between two looks; nothing depends on how long it is

@@ -43,7 +43,7 @@ def check_mesh(
     try:
         check_header(path, preparation)
         entry = cache_folder() / "checked" / f"{_content_key(path, repr((scale, preparation)))}.json"
-        with suppress(OSError, msgspec.MsgspecError):
+        with suppress(OSError, msgspec.MsgspecError, RecursionError):
             return msgspec.json.decode(entry.read_bytes(), type=MeshCheck)
         found = _check(read_draft(path, scale, preparation), preparation)
     except AssetError as error:

@@ -11,7 +11,13 @@ import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
-from qdgrasp_assets.geometry.mesh_io import check_file, check_stated, read_mesh_file, stated_triangles
+from qdgrasp_assets.geometry.mesh_io import (
+    MOST_READ,
+    check_file,
+    check_stated,
+    read_mesh_file,
+    stated_triangles,
+)
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh
 from qdgrasp_protocol.build_messages import MeshPreparation
@@ -44,7 +50,7 @@ class ObjectDraft:
         return cls(nothing, 0, (), (why.rstrip("."),))
 
 
-MOST_PREPARED = 10_000_000  # Most triangles of a mesh that is simplified, remeshed or replaced by its hull
+MOST_PREPARED = MOST_READ  # Most triangles of a mesh that is made smaller
 AS_IT_IS = MeshPreparation()
 
 

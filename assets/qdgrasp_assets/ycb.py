@@ -235,7 +235,7 @@ def _reference_entry(folder: Path) -> ReferenceEntry:
         raise AssetError(
             f"No table of the scans can be read at '{index}': {error.strerror or error}."
         ) from None
-    except (ValueError, KeyError, ValidationError) as error:
+    except (ValueError, KeyError, ValidationError, RecursionError) as error:
         raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None
 
 

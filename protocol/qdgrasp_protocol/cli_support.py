@@ -16,7 +16,7 @@ from typer.exceptions import TyperException
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.process import STOP_SIGNALS
 from qdgrasp_protocol.session import SECURITY_VARIABLE
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import printable_lines
 
 ConnectOption = Annotated[
     str | None,
@@ -40,9 +40,14 @@ InsecureOption = Annotated[
 ]
 
 
+def echo(text: str, *, err: bool = False) -> None:
+    """Print text, its lines escaped, as names and reasons from files may stand in it."""
+    typer.echo(printable_lines(text), err=err)  # noqa: TID251  # the one place
+
+
 def _print_version(context: typer.Context, wanted: bool) -> None:
     if wanted:
-        typer.echo(f"{context.info_name} {version('qdgrasp')}")
+        echo(f"{context.info_name} {version('qdgrasp')}")
         raise typer.Exit
 
 
@@ -142,9 +147,8 @@ def _print_usage_error(name: str, error: TyperException) -> int:
 
 def _print_error(name: str, sentence: str, code: int) -> int:
     """Print a sentence, its lines escaped, as it may contain untrusted text."""
-    lines = "\n".join(map(printable, sentence.split("\n")))
     try:
-        print(f"{name}: {lines}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
+        print(f"{name}: {printable_lines(sentence)}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
     except OSError:
         sys.stderr = None  # a full disk: nothing may be left to flush at the exit
     return code

@@ -30,7 +30,7 @@ from setproctitle import setproctitle
 from structlog.typing import EventDict, ExcInfo
 
 from qdgrasp_protocol.session import SECURITY_VARIABLE
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import printable, printable_lines
 
 SUPERVISED = "QDGRASP_SUPERVISED"
 """Set for a process that ends when its standard input is closed by its parent process."""
@@ -72,8 +72,12 @@ class Stop:
 
 @contextmanager
 def lifetime(title: str) -> Iterator[Stop]:
-    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`."""
-    setproctitle(title)
+    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`.
+
+    Blanks in the title become dashes: Slurm 22.05, which reads names in /proc up to the first blank, does not
+    find a process with one, nor signal it.
+    """
+    setproctitle(title.replace(" ", "-"))
     stop = Stop()
     end, begin = os.pipe()
     os.set_blocking(begin, False)
@@ -139,6 +143,14 @@ def write_traceback(sink: TextIO, error: ExcInfo) -> None:
             sink.write(f"\n{printable(line)}")
 
 
+class LogFormatter(logging.Formatter):
+    """Formats the records of libraries, with untrusted text escaped."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines of a record."""
+        return printable_lines(super().format(record))
+
+
 def configure_logging(role: str, *, level: int = logging.INFO) -> None:
     """Send this process's log to standard error, each line marked with its role."""
     structlog.configure(
@@ -155,6 +167,8 @@ def configure_logging(role: str, *, level: int = logging.INFO) -> None:
         logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, UnbufferedStderr())),
     )
     structlog.contextvars.bind_contextvars(role=role)
+    if logging.lastResort is not None:  # it prints what no handler takes
+        logging.lastResort.setFormatter(LogFormatter())
 
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -226,6 +226,30 @@ COLUMNS = KEY + GENOME + RESULT
 CONTACT_VALUES = 7  # Numbers of one contact: point, normal, force
 MAX_CONTACT_SLOTS = 16
 FLOAT_ITEMS = ("<f4", "<f2")  # The item types of all columns that do not hold integers
+OUTCOMES = bytes(Outcome)  # All that the column "outcome" may hold
+
+
+LENGTH = 1e4  # [m]: cells are told apart within 10 km (`metrics.cells`)
+JOINT = 1e6  # [rad or m]
+LIMITS: Mapping[str, tuple[float, float]] = {
+    "genome": (-JOINT, JOINT),  # in [-1, 1], except that genes of the prior `GIVEN` are poses and joints
+    "outcome": (0, max(Outcome)),
+    "fitness": (0, SHAKES * TRIALS),  # as a search hears it of a success with trials
+    "descriptor": (-LENGTH, LENGTH),
+    "base_to_object": (-LENGTH, LENGTH),
+    "joints": (-JOINT, JOINT),
+    "pregrasp": (-JOINT, JOINT),
+    "surface_point": (-LENGTH, LENGTH),
+    "nu": (-7, 7),  # within a turn
+    "eta": (-1, 1),
+    "penetration": (0, LENGTH),
+    "settled": (-LENGTH, LENGTH),
+    "contact_points": (-65504, 65504),  # all numbers of float16
+}
+"""Least and greatest value of columns by name; other integers may be all that fit their type.
+
+They are wide: what is outside them no hand does, and it would overflow what is computed of rows.
+"""
 
 
 @dataclass(frozen=True)
@@ -293,7 +317,17 @@ def _inflated(column: RowColumn, blob: bytes, size: int) -> bytes:
 def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> Rows:
     """Fill `columns` of `rows` from blobs as they travel.
 
-    A MessageError if a blob is missing, of the wrong length, or holds a number that is not finite.
+    A MessageError if a blob is missing, of the wrong length, or holds a number outside its `LIMITS`.
+    """
+    for reason in unpack_possible(rows, columns, blobs).values():
+        raise MessageError(reason)
+    return rows
+
+
+def unpack_possible(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> dict[int, str]:
+    """Fill `columns` of `rows`; return why rows are impossible, by place (`impossible_rows`).
+
+    A MessageError if a blob is missing or of the wrong length.
     """
     found: dict[str, bytes] = {}
     for column in columns:
@@ -305,15 +339,46 @@ def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes])
             raise MessageError(f"column '{column.name}' has {len(blob)} bytes, expected {expected}")
         target = rows[column.name]
         target[...] = np.frombuffer(blob, dtype=column.item).reshape(target.shape)
-    _check_finite(columns, found)
-    return rows
+    return {} if _are_possible(columns, found) else impossible_rows(rows, columns)
 
 
-def _check_finite(columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> None:
-    """Check that blobs of floats are finite, all of an item type at once; or a MessageError."""
+def impossible_rows(rows: Rows, columns: Sequence[RowColumn] = COLUMNS) -> dict[int, str]:
+    """Return why rows are impossible, by place: their first column outside `LIMITS`."""
+    if not len(rows) or _are_possible(columns, pack(rows, columns)):
+        return {}
+    reasons: dict[int, str] = {}
+    for column in columns:
+        if column.name in LIMITS:
+            low, high = LIMITS[column.name]
+            values = rows[column.name].reshape(len(rows), -1).astype(np.float64)
+            for row, item in np.argwhere(~((values >= low) & (values <= high))):
+                found = f"column '{column.name}' holds {values[row, item]:g}"
+                reasons.setdefault(int(row), f"{found}, expected a number from {low:g} to {high:g}")
+    return reasons
+
+
+def _are_possible(columns: Sequence[RowColumn], blobs: Mapping[str, bytes]) -> bool:
+    """Return whether blobs hold numbers within `LIMITS`, all floats of a type at once."""
+    if blobs.get("outcome", b"").translate(None, OUTCOMES):
+        return False
     for item in FLOAT_ITEMS:
-        named = {column.name: blobs[column.name] for column in columns if column.item == item}
-        if np.isfinite(np.frombuffer(b"".join(named.values()), dtype=item)).all():
-            continue
-        name = next(name for name, blob in named.items() if not np.isfinite(np.frombuffer(blob, item)).all())
-        raise MessageError(f"column '{name}' holds a number that is not finite")
+        named = [(column.name, blobs[column.name]) for column in columns if column.item == item]
+        values = np.frombuffer(b"".join([blob for _, blob in named]), dtype=item)
+        if item == "<f2":  # of which all that are finite are within: comparisons take many times as long
+            are_within = np.isfinite(values)
+        else:
+            low, high = _bounds(tuple([(name, len(blob)) for name, blob in named]))
+            are_within = (values >= low) & (values <= high)  # false of nan
+        if not are_within.all():
+            return False
+    return True
+
+
+@lru_cache(maxsize=16)
+def _bounds(sizes: tuple[tuple[str, int], ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Least and greatest values (m,) of float32 columns in turn, by name and size [bytes]."""
+    counts = [size // 4 for _, size in sizes]
+    low, high = np.repeat(
+        np.array([LIMITS[name] for name, _ in sizes], dtype=np.float32), counts, axis=0
+    ).T.copy()
+    return low, high

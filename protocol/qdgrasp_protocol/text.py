@@ -9,6 +9,11 @@ def printable(text: str, most: int | None = None) -> str:
     return shown[:most]
 
 
+def printable_lines(text: str) -> str:
+    """The text with escapes for unprintable characters, on the lines that it has."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
 def counted(n: int, thing: str, things: str = "", told: Callable[[int], str] = str) -> str:
     """Return a number with its noun: "1 run", "2 runs"; `told` formats the number."""
     return f"{told(n)} {thing if n == 1 else things or f'{thing}s'}"

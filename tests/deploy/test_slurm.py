@@ -94,6 +94,7 @@ class Desk:
         submit = "setsid bash workers.sbatch >workers.log 2>&1 & echo $! >pid; echo '17;cluster'"
         self._tool("sbatch", submit)
         self._tool("scancel", 'echo "$@" >>scancel.log; kill -TERM -- -$(cat pid)')
+        self._tool("squeue", "echo CANCELLED")
         self._tool("scontrol", 'echo "$@" >>scontrol.log')
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:

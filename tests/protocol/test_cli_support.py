@@ -1,5 +1,6 @@
 """Sentences of commands, and exit codes of impossible command lines and of signals."""
 
+import logging
 import signal
 import subprocess
 import sys
@@ -12,7 +13,9 @@ import typer
 from tests.common import PATIENCE
 from typer.exceptions import TyperException
 
-from qdgrasp_protocol.cli_support import usage_error
+from qdgrasp_coordinator.local.progress import LineProgress
+from qdgrasp_protocol.cli_support import echo, usage_error
+from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.text import counted, first_few, join_numbers, parse_numbers, quoted
 
 
@@ -165,6 +168,22 @@ def test_a_signal_within_a_text_that_is_executed_has_its_exit_code_too(number: i
 )
 def test_of_many_names_some_are_told_and_how_many_more(count: int, words: str) -> None:
     assert first_few(list("abcde")[:count], 2) == words
+
+
+def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    echo("one\r\x1b[1A\ntwo\x9b2J\u202e \ud800 é")
+    echo("three\x07", err=True)
+    assert capsys.readouterr() == ("one\\r\\x1b[1A\ntwo\\x9b2J\\u202e \\ud800 é\n", "three\\x07\n")
+
+
+def test_lines_of_progress_and_of_libraries_are_escaped(capfd: pytest.CaptureFixture[str]) -> None:
+    configure_logging("tests")
+    LineProgress("run").say("one\x1b[2J")
+    assert logging.lastResort is not None
+    logging.lastResort.emit(logging.makeLogRecord({"msg": "the mesh '%s'", "args": ("\x1b[2J.stl",)}))
+    assert capfd.readouterr().err == "one\\x1b[2J\nthe mesh '\\x1b[2J.stl'\n"
 
 
 def test_names_of_others_are_quoted() -> None:

@@ -12,7 +12,7 @@ import typer
 from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.cli_support import echo, run_command
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
@@ -105,7 +105,7 @@ def worker(
         if self_test:
             from qdgrasp_worker.platform import platform
 
-            typer.echo(json.dumps(platform(found)))
+            echo(json.dumps(platform(found)))
             return
         configure_logging("worker")
         if workers > 1:

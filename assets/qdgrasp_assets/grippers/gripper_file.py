@@ -192,7 +192,7 @@ def read_gripper_file(path: Path) -> GripperFile:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise AssetError(f"'{path}' is not TOML: {error}.") from None
     for table, label, entry in (*_inner_tables(values), ("", "", values)):
         _check_table(path, table, label, entry, TABLES[table])

@@ -19,6 +19,7 @@ from msgspec import Struct, structs
 
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
+from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
@@ -26,6 +27,7 @@ from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
 from qdgrasp_protocol.text import counted
 
+MOST_ROWS = 1_000_000  # Rows of a manifest in Parquet, at most
 MANIFEST_FORMATS = (".csv", ".parquet", ".toml")
 COLUMNS = {
     **dict.fromkeys(("file", "id", "unit", "category", "licence", "source", "split"), str),
@@ -337,10 +339,16 @@ def _parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
     from pyarrow import ArrowException, parquet  # takes its time
 
     try:
-        table = parquet.read_table(path)
+        with parquet.ParquetFile(path) as file:
+            if file.metadata.num_rows > MOST_ROWS:
+                raise ValueError(f"it has {file.metadata.num_rows} rows, and at most {MOST_ROWS} are read")
+        with bounded_memory(path):
+            rows = parquet.read_table(path, use_threads=False).to_pylist()
+    except MemoryError:  # Arrow's own too
+        raise ValueError("it unfolds to many times its size") from None
     except ArrowException as error:
         raise ValueError(str(error)) from None
-    for row in table.to_pylist():
+    for row in rows:
         yield {key: value for key, value in row.items() if value not in (None, "") and value == value}
 
 

@@ -140,7 +140,7 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     """
     try:
         source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, RecursionError) as error:
         raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
     plan = TrialPlan.of(folder.spec)
     with folder.journal() as journal:

@@ -13,7 +13,13 @@ import msgspec
 import numpy as np
 
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
-from qdgrasp_coordinator.storage.journal_schema import REDUCED, JournalIdentity, JournalSource, create_tables
+from qdgrasp_coordinator.storage.journal_schema import (
+    REDUCED,
+    SOURCES,
+    JournalIdentity,
+    JournalSource,
+    create_tables,
+)
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors, insert_rows
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
@@ -95,7 +101,7 @@ def write_reduced_journal(
         create_tables(database, identity)
         database.execute("BEGIN")
         database.execute(f"PRAGMA user_version = {REDUCED}")
-        database.execute("CREATE TABLE sources (number INTEGER PRIMARY KEY, source TEXT NOT NULL) STRICT")
+        database.execute(SOURCES)
         values = {"platform": found.platform, "summary": found}
         meta = [(name, msgspec.json.encode(value).decode()) for name, value in values.items()]
         database.executemany("INSERT INTO meta VALUES (?, ?)", meta)

@@ -109,7 +109,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
     spec = folder.spec
     with folder.journal() as journal:
         if journal.sources:
-            return msgspec.json.decode(journal.summary, type=RunSummary)
+            return journal.summary(RunSummary)
         metrics, archive = (
             SuccessMetrics(TrialPlan.of(spec)),
             empty_niche_archive(folder),
@@ -145,7 +145,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
 
 def summary_listing(journal: Journal) -> RunListing:
     """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
-    summary = structs.asdict(msgspec.json.decode(journal.summary, type=RunSummary))
+    summary = structs.asdict(journal.summary(RunSummary))
     known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
     known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
     return msgspec.convert(known, RunListing)

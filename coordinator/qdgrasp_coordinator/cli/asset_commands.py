@@ -23,13 +23,14 @@ from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, fetch_scan
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, InputError, WrongScan
 from qdgrasp_protocol.spec import RunSpec
 
 
 def print_findings(found: AssetReport, *, as_json: bool = False) -> None:
     """Print a report as a table or as JSON."""
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as it is") -> None:
@@ -91,12 +92,12 @@ def list_assets(as_json: options.Json = False) -> None:
     """
     tables = {"grippers": catalog.every_gripper(), "objects": catalog.every_object()}
     if as_json:
-        typer.echo(json.dumps({kind: [asdict(entry) for entry in table] for kind, table in tables.items()}))
+        echo(json.dumps({kind: [asdict(entry) for entry in table] for kind, table in tables.items()}))
         return
     for kind, table in tables.items():
-        typer.echo(kind)
+        echo(kind)
         for entry in table:
-            typer.echo(f"  {entry.name:<20} {entry.source:<11} {entry.licence}")
+            echo(f"  {entry.name:<20} {entry.source:<11} {entry.licence}")
 
 
 @asset_app.command()
@@ -114,19 +115,19 @@ def fetch(
     Example: qdgrasp asset fetch ycb_mug ycb_bowl
     """  # noqa: D205  # typer joins the lines
     wanted = names or [name for name in ycb.SCAN_NAMES if ycb.scan_source(name) == catalog.ABSENT]
-    typer.echo(YCB_TERMS, err=True)
+    echo(YCB_TERMS, err=True)
     refused = []
     for name in wanted:
         try:
             with _progress() as bars:
                 fetched = fetch_scan(name, home, _bar(bars, name))
-            typer.echo(fetched.sentence)
+            echo(fetched.sentence)
         except WrongScan as error:
             refused.append(str(error))
     if refused:
         raise AssetError(" ".join(refused))
     if not wanted:
-        typer.echo("Every scan is there already; name one to fetch it again.")
+        echo("Every scan is there already; name one to fetch it again.")
 
 
 @asset_app.command()
@@ -153,9 +154,9 @@ def check(
     reports = [check_asset(name) for name in named]
     for report in reports:
         for line in _lines(report):
-            typer.echo(line)
+            echo(line)
         if drawing is not None and not report.faults:
-            typer.echo(f"      drawn: {draw_asset(_asset(report.name), report.name, drawing)}")
+            echo(f"      drawn: {draw_asset(_asset(report.name), report.name, drawing)}")
     wrong = [report.name for report in reports if report.faults]
     if wrong:
         raise AssetError(

@@ -29,6 +29,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted
@@ -172,10 +173,10 @@ def campaign(
         asked = read_campaign(file, is_begun=begun, goals=goals, rules=rules)
     if list_runs:
         for name, spec in asked.runs.items():
-            typer.echo(f"{name}  {spec.evaluations}")
+            echo(f"{name}  {spec.evaluations}")
         for left_out in asked.skipped or ():
-            typer.echo(f"left out: {left_out.object}: {left_out.reason}")
-        typer.echo(asked.words)
+            echo(f"left out: {left_out.object}: {left_out.reason}")
+        echo(asked.words)
         return
     if not JobFolder.is_job(path):
         check_meshes(asked.runs.values())
@@ -208,15 +209,15 @@ def print_summary(folder: JobFolder, asked: Campaign) -> None:
     queue = CampaignRunQueue(folder, asked.runs)
     found = queue.extent
     if found.runs_done < found.runs:
-        typer.echo(f"Not all runs are finished; {resume_hint(folder)}")
-    typer.echo(
+        echo(f"Not all runs are finished; {resume_hint(folder)}")
+    echo(
         f"{found.runs_done} of {counted(found.runs, 'run')} with "
         f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )
     if queue.ends:
         ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
-        typer.echo(f"Finished runs ended: {ends}.")
+        echo(f"Finished runs ended: {ends}.")
 
 
 def analyse(
@@ -253,14 +254,14 @@ def analyse(
     if as_json:
         values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
         missing = {"left_out": found.left_out, "without_curves": found.without_curves}
-        typer.echo(json.dumps({**values, "claims": verdicts, **missing}))
+        echo(json.dumps({**values, "claims": verdicts, **missing}))
         return
     for one in found.claims:
-        typer.echo(f"({one.claim.letter}) {one.claim.words}: {one.words}.")
+        echo(f"({one.claim.letter}) {one.claim.words}: {one.words}.")
     if found.without_curves:
-        typer.echo(left_out_words(found.without_curves))
+        echo(left_out_words(found.without_curves))
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
-    typer.echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
+    echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
 
 
 def merge(
@@ -283,11 +284,11 @@ def merge(
     merged = merge_runs([RunFolder.open(directory) for directory in directories], out)
     found = merged.summary
     if as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
+        echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
         return
     for sentence in merged.repeats:
-        typer.echo(sentence)
-    typer.echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
+        echo(sentence)
+    echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
 
 
 MIN_MEGABYTES = 50_000  # bytes, 0.1 MB when rounded
@@ -311,11 +312,11 @@ def prune(
     is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
     if not is_campaign:
         freed = prune_run(RunFolder.open(directory))
-        typer.echo(f"{_freed_room(freed)}; {directory} keeps successes alone.")
+        echo(f"{_freed_room(freed)}; {directory} keeps successes alone.")
         return
     done = prune_campaign(JobFolder(directory))
     kept = counted(done.runs, "run keeps", "runs keep")
-    typer.echo(f"{_freed_room(done.freed)}; {done.pruned} of {kept} successes alone.")
+    echo(f"{_freed_room(done.freed)}; {done.pruned} of {kept} successes alone.")
 
 
 def _freed_room(freed: int) -> str:

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.spec import RunSpec, run_spec
@@ -112,9 +113,9 @@ def export(
                 is_stopped=lambda: stop.is_set,
             )
         if not written:
-            typer.echo(f"Stopped. What is complete stands in {out}.part; the same command goes on.", err=True)
+            echo(f"Stopped. What is complete stands in {out}.part; the same command goes on.", err=True)
             raise typer.Exit(stop.exit_code)
-        typer.echo(written)
+        echo(written)
         return
     if meshes is not None or split is not None:
         raise InputError("--meshes and --split are for a campaign's folder; leave them out.")
@@ -134,7 +135,7 @@ def export(
             force=force,
             tell=tell,
         )
-    typer.echo(written)
+    echo(written)
 
 
 def import_(
@@ -188,10 +189,10 @@ def import_(
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(output)
     for note in found.notes:
-        typer.echo(note, err=True)
+        echo(note, err=True)
     words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
-    typer.echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
-    typer.echo(f"  qdgrasp evaluate {shlex.join(words)}")
+    echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
+    echo(f"  qdgrasp evaluate {shlex.join(words)}")
 
 
 def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
@@ -264,4 +265,4 @@ def evaluate(
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:
         write_scores(made, rows, TrialPlan.of(spec))
-    typer.echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")
+    echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

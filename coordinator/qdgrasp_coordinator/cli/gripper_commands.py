@@ -24,6 +24,7 @@ from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, QdgraspError
 from qdgrasp_protocol.text import parse_numbers
 
@@ -51,7 +52,7 @@ def _answered(
     question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
 ) -> DraftOverrides:
     guess = _shown_default(getattr(guessed.file, question.field))
-    typer.echo(f"# {guessed.reasons[question.field]}")
+    echo(f"# {guessed.reasons[question.field]}")
     while True:
         answer = typer.prompt(question.words, default=guess)
         if answer == guess:
@@ -60,7 +61,7 @@ def _answered(
             answered = replace(given, **{question.field: question.read(question.field, answer)})
             draft_gripper(robot, guessed.file.urdf, answered)
         except QdgraspError as error:
-            typer.echo(str(error))
+            echo(str(error))
         else:
             return answered
 
@@ -207,9 +208,9 @@ def new(
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
         file.write(draft_toml(made, target.name).encode())
-    typer.echo(f"written: {target}")
-    typer.echo(f"look at it: qdgrasp gripper check {shlex.quote(str(target))} --picture pictures")
-    typer.echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
+    echo(f"written: {target}")
+    echo(f"look at it: qdgrasp gripper check {shlex.quote(str(target))} --picture pictures")
+    echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
 
 
 @gripper_app.command()
@@ -236,7 +237,7 @@ def check(
     asset_commands.print_findings(found, as_json=as_json)
     if drawing is not None and found.extents is not None:
         drawn = asset_commands.draw_asset(hand or find_gripper(name), name, drawing)
-        typer.echo(f"drawn: {drawn}", err=as_json)
+        echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)
 
 
@@ -279,20 +280,20 @@ def _usable_robot(
     mending = mended_copy(robot, base, file.path, _print_examination, may_centre=may_centre)
     copy = until_written.enter_context(mending)
     for change in copy.changes or ("nothing had to be",):
-        typer.echo(f"mended: {change}")
-    typer.echo(f"written: {mended_urdf(file.path)}")
+        echo(f"mended: {change}")
+    echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(
         given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
 
 
 def _print_examination(sentence: str) -> None:
-    typer.echo(f"{sentence} ...", err=True)
+    echo(f"{sentence} ...", err=True)
 
 
 def _wants_copy(found: Iterable[str]) -> bool:
     for fault in found:
-        typer.echo(f"WRONG {fault}", err=True)
+        echo(f"WRONG {fault}", err=True)
     return typer.confirm("Write a mended copy of the hand, and use that?", default=True)
 
 

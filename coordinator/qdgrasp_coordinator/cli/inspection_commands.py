@@ -49,6 +49,7 @@ from qdgrasp_coordinator.verification.verify import (
     run_folders_at,
     verify_rows,
 )
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted, parse_numbers, printable
@@ -113,17 +114,17 @@ def info(
     found = (
         campaign_summary(JobFolder.open(directory)) if is_campaign else run_summary(RunFolder.open(directory))
     )
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def _print_objects(shown: Sequence[ObjectListing], output: OutFile | None, *, as_json: bool) -> None:
     if output:
         output.write(to_csv(shown))
-        typer.echo(f"{counted(len(shown), 'object')} in {output.path}")
+        echo(f"{counted(len(shown), 'object')} in {output.path}")
     elif as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(shown)))
+        echo(json.dumps(msgspec.to_builtins(shown)))
     else:
-        typer.echo("\n".join(printable(line) for line in table_lines(shown)))
+        echo("\n".join(printable(line) for line in table_lines(shown)))
 
 
 def show(
@@ -139,7 +140,7 @@ def show(
     Example: qdgrasp show runs/demo --grasp 17
     """
     found = row_report(RunFolder.open(directory), grasp)
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def digest(directory: options.RunDir) -> None:
@@ -150,7 +151,7 @@ def digest(directory: options.RunDir) -> None:
     Example: qdgrasp digest runs/demo
     """
     with RunFolder.open(directory).journal() as journal:
-        typer.echo(digest_of(journal))
+        echo(digest_of(journal))
 
 
 SAMPLE_ROWS = 100
@@ -194,7 +195,7 @@ def verify(
             compared = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
         if compared is None:
             raise typer.Exit(stop.exit_code)
-        typer.echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
+        echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
         return
     samples = choose_rows(folders, most, seed)
     with (
@@ -204,7 +205,7 @@ def verify(
         found = verify_rows(samples, config, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
     if not found.is_same:
         raise typer.Exit(1)
 
@@ -268,14 +269,14 @@ def render(
         _picture_size(size, out), _camera_view(view), (what or "all") if is_film else None, parts, pregrasp
     )
     shown = replay_target(RunFolder.open(directory), grasp, trial)
-    typer.echo(f"replaying row {shown.number} of {directory}", err=True)
+    echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
         unlike = write_evaluation(shown, wish, output, stop)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
-            typer.echo(difference_reason(shown, unlike), err=True)
-    typer.echo(f"{shown.outcome.name.lower()}, row {shown.number}: drawn in {out}")
+            echo(difference_reason(shown, unlike), err=True)
+    echo(f"{shown.outcome.name.lower()}, row {shown.number}: drawn in {out}")
     if unlike:
         raise typer.Exit(1)
 
@@ -338,7 +339,7 @@ def view(
         from qdgrasp_coordinator.monitor.web.server import serve
 
         def opened(address: str) -> None:
-            typer.echo(f"The grasps are shown at {address} until Ctrl-C.")
+            echo(f"The grasps are shown at {address} until Ctrl-C.")
             if not no_open and has_desktop(os.environ):
                 threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
@@ -363,11 +364,11 @@ def methods(as_json: options.Json = False) -> None:
     """
     table = [{column: getattr(entry, column) for column in METHOD_COLUMNS} for entry in METHODS.values()]
     if as_json:
-        typer.echo(json.dumps(table))
+        echo(json.dumps(table))
         return
-    typer.echo(_method_line(METHOD_COLUMNS))
+    echo(_method_line(METHOD_COLUMNS))
     for entry in table:
-        typer.echo(_method_line(tuple(entry.values())))
+        echo(_method_line(tuple(entry.values())))
 
 
 def _method_line(cells: tuple[object, ...]) -> str:
@@ -398,9 +399,9 @@ def coverage(
     found = coverage_of(positions, survival(successes), entries, released_archive(scene))
     if as_json:
         values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
-        typer.echo(json.dumps(values))
+        echo(json.dumps(values))
         return
-    typer.echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
+    echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
 
 
 reference_app = typer.Typer(
@@ -432,9 +433,7 @@ def build(
     sets = build_sets(map(RunFolder.open, directories), out, name, mixed=mixed)
     if as_json:
         sizes = {key: {"size": len(one), "robust_size": len(one.robust)} for key, one in sets.items()}
-        typer.echo(json.dumps({"out": str(out), "objects": sizes}))
+        echo(json.dumps({"out": str(out), "objects": sizes}))
         return
     for key, known in sets.items():
-        typer.echo(
-            f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust."
-        )
+        echo(f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust.")

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.records import BusRecords
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Order, OrderReply
@@ -75,12 +76,12 @@ def jobs(
         found = reachable_jobs(bus)
         objects = {job.job: recorded_objects(bus, job) for job in ([] if as_json else found)}
     if as_json:
-        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
+        echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
     elif not found:
-        typer.echo(no_job_message(endpoint))
+        echo(no_job_message(endpoint))
     for job in () if as_json else found:
         for line in summary_lines(job, utc_now(), objects[job.job]):
-            typer.echo(printable(line))
+            echo(printable(line))
 
 
 JobName = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qdgrasp jobs` lists them.")]
@@ -154,7 +155,7 @@ def send_order(job: str, connect: str | None, security: Path | None, order: Orde
             raise InputError(f"Nothing was done: {refusal}.") from None
         except NoReply:
             raise _no_coordinator(bus, job, endpoint) from None
-    typer.echo(printable(messages.decode(answer, OrderReply).words))
+    echo(printable(messages.decode(answer, OrderReply).words))
 
 
 def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:

@@ -36,6 +36,7 @@ from qdgrasp_coordinator.local.restart_policy import GRACE
 from qdgrasp_coordinator.local.supervisor import check_engines
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
 from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import (
     DEFAULT_ENGINE,
     DEVICE_ENGINE,
@@ -83,9 +84,9 @@ def doctor() -> None:
 
 def _report(name: str, check: Callable[[], str]) -> bool:
     try:
-        typer.echo(f"ok      {name:<10} {check()}")
+        echo(f"ok      {name:<10} {check()}")
     except (QdgraspError, OSError, ImportError) as error:
-        typer.echo(f"FAILED  {name:<10} {error}")
+        echo(f"FAILED  {name:<10} {error}")
         return False
     return True
 
@@ -203,7 +204,7 @@ def bench(
         platform=found[0].platform,
         scenes=[scene.figures for scene in found],
     )
-    typer.echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
+    echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
 
 
 def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurement:
@@ -250,7 +251,7 @@ def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
     from qdgrasp_coordinator.security.folder import SecurityFolder  # cryptography takes a while to load
 
     made = SecurityFolder.create(directory, hosts=_router_hosts(host), days=days)
-    typer.echo(
+    echo(
         f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for "
         f"{counted(days, 'day')}. "
         f"Start a router: `qdgrasp-router --listen tls/0.0.0.0:7447 --security {made.path}`."
@@ -273,9 +274,7 @@ def add(
     from qdgrasp_coordinator.security.folder import SecurityFolder
 
     place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
-    typer.echo(
-        f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}."
-    )
+    echo(f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}.")
 
 
 @security_app.command()
@@ -299,10 +298,10 @@ def check(
     from qdgrasp_coordinator.security.access_report import check_access, matrix_table
 
     found = check_access(connect or default_endpoint(encrypted=True).text, security, takers_at=through)
-    typer.echo(matrix_table(found.matrix))
+    echo(matrix_table(found.matrix))
     for fault in found.faults:
-        typer.echo(f"WRONG: {fault}")
-    typer.echo(found.summary)
+        echo(f"WRONG: {fault}")
+    echo(found.summary)
     if found.faults:
         raise typer.Exit(1)
 

@@ -23,7 +23,7 @@ from qdgrasp_coordinator.monitor.terminal.screen import ScreenState, local_time,
 from qdgrasp_coordinator.monitor.terminal.text_tables import glyphs_of
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.cli_support import echo, run_command
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.process import Stop, configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
@@ -95,7 +95,7 @@ def monitor(
             there = query_jobs(bus)
         views = chosen_views(there.views(time.time()), job)
         if as_json:
-            typer.echo(to_json(views, endpoint))
+            echo(to_json(views, endpoint))
         else:
             print_look(views, endpoint, there.foreign_jobs, ascii_only=ascii_only)
         return
@@ -164,7 +164,7 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
     keyboard = Keyboard(stop, None)
     while not stop.is_set:
         keyboard.wait(INTERVAL)
-        typer.echo(to_json(feed.views(), endpoint))
+        echo(to_json(feed.views(), endpoint))
 
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:

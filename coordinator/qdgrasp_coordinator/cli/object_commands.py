@@ -17,6 +17,7 @@ from qdgrasp_assets.object_model import ObjectDraft, object_of_mesh, read_draft
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.local.progress import progress_messages
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.text import counted
@@ -93,7 +94,7 @@ def check(
         )
     asset_commands.print_findings(found, as_json=as_json)
     for line in _made(found, draft, path, drawing, writing):
-        typer.echo(line, err=as_json)
+        echo(line, err=as_json)
     asset_commands.refuse_faulty("object", found)
     if repaired is None:
         changes: dict[str, int | None] = {
@@ -108,7 +109,7 @@ def check(
     flags = "".join(
         f" {flag}" if value is True else f" {flag} {value}" for flag, value in changes.items() if value
     )
-    typer.echo(f"next: {_next(used, used_scale, mass)}{flags}", err=as_json)
+    echo(f"next: {_next(used, used_scale, mass)}{flags}", err=as_json)
 
 
 def _found(file: str) -> Path:

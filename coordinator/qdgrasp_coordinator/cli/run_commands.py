@@ -25,6 +25,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
@@ -55,7 +56,7 @@ def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop
 def check_not_stopped(job: JobFolder, stop: Stop) -> None:
     """Exit if there was a signal, and name the command that continues the job."""
     if stop.is_set:
-        typer.echo(f"Stopped; {resume_hint(job)}", err=True)
+        echo(f"Stopped; {resume_hint(job)}", err=True)
         raise typer.Exit(stop.exit_code)
 
 
@@ -205,18 +206,18 @@ def print_result(folder: RunFolder, stop: Stop) -> None:
     """Print the run's figures, or exit if there was a signal."""
     check_not_stopped(folder.job, stop)
     found = run_summary(folder)
-    typer.echo(found.words)
+    echo(found.words)
     if not found.complete:
-        typer.echo(f"It is not finished; {resume_hint(folder.job)}")
+        echo(f"It is not finished; {resume_hint(folder.job)}")
     elif found.evaluations < found.budget:
-        typer.echo(f"It ended early: {found.ended}.")
+        echo(f"It ended early: {found.ended}.")
     write_ranking_of(folder)
 
 
 def write_ranking_of(folder: RunFolder) -> None:
     """Rank the grasps of a complete run that has scored them again."""
     if ranking.is_reranking(folder):
-        typer.echo(ranking.write_ranking(folder))
+        echo(ranking.write_ranking(folder))
 
 
 def resume(
@@ -260,7 +261,7 @@ def resume(
         extend_run(folder, **goals)
     found = run_summary(folder)
     if found.complete:
-        typer.echo(f"{directory} is finished: {found.words}")
+        echo(f"{directory} is finished: {found.words}")
         write_ranking_of(folder)
         return
     listening = ListenConfig(listen, security, insecure)

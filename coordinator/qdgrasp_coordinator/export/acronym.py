@@ -12,6 +12,7 @@ HDF5 files of others are read without trust: a dataset's shape and type are chec
 nothing outside the file ever is.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,6 +45,7 @@ from qdgrasp_coordinator.export.metadata import (
 
 MOST_WORDS = 1000  # Words in a list, at most
 LONGEST_TEXT = 1 << 26  # Bytes of a text, at most
+LARGEST_CHUNK = 1 << 26  # Bytes of a chunk of a dataset, which are in memory at once
 SMALL_BYTES, MOST_COMPRESSION = 1 << 24, 200
 """Datasets of more than so many bytes may not be so many times as large as their file."""
 
@@ -67,6 +69,8 @@ class Hdf5Datasets:
             raise UnreadableGrasps(self._path, f"its dataset '{name}' must be {expected}")
         if found[0] > MOST_GRASPS:
             raise UnreadableGrasps(self._path, f"it has {found[0]} grasps; at most {MOST_GRASPS} are read")
+        if data.chunks and math.prod(data.chunks) * data.dtype.itemsize > LARGEST_CHUNK:
+            raise UnreadableGrasps(self._path, f"its dataset '{name}' is stored in chunks that are too large")
         if data.nbytes > max(SMALL_BYTES, MOST_COMPRESSION * self._path.stat().st_size):
             raise UnreadableGrasps(self._path, f"its dataset '{name}' is far larger than the file")
         return np.asarray(data[()].astype(np.float64))

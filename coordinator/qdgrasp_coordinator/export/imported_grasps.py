@@ -70,7 +70,7 @@ def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
     """Decode the metadata of a file of ours from JSON."""
     try:
         return msgspec.json.decode(text, type=GraspMetadata)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise UnreadableGrasps(path, f"what it says of itself cannot be read ({error})") from None
 
 

@@ -30,6 +30,7 @@ from qdgrasp_coordinator.export.imported_grasps import (
     decode_json,
     decode_metadata,
 )
+from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
@@ -83,7 +84,8 @@ def read_grasp_file(path: Path) -> ImportedGrasps:
     for reader in READERS:
         if reader.fits(head):
             try:
-                imported = reader.read(path)
+                with bounded_memory(path):
+                    imported = reader.read(path)
                 check_grasps(path, imported)
             except MemoryError:
                 raise UnreadableGrasps(path, "there is not enough memory for it") from None
@@ -99,25 +101,32 @@ def read_dataset(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
     import pyarrow as pa
 
     try:
-        found = [
-            line
-            for line in read_index(folder)
-            if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
-        ]
-        if not found:
-            reason = f"its {INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
-            raise UnreadableGrasps(folder, reason)
-        told = [decode_metadata(folder, line["about"]) for line in found]
-        if len({each.object_sha256 for each in told}) > 1:
-            raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
-        runs = tuple(run for each in told for run in each.runs)
-        files = dict.fromkeys(name for line in found for name in line["files"])
-        metadata = msgspec.structs.replace(told[0], runs=runs)
-        imported = tabular.read_shards(folder, files, gripper, object_, metadata)
+        with bounded_memory(folder):
+            imported = _dataset_grasps(folder, gripper, object_)
+    except MemoryError:
+        raise UnreadableGrasps(folder, "there is not enough memory for it") from None
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         raise UnreadableGrasps(folder, f"it is no data set of Parquet, or damaged ({error})") from None
     check_grasps(folder, imported)
     return imported
+
+
+def _dataset_grasps(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+    found = [
+        line
+        for line in read_index(folder)
+        if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
+    ]
+    if not found:
+        reason = f"its {INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
+        raise UnreadableGrasps(folder, reason)
+    told = [decode_metadata(folder, line["about"]) for line in found]
+    if len({each.object_sha256 for each in told}) > 1:
+        raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
+    runs = tuple(run for each in told for run in each.runs)
+    files = dict.fromkeys(name for line in found for name in line["files"])
+    metadata = msgspec.structs.replace(told[0], runs=runs)
+    return tabular.read_shards(folder, files, gripper, object_, metadata)
 
 
 def _read_head(path: Path) -> bytes:

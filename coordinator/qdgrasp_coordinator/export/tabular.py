@@ -329,7 +329,7 @@ def read_parquet(path: Path) -> ImportedGrasps:
             names = _columns_to_read(file.schema_arrow)
             if file.metadata.num_rows * len(names) > MOST_NUMBERS:
                 raise UnreadableGrasps(path, f"it has more than {MOST_NUMBERS} numbers")
-            table = file.read(columns=names)
+            table = file.read(columns=names, use_threads=False)
         return _imported_grasps(path, table, decode_metadata(path, entries[METADATA_KEY.encode()]))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         raise UnreadableGrasps(path, f"it is a damaged Parquet file ({error})") from None
@@ -351,7 +351,9 @@ def read_shards(
         if not path.resolve().is_relative_to(folder.resolve()):
             raise UnreadableGrasps(folder, f"its index names a file elsewhere, '{name}'")
         columns = ["run", *_columns_to_read(pq.ParquetFile(path, read_dictionary=["synergy"]).schema_arrow)]
-        tables.append(pq.read_table(path, columns=columns, filters=ours, read_dictionary=["synergy"]))
+        tables.append(
+            pq.read_table(path, columns=columns, filters=ours, read_dictionary=["synergy"], use_threads=False)
+        )
         if sum(map(len, tables)) > MOST_GRASPS:
             raise UnreadableGrasps(
                 folder, f"it has too many rows of '{object_}'; at most {MOST_GRASPS} are read"

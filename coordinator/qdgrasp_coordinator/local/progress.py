@@ -48,7 +48,7 @@ class LiveProgress:
 
     def __init__(self, bar: ProgressBar, name: str, budget: int) -> None:
         self._bar = bar
-        self._task = bar.add_task(name, total=budget, words="starting", left="")
+        self._task = bar.add_task(printable(name), total=budget, words="starting", left="")
 
     def show(self, figures: JobStatus) -> None:
         """Move the bar on."""
@@ -62,7 +62,7 @@ class LiveProgress:
 
     def say(self, sentence: str) -> None:
         """Print a line above the bar."""
-        self._bar.console.print(sentence, highlight=False, markup=False)
+        self._bar.console.print(printable(sentence), highlight=False, markup=False)
 
 
 class LineProgress:
@@ -78,7 +78,7 @@ class LineProgress:
         if time.monotonic() >= self._next or figures.obstacle != self._trouble:
             self._trouble = figures.obstacle
             self._next = time.monotonic() + QUIET_INTERVAL
-            self.say(f"{self._name}: {printable(figures.words)}, {figures.left}")
+            self.say(f"{self._name}: {figures.words}, {figures.left}")
 
     def say(self, sentence: str) -> None:
         """Print a line."""
@@ -117,7 +117,7 @@ def repeat_latest(say: Tell, interval: float) -> Iterator[Tell]:
 
     def note(sentence: str) -> None:
         nonlocal latest
-        latest = printable(sentence), time.monotonic()
+        latest = sentence, time.monotonic()
 
     def repeat() -> None:
         while not over.wait(interval):
@@ -134,4 +134,4 @@ def repeat_latest(say: Tell, interval: float) -> Iterator[Tell]:
 
 
 def _print_line(sentence: str) -> None:
-    print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints
+    print(printable(sentence), file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints

@@ -5,8 +5,12 @@ are of the expected kind and shape, or refused in words. Structured rows are mov
 the time that numpy takes to move them field by field.
 """
 
+import math
+import resource
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,14 +29,56 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[np.generic]]:
     read, or is no npz file of plain arrays.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if (size := sum(member.file_size for member in members)) > LARGEST_ARRAYS:
+                raise InputError(
+                    f"'{path}' holds {size} bytes of arrays, and at most {LARGEST_ARRAYS >> 20} MiB are "
+                    f"read, so no {what} can be."
+                )
+            return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
     except OSError as error:
         raise InputError(f"No {what} can be read at '{path}': {error.strerror or error}.") from None
-    except (ValueError, EOFError, zipfile.BadZipFile, TypeError, AttributeError):
+    except (*DAMAGED, zipfile.BadZipFile, zlib.error):
         raise InputError(f"'{path}' is not an npz file of plain arrays, so no {what} can be read.") from None
 
 
+@contextmanager
+def bounded_memory(path: Path) -> Iterator[None]:
+    """Have a reader of a file get `MemoryError` beyond the room that files of its size need.
+
+    A small file can state, or unfold to, any number of bytes, and libraries make room for them unasked.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[DATA_PAGES])
+    size = sum(file.stat().st_size for file in (path.rglob("*") if path.is_dir() else [path]))
+    most = pages * resource.getpagesize() + LEAST_ROOM + MOST_UNFOLDING * size
+    if soft != resource.RLIM_INFINITY:
+        most = min(most, soft)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
+    """Return the array in a member of an npz file, whose header may claim no more than it holds."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        shape, _, dtype = HEADERS[version](file, max_header_size=LARGEST_HEADER)
+        if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != member.file_size - file.tell():
+            raise ValueError("the header states another size")
+    with archive.open(member) as file:
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False, max_header_size=LARGEST_HEADER))
+
+
+DATA_PAGES = 5  # The place in `statm` of the pages that RLIMIT_DATA limits
+LEAST_ROOM, MOST_UNFOLDING = 1 << 27, 20  # Bytes for any file, and for each of its own
+LARGEST_ARRAYS = 1 << 28  # Bytes of all arrays in a file that is read
+LARGEST_HEADER = 10_000  # Characters of an array's header
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+DAMAGED = (ValueError, EOFError, TypeError, AttributeError, KeyError, NotImplementedError, RuntimeError)
 REAL = "fiu"  # Kinds of arrays that hold real numbers
 
 

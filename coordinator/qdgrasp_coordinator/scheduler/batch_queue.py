@@ -14,7 +14,7 @@ from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
+from qdgrasp_protocol.rows import RESULT, Rows, RowShape, unpack_possible
 
 
 @dataclass(frozen=True)
@@ -123,19 +123,19 @@ def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
 
 
 def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
-    """Return a result and its rows; if these cannot be read, all count as failed."""
+    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
     if len(result.failures) == result.n:
         return result, shape.empty(result.n)
+    rows = shape.empty(result.n)
     try:
-        rows = unpack(shape.empty(result.n), RESULT, result.columns)
-        greatest = int(rows["outcome"].max())
-        if greatest > max(Outcome):
-            raise MessageError(
-                f"column 'outcome' holds {greatest}, and outcomes end with {int(max(Outcome))}"
-            )
+        reasons = unpack_possible(rows, RESULT, result.columns)
     except MessageError as error:
-        failures = [Failure(row=row, reason=shorten(str(error))) for row in range(result.n)]
-        return msgspec.structs.replace(result, failures=failures), shape.empty(result.n)
+        rows, reasons = shape.empty(result.n), dict.fromkeys(range(result.n), str(error))
+    if reasons:
+        rows[list(reasons)] = np.zeros((), dtype=rows.dtype)
+        told = {failure.row: failure.reason for failure in result.failures} | reasons
+        failures = [Failure(row=row, reason=shorten(reason)) for row, reason in sorted(told.items())]
+        result = msgspec.structs.replace(result, failures=failures)
     return result, rows
 
 

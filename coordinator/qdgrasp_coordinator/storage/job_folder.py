@@ -219,5 +219,5 @@ class JobFolder:
     def _job(self) -> JobRecord:
         try:
             return msgspec.json.decode(atomic_files.read(self.path / JOB), type=JobRecord)
-        except msgspec.MsgspecError as error:
+        except (msgspec.MsgspecError, RecursionError) as error:
             raise atomic_files.damaged_file(self.path / JOB, str(error)) from None

@@ -5,13 +5,12 @@ rows; beside them stand the successes with what queries need, reasons of errors,
 One process writes; any number may read while it does, each sees the journal as it was when it was opened.
 """
 
-import json
 import sqlite3
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,19 +21,44 @@ from qdgrasp_coordinator.storage.journal_schema import (
     APPLICATION,
     FILE,
     FORMAT,
+    LARGEST_VALUE,
     OLD_FORMAT,
     OLD_REDUCED,
     REDUCED,
     JournalIdentity,
     JournalSource,
+    check_tables,
     create_tables,
     explaining_read_errors,
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.messages import Failure
-from qdgrasp_protocol.rows import Rows, RowShape
+from qdgrasp_protocol.messages import Failure, Width
+from qdgrasp_protocol.rows import Rows, RowShape, impossible_rows
 from qdgrasp_protocol.spec import RunSpec, from_toml
+from qdgrasp_protocol.text import printable
+
+Kind = TypeVar("Kind", bound=msgspec.Struct)
+
+
+class JournalMeta(msgspec.Struct):
+    """The entries of the table `meta` that every journal has."""
+
+    run: str
+    scene: str
+    spec: str
+    shape: str
+    package: str
+    created: float
+
+
+class MetaShape(msgspec.Struct, forbid_unknown_fields=True):
+    """A `RowShape` in JSON."""
+
+    genes: Width
+    joints: Width
+    descriptors: Width = 3
+    contact_slots: Width = 0
 
 
 class Journal:
@@ -47,17 +71,25 @@ class Journal:
         self._database = database
         self._file = file
         self._format = self._known_format()
-        meta = self._meta()
-        self.run = meta["run"]
-        self.scene = meta["scene"]
+        with explaining_read_errors(file):
+            check_tables(database, file)
+        try:
+            meta = msgspec.convert(self._meta(), JournalMeta, strict=False)
+            shape = msgspec.json.decode(meta.shape, type=MetaShape)
+            sources = self._sources()
+        except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+            raise damaged_file(file, printable(f"what it says of itself cannot be read ({error})")) from None
+        self.run = meta.run
+        self.scene = meta.scene
         """sha256 of the scene bundle."""
-        self.shape = RowShape(**json.loads(meta["shape"]))
-        self.package = meta["package"]
+        self.shape = RowShape(**msgspec.structs.asdict(shape))
+        self.package = meta.package
         """The version of this package that began it."""
-        self.created = float(meta["created"])
+        self.created = meta.created
         """When it was begun [s since 1970]."""
-        self.sources = self._sources()
+        self.sources = sources
         """The runs that it was reduced from; none where it holds every row of its own run."""
+        self._check_end()
 
     @classmethod
     def open(cls, folder: Path) -> "Journal":
@@ -97,7 +129,12 @@ class Journal:
     @property
     def platform(self) -> dict[str, str]:
         """The platform that the rows were made on; empty while the journal has no rows."""
-        return dict(json.loads(self._meta().get("platform", "{}"))) if self.count else {}
+        if not self.count:
+            return {}
+        try:
+            return msgspec.json.decode(self._meta().get("platform", "{}"), type=dict[str, str])
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise damaged_file(self._file, printable(f"its platform cannot be read ({error})")) from None
 
     @property
     def count(self) -> int:
@@ -161,10 +198,12 @@ class Journal:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
 
-    @property
-    def summary(self) -> str:
-        """Summary of all rows of its sources, as JSON; empty where it holds every row itself."""
-        return self._meta().get("summary", "")
+    def summary(self, kind: type[Kind]) -> Kind:
+        """Return the summary of all rows of its sources; only a journal with sources has one."""
+        try:
+            return msgspec.json.decode(self._meta().get("summary", ""), type=kind)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise damaged_file(self._file, printable(f"its summary cannot be read ({error})")) from None
 
     def check_whole(self) -> None:
         """Raise `FolderError` if the journal keeps successes alone, not every row."""
@@ -190,6 +229,7 @@ class Journal:
 
     def _slices(self, first: int, stop: int) -> Iterator[JournalSlice]:
         """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
+        stop = min(stop, self.count)
         query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
             AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""
         reasons = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"
@@ -197,22 +237,44 @@ class Journal:
         expected: int | None = None
         with explaining_read_errors(self._file), self._reading(query, stop, first) as found:
             for number, n, cpu_seconds, crc, blob in found:
-                follows = number <= first if expected is None else number == expected
+                follows = 0 <= number <= first if expected is None else number == expected
                 rows = self._block(blob, n) if follows and zlib.crc32(blob) == crc else None
                 if rows is None:
-                    raise damaged_file(
-                        self._file, f"rows {number} to {number + n - 1} are not what was recorded"
-                    )
+                    raise self._altered_rows(number, n)
+                for place, reason in impossible_rows(rows).items():
+                    raise damaged_file(self._file, f"of row {number + place}, {reason}")
                 here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
                 yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
                 expected = number + n
+        if (first if expected is None else expected) < stop:
+            raise damaged_file(self._file, f"rows {expected or first} to {stop - 1} are missing")
+
+    def _check_end(self) -> None:
+        """Check that the last block has as many rows as it says: their number follows from it."""
+        for first, n, blob in self._all("SELECT first, n, rows FROM blocks ORDER BY first DESC LIMIT 1"):
+            kept = sum(source.kept for source in self.sources) if self.sources else first + n
+            with explaining_read_errors(self._file):
+                rows = self._block(blob, n)
+            if rows is None or first < 0 or first + n != kept:
+                raise self._altered_rows(first, n)
+
+    def _altered_rows(self, first: int, n: int) -> FolderError:
+        return damaged_file(self._file, f"rows {first} to {first + n - 1} are not what was recorded")
 
     def _block(self, blob: bytes, n: int) -> Rows | None:
         """The n rows in a block's blob; None: it holds other bytes than n rows have."""
         size = self.shape.dtype.itemsize
+        if not 0 < n * size <= LARGEST_VALUE:
+            return None
         if self._format in (FORMAT, REDUCED):
-            by_place = np.frombuffer(zlib.decompress(blob), dtype=np.uint8)
-            blob = by_place.reshape(size, -1).T.tobytes()
+            inflater = zlib.decompressobj()
+            try:
+                blob = inflater.decompress(blob, n * size + 1)
+            except zlib.error:
+                return None
+            if not inflater.eof or len(blob) != n * size:
+                return None
+            blob = np.frombuffer(blob, dtype=np.uint8).reshape(size, -1).T.tobytes()
         return np.frombuffer(blob, dtype=self.shape.dtype) if len(blob) == n * size else None
 
     @contextmanager

@@ -1,23 +1,25 @@
 """Tables, version and identity of a journal in `run.sqlite`; sources of a reduced one."""
 
 import json
+import re
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from qdgrasp_coordinator.storage.atomic_files import damaged_file
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, from_toml
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import counted, printable
 
 
 class JournalSource(Struct, frozen=True, kw_only=True):
@@ -37,7 +39,7 @@ class JournalSource(Struct, frozen=True, kw_only=True):
     """Platform that its rows were made on."""
     summary: dict[str, Any]
     """Its figures, as `info --json` prints them."""
-    kept: int
+    kept: Annotated[int, Meta(ge=0)]
     """Number of its rows that are kept."""
 
     @property
@@ -93,6 +95,9 @@ CREATE INDEX successes_by_cell ON successes (cell_x, cell_y, cell_z, fitness);
 CREATE INDEX successes_by_fitness ON successes (fitness);
 CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
 """
+SOURCES = "CREATE TABLE sources (number INTEGER PRIMARY KEY, source TEXT NOT NULL) STRICT"
+"""The table that a reduced journal has besides."""
+LARGEST_VALUE = 1 << 27  # Bytes of a value in a file that is read, deflated or not
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,40 @@ def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> No
     )
     database.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
     database.execute("COMMIT")  # at once: each transaction is a wait for the disk
+
+
+def check_tables(database: sqlite3.Connection, file: Path) -> None:
+    """Raise `FolderError` unless a file has the tables of a journal and nothing else.
+
+    A view in the place of a table, a generated column or a trigger would have readers and writers carry out
+    what another one wrote there.
+    """
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+    database.execute("PRAGMA trusted_schema = OFF")
+    found = _schema(database, limit=len(_known_schema()) + 1)
+    strange = found.items() - _known_schema().items()
+    missing = _known_schema().keys() - found.keys() - {("table", "sources")}
+    for kind, name in sorted(key for key, _ in strange):
+        raise damaged_file(file, f"its {printable(kind, 20)} '{printable(name, 40)}' is none of a journal")
+    for kind, name in sorted(missing):
+        raise damaged_file(file, f"it has no {kind} '{name}'")
+
+
+@cache
+def _known_schema() -> dict[tuple[str, str], str]:
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.executescript(f"{SCHEMA};{SOURCES}")
+        return _schema(database)
+
+
+def _schema(database: sqlite3.Connection, limit: int = 100) -> dict[tuple[str, str], str]:
+    """Return the statements that made a database, by kind and name, without comments."""
+    found = database.execute("SELECT type, name, sql FROM sqlite_schema LIMIT ?", (limit,)).fetchall()
+    return {
+        (str(kind), str(name)): " ".join(re.sub(r"--.*", "", str(statement)).split())
+        for kind, name, statement in found
+        if not str(name).startswith("sqlite_stat")  # of ANALYZE
+    }
 
 
 @contextmanager

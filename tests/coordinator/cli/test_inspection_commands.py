@@ -45,6 +45,15 @@ def test_machines_are_told_the_same(path: Path) -> None:
     assert told["base_to_object"]["quaternion_xyzw"] == [0, 0, 0, 1]
 
 
+def test_escapes_in_what_a_run_says_of_itself_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    title = "\x1b]0;owned\x07\x1b[2J\x9b31m"
+    folder = record(tmp_path / f"run{title}", made_scene(), random_rows(10), object=f"{title}.stl")
+    told = CliRunner().invoke(app, ["info", str(folder.path)])
+    assert told.exit_code == 0, told.exception
+    assert all(line.isprintable() for line in told.output.splitlines()), told.output
+    assert r"\x1b]0;owned\x07\x1b[2J\x9b31m.stl" in told.output
+
+
 def test_a_row_that_is_not_there_is_refused(path: Path) -> None:
     refused = show(path, "--grasp", 5).exception
     assert isinstance(refused, InputError)

@@ -4,6 +4,7 @@ from math import inf
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from tests.fakes.messages import open_run
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
@@ -28,7 +29,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_mes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, Refused
+from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, MessageError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -262,6 +263,18 @@ class TestRows:
         recorder.commit("a")
         pages = [recorder.page(Log(run="a", first=first, limit=12)) for first in (0, 12, 24)]
         assert [page.n for page in pages] == [12, 12, 6]
+
+    @pytest.mark.parametrize(("column", "number"), [("fitness", 3e38), ("outcome", 255), ("genome", 1e30)])
+    def test_rows_with_a_number_that_cannot_be_are_not_recorded(self, recorder, column, number) -> None:
+        recorder.open(ask("a"))
+        spoilt = ROWS[:10].copy()
+        spoilt[column][3] = number
+        message = slice_to_message(JournalSlice(0, spoilt), "a", 1, SHAPE)
+        with pytest.raises(
+            MessageError, match=f"column '{column}' holds {np.float32(number):g}".replace("+", ".")
+        ):
+            recorder.add_rows(message, 0.0)
+        assert recorder.add_rows(rows("a", 0, 10), 0.0) is Arrival.TAKEN
 
     def test_one_epoch_holds_for_all_runs(self, path, recorder) -> None:
         recorder.open(ask("a", "b"))

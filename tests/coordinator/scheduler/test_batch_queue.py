@@ -11,7 +11,7 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     read_result,
 )
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
-from qdgrasp_protocol.messages import Result, deflated
+from qdgrasp_protocol.messages import Failure, Result, deflated
 from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
 
 SHAPE = RowShape(genes=2, joints=1)
@@ -29,12 +29,51 @@ def test_the_rows_of_a_result_are_read() -> None:
     np.testing.assert_array_equal(rows["outcome"], [Outcome.ERROR, Outcome.HELD])
 
 
-@pytest.mark.parametrize("number", [Outcome.HELD + 1, 255])
-def test_an_outcome_that_is_none_fails_all_rows_of_its_result(number: int) -> None:
-    read, rows = read_result(result([Outcome.MISSED, number]), SHAPE)
+@pytest.mark.parametrize(
+    ("column", "number"),
+    [
+        ("outcome", Outcome.HELD + 1),
+        ("outcome", 255),
+        ("fitness", 3e38),
+        ("fitness", np.nan),
+        ("fitness", -1),
+        ("descriptor", 2e4),
+        ("base_to_object", -np.inf),
+        ("joints", 1e30),
+        ("nu", 8),
+        ("penetration", -0.5),
+    ],
+)
+def test_a_row_with_a_number_that_cannot_be_fails_alone(column: str, number: float) -> None:
+    rows = SHAPE.empty(3)
+    rows["outcome"], rows[column][1] = Outcome.MISSED, number
+    failed = Failure(row=2, reason="the simulator crashed")
+    read, rows = read_result(
+        result_message(n=3, columns=deflated(pack(rows, RESULT)), failures=[failed]), SHAPE
+    )
+    assert [failure.row for failure in read.failures] == [1, 2]
+    assert read.failures[0].reason.startswith(
+        f"column '{column}' holds {np.float32(number):g}, expected a number from "
+    )
+    assert read.failures[1] == failed
+    assert rows["outcome"][0] == Outcome.MISSED
+    assert rows[1] == np.zeros((), SHAPE.dtype)
+
+
+def test_all_rows_of_a_result_that_cannot_be_read_fail() -> None:
+    message = result_message(n=2, columns={"outcome": b"12"})
+    read, rows = read_result(message, SHAPE)
     assert [failure.row for failure in read.failures] == [0, 1]
-    assert f"holds {number}" in read.failures[0].reason
     assert not rows["outcome"].any()
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_contact_that_cannot_be_fails_its_row(number: float) -> None:
+    shape = RowShape(genes=2, joints=1, contact_slots=2)
+    rows = shape.empty(2)
+    rows["contact_points"][1, 13], rows["contact_points"][0, 6] = number, 60_000
+    message = result_message(n=2, columns=deflated(pack(rows, RESULT)), contact_slots=2)
+    assert [failure.row for failure in read_result(message, shape)[0].failures] == [1]
 
 
 def measured(seconds_per_row: float) -> BatchSizer:

@@ -75,6 +75,10 @@ class Access:
 
     def refusal(self, request: Request) -> Response | None:
         """Return the answer to a request that is refused; None where it is allowed."""
+        if {"content-length", "transfer-encoding"} <= {*request.headers}:
+            # where each ends is a matter of opinion, and a proxy may have another (RFC 9112, 6.3)
+            reason = "A request may say the length of its body, or send it in chunks, not both.\n"
+            return PlainTextResponse(reason, 400, {"Connection": "close"})
         if request.method not in READING:
             return PlainTextResponse("This page is read only.\n", 405, {"Allow": ", ".join(READING)})
         if self.local and not is_loopback(_hostname(request.headers.get("host", ""))):

@@ -231,6 +231,31 @@ def test_whoever_asks_nothing_is_let_go(
         assert ended(idle)
 
 
+@pytest.mark.parametrize(
+    "framing",
+    [
+        b"Content-Length: 5\r\nTransfer-Encoding: chunked",
+        b"transfer-encoding: Chunked\r\ncontent-length: 5",
+        b"Content-Length: 5\r\nContent-Length: 6",
+        b"Content-Length: 5\r\nTransfer-Encoding: identity",
+        b"Content-Length: +5",
+        b"Content-Length : 5",
+        b"Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked",
+    ],
+)
+def test_a_request_that_may_end_at_two_places_is_refused_with_what_follows_it(
+    feed: FakeFeed, framing: bytes
+) -> None:
+    port = free_port()
+    hidden = b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with serving(feed, port), socket.create_connection((HERE, port)) as guest:
+        guest.settimeout(PATIENCE)
+        guest.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n" + framing + b"\r\n\r\n0\r\n\r\n" + hidden)
+        answer = b"".join(iter(lambda: guest.recv(1 << 16), b""))
+    assert re.match(rb"HTTP/1.1 (400|501) ", answer), answer
+    assert answer.count(b"HTTP/1.1 ") == 1
+
+
 def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest.MonkeyPatch) -> None:
     looked, leave = threading.Event(), server.LimitedConnection.close_if_idle
 
