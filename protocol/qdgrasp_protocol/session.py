@@ -11,6 +11,7 @@ import os
 import re
 import socket
 import stat
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ LOOPBACK, PORT = "127.0.0.1", 7447
 HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls|quic|udp|ws)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
 SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
 ENCRYPTED = frozenset({"tls", "quic"})
+STREAMS = frozenset({"tcp", "tls", "ws"})
+"""Protocols over TCP, where a connection shows whether something listens."""
 
 
 @dataclass(frozen=True)
@@ -206,13 +209,18 @@ def _forbidden_permissions(key: Path) -> int:
 Mode = Literal["client", "router"]  # Routers relay; all others are clients of them
 ZenohSettings = dict[str, object]  # Values by their path in a zenoh configuration
 
+OPEN_SECONDS = 8.0
+"""Most seconds for opening a link, the first time and after a cut.
+
+A link with a round trip of 0.6 s takes 2.4 s, and some seconds more where it loses what is sent.
+"""
 BASE_SETTINGS: ZenohSettings = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
-    "transport/unicast/open_timeout": 3000,  # ms of one try; then another router has its turn
+    "transport/unicast/open_timeout": int(1000 * OPEN_SECONDS),  # then another router has its turn
     "transport/link/rx/max_message_size": 17 << 20,  # messages.MAX_PAYLOAD and what stands around it
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
@@ -307,27 +315,50 @@ def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
 
 
 CONNECT_HINT = (
-    "; is the coordinator or router running there, and the port reachable? Name another with --connect."
+    "Is the coordinator or router running there? Name another with --connect, or wait longer with --wait."
 )
 SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
 SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
 MAX_ZENOH_ERROR = 300  # The most characters that are repeated of what zenoh says
 HANDSHAKE_SECONDS = 2.0  # seconds that the other side may take for one step
 REFUSAL_SECONDS = 0.5
-"""Seconds in which it says whether it takes our certificate; it waits for us to speak first."""
+"""Seconds, besides twice those of the handshake, in which it says whether it takes our certificate.
+
+It waits for us to speak first.
+"""
 
 
 class Unreachable(EndpointError):
-    """No router answers, with the reason for encrypted endpoints."""
+    """No router answers, with the reason for each endpoint."""
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
     ) -> None:
         names = ", ".join(endpoint.text for endpoint in endpoints)
         reasons = [handshake_error(endpoint, credentials) for endpoint in endpoints] if credentials else []
-        known = " ".join(filter(None, reasons))
-        silent = f"Nothing answers at {names} after {seconds:g} s{CONNECT_HINT}"
-        super().__init__(f"No session at {names}: {known}" if known else silent)
+        if known := " ".join(filter(None, reasons)):
+            super().__init__(f"No session at {names}: {known}")
+            return
+        likely = " ".join(filter(None, map(silence_of, endpoints)))
+        super().__init__(f"Nothing answers at {names} after {seconds:g} s. {likely} {CONNECT_HINT}")
+
+
+def silence_of(endpoint: Endpoint) -> str:
+    """Return why no router answers at an endpoint, as far as a socket shows it; empty where it does not."""
+    if endpoint.protocol not in STREAMS:
+        return ""
+    try:
+        socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS).close()
+    except ConnectionRefusedError:
+        return f"Nothing listens at {endpoint.text}."
+    except TimeoutError:
+        return f"No host answers at {endpoint.text}: it is off, or a firewall is before it."
+    except OSError as error:
+        return f"There is no way to {endpoint.text} ({(error.strerror or str(error)).lower()})."
+    return (
+        f"Something listens at {endpoint.text}, but opened no session in that time: the link is slow, or it "
+        "is no router of qdgrasp."
+    )
 
 
 class NotListening(EndpointError):
@@ -373,11 +404,12 @@ def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
 
     An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """
+    began = time.monotonic()
     with (
         socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,
         context.wrap_socket(plain, server_hostname=endpoint.host) as link,
     ):
-        link.settimeout(REFUSAL_SECONDS)
+        link.settimeout(REFUSAL_SECONDS + 2 * (time.monotonic() - began))
         with suppress(TimeoutError):
             return bool(link.recv(1))  # a router that does not take our certificate says so only now
         return True

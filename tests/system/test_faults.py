@@ -6,7 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.common import HOST, PATIENCE, own_endpoint, wait_for
+from tests.fakes.slow_link import slow_link
 from tests.system.commands import (
     BUDGET,
     COORDINATOR,
@@ -26,6 +27,7 @@ from tests.system.commands import (
 )
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.session import Endpoint
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -166,4 +168,17 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
         assert "Another coordinator of job 'mugs' took over (epoch 2)" in end_of(old, 3)[1]
         end_of(new)
         qdgrasp.end_all()
+    assert qdgrasp.digest("run") == long_digest
+
+
+@pytest.mark.slow
+def test_a_worker_behind_a_long_link_that_is_cut_finishes_the_run(qdgrasp, long_digest):
+    endpoint = own_endpoint()
+    with slow_link(Endpoint.parse(endpoint).port, round_trip=0.6, loss=0.05) as link:
+        process = qdgrasp.start("run", *LONG, "--workers", 0, "--listen", endpoint, "--out", "run")
+        qdgrasp.start("--connect", f"tcp/{HOST}:{link.port}", module=WORKER)
+        has_rows(process, qdgrasp.home / "run", 1)
+        link.cut()
+        end_of(process)
+    assert link.connections > 1
     assert qdgrasp.digest("run") == long_digest

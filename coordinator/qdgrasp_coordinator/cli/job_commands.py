@@ -21,7 +21,7 @@ from qdgrasp_protocol.session import Credentials, Role, default_endpoint
 from qdgrasp_protocol.text import printable
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-SESSION_SECONDS = 3.0  # seconds that a router may take to answer
+SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too
 
 
 @contextmanager
