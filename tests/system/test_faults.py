@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from tests.system.commands import (
     pids,
     processes_of,
     rows_recorded,
+    says,
     stop,
 )
 
@@ -67,6 +69,35 @@ def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, lo
     _, err = end_of(process)
     assert "coordinator was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_coordinator_that_is_killed_as_soon_as_it_listens_is_started_again(qdgrasp, long_digest):
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
+    wait_for(lambda: (qdgrasp.home / "run" / "endpoint").exists(), "the endpoint")
+    kill(pids(process, "coordinator")[0])
+    _, err = end_of(process)
+    assert "coordinator was killed by SIGKILL; it is started again" in err
+    assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_port_that_another_program_takes_meanwhile_does_not_end_the_run(qdgrasp, long_digest):
+    process, folder = start(qdgrasp, 20)
+    before = Endpoint.parse(JobFolder(folder).endpoint)
+    with held(*pids(process, "worker")):
+        kill(pids(process, "coordinator")[0])
+        with wait_for(lambda: server_at(before.port), "the port"):
+            says(process, "as another program took the port")
+            assert JobFolder(folder).endpoint not in (None, before.text)
+            end_of(process)
+    assert qdgrasp.digest("run") == long_digest
+
+
+def server_at(port: int) -> socket.socket | None:
+    """Listen on a port, if it is free."""
+    try:
+        return socket.create_server((HOST, port))
+    except OSError:
+        return None
 
 
 @pytest.mark.slow

@@ -186,8 +186,9 @@ class JobFolder:
     @property
     def endpoint(self) -> str | None:
         """Address on which the coordinator's router listens; None: it is not known."""
-        file = self.path / ENDPOINT
-        return file.read_text().strip() or None if file.is_file() else None
+        with suppress(OSError, UnicodeDecodeError):
+            return (self.path / ENDPOINT).read_text().strip() or None
+        return None
 
     def write_endpoint(self, endpoint: str) -> None:
         """Note where the router listens."""
