@@ -42,19 +42,30 @@ LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
-    with _lock_file(folder, name) as file:
-        deadline = time.monotonic() + LOCK_PATIENCE
-        while not _try_lock(file):
-            if time.monotonic() > deadline:
-                raise _in_use(folder, file)
-            time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
-        with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
-            file.truncate(0)
-            file.write(str(os.getpid()))
-            file.flush()
-        yield
+def hold_lock(folder: Path, name: str = LOCK, *, is_removed: bool = False) -> Iterator[None]:
+    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it.
+
+    Its file is removed at the end if `is_removed`.
+    """
+    deadline = time.monotonic() + LOCK_PATIENCE
+    while True:
+        with _lock_file(folder, name) as file:
+            while not _try_lock(file):
+                if time.monotonic() > deadline:
+                    raise _in_use(folder, file)
+                time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
+            if not atomic_files.is_still_at(folder / name, file):
+                continue  # the process that held it removed it
+            with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
+                file.truncate(0)
+                file.write(str(os.getpid()))
+                file.flush()
+            try:
+                yield
+            finally:
+                if is_removed:
+                    (folder / name).unlink(missing_ok=True)
+            return
 
 
 def check_unlocked(folder: Path, name: str = LOCK) -> None:
