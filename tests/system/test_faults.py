@@ -213,3 +213,21 @@ def test_a_worker_behind_a_long_link_that_is_cut_finishes_the_run(qdgrasp, long_
         end_of(process)
     assert link.connections > 1
     assert qdgrasp.digest("run") == long_digest
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("run/run.sqlite", "run/run.sqlite was deleted or replaced while its run was being recorded"),
+        ("run", "run was deleted or moved while its job ran"),
+    ],
+)
+def test_a_journal_or_folder_that_is_deleted_meanwhile_ends_the_run_with_a_sentence(qdgrasp, name, words):
+    process, folder = start(qdgrasp, 20)
+    path = qdgrasp.home / name
+    path.rename(qdgrasp.home / "elsewhere")  # so that nothing is made in it while it is being deleted
+    _, err = end_of(process, 2)
+    last = err.splitlines()[-1]
+    assert last.startswith(f"qdgrasp: {words}")
+    assert "Traceback" not in err
+    assert folder.exists() == (path != folder)

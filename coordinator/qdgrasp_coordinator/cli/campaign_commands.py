@@ -29,7 +29,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted
 
@@ -159,7 +159,7 @@ def campaign(
         if extent.runs_done < extent.runs:
             run_job(folder, config, shown, stop)
     check_not_stopped(folder, stop)
-    print_summary(folder, asked)
+    print_summary(folder, asked, is_timed=seconds is not None)
 
 
 def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
@@ -170,8 +170,8 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
     return what
 
 
-def print_summary(folder: JobFolder, asked: Campaign) -> None:
-    """Print the campaign's figures."""
+def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
+    """Print the campaign's figures; exit if it is not finished, unless it was to end after some seconds."""
     found = CampaignRunQueue(folder, asked.runs).extent
     if found.runs_done < found.runs:
         typer.echo(f"Not all runs are finished; {resume_hint(folder)}")
@@ -180,6 +180,8 @@ def print_summary(folder: JobFolder, asked: Campaign) -> None:
         f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )
+    if found.runs_done < found.runs and not is_timed:
+        raise typer.Exit(EndedEarly.exit_code)
 
 
 def analyse(

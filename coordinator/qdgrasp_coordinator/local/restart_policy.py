@@ -87,7 +87,7 @@ class RestartPolicy:
         words = self._processes.last_error(death.name)
         if not (NotListening.is_of_taken_port(words) and self._change_port()):
             if death.exit_code == InputError.exit_code:
-                raise InputError(words)
+                raise InputError(words or self._silence(death))
             if words:
                 raise EndedEarly(words)
         if death.exit_code == 0:
@@ -104,9 +104,13 @@ class RestartPolicy:
             self._display.say(f"{death.name} has left")
             return
         if death.exit_code == InputError.exit_code and self._start_at is None:
-            raise InputError(self._processes.last_error(death.name))
+            raise InputError(self._processes.last_error(death.name) or self._silence(death))
         self._count(death)
         self._say(death, self._processes.restart_later(death.name, now))
+
+    @staticmethod
+    def _silence(death: ProcessExit) -> str:
+        return f"The {death.name} {death.description}, and its log does not say why: it is gone, or empty."
 
     def _count(self, death: ProcessExit) -> None:
         self._deaths[death.name] += 1

@@ -168,6 +168,7 @@ class Supervisor:
             )
             self._start_coordinator(processes)
             while not (self._stop.is_set or restarts.is_done):
+                self._folder.check_there()
                 restarts.check(time.monotonic())
                 self._follow_endpoint(processes)
                 with suppress(Empty):

@@ -153,6 +153,14 @@ class JobFolder:
         """Return whether a job was begun in this folder."""
         return atomic_files.is_file(path / JOB)
 
+    def check_there(self) -> None:
+        """Raise `FolderError` if the folder of a job that goes on is not there any more."""
+        if not self.is_job(self.path):
+            raise FolderError(
+                f"{self.path} was deleted or moved while its job ran: put it back and give the command again "
+                "that goes on with it, or begin anew."
+            )
+
     @property
     def is_campaign(self) -> bool:
         """True if its runs have folders of their own; a recorder elsewhere has no campaign file."""

@@ -153,7 +153,7 @@ def test_a_set_that_does_not_say_what_it_was_built_from_is_not_added_to(run: Run
 
 def test_nothing_but_the_file_is_left_beside_it(run: Runs, tmp_path: Path) -> None:
     (tmp_path / "sets").mkdir()
-    build_reference_sets([run({A: 1})], tmp_path / "sets" / "own.npz")
+    build_reference_sets([run({A: Outcome.HELD})], tmp_path / "sets" / "own.npz")
     assert [path.name for path in (tmp_path / "sets").iterdir()] == ["own.npz"]
 
 
