@@ -75,13 +75,22 @@ class Endpoint:
     @property
     def from_here(self) -> str:
         """Address for sessions on this machine: loopback, if it listens on all interfaces."""
+        return self._with_host({4: LOOPBACK, 6: "[::1]"})
+
+    @property
+    def from_elsewhere(self) -> str:
+        """Address for sessions on other machines: this one's name, if it listens on all interfaces."""
+        return self._with_host(dict.fromkeys((4, 6), socket.gethostname()))
+
+    def _with_host(self, hosts: Mapping[int, str]) -> str:
+        """Return the endpoint, with a host of its version of IP where it listens on all interfaces."""
         try:
             address = ipaddress.ip_address(self.host)
         except ValueError:
             return self.text
         if not address.is_unspecified:
             return self.text
-        return f"{self.protocol}/{LOOPBACK if address.version == 4 else '[::1]'}:{self.port}"
+        return f"{self.protocol}/{hosts[address.version]}:{self.port}"
 
 
 def parse_endpoints(text: str) -> tuple[Endpoint, ...]:

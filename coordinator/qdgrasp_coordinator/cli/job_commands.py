@@ -1,8 +1,9 @@
 """`qdgrasp jobs`, `pause`, `continue`, `cancel` and `drain`: running jobs on the bus."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,12 +13,14 @@ import typer
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.metrics.job_status import utc_now
 from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Order, OrderReply
-from qdgrasp_protocol.session import Credentials, Role, default_endpoint
+from qdgrasp_protocol.session import Credentials, Role, default_endpoint, parse_endpoints
 from qdgrasp_protocol.text import printable
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -37,6 +40,45 @@ def open_session(
         yield bus
 
 
+JobDir = Annotated[
+    Path | None,
+    typer.Argument(metavar="DIR", help="A job's folder: its job alone, where its coordinator listens."),
+]
+
+
+@dataclass(frozen=True)
+class JobPlace:
+    """Where jobs are looked for: a router, and there one job, or any."""
+
+    endpoint: str
+    folder: JobFolder | None = None
+    """The job's folder; None: any job is meant."""
+
+    @classmethod
+    def of(cls, directory: Path | None, connect: str | None, security: Path | None) -> "JobPlace":
+        """Return the place of the job in a folder, or the endpoint that was given, or the default one.
+
+        An InputError if both are given, and a FolderError if no coordinator of the folder's job listens.
+        """
+        if directory is None:
+            return cls(router_endpoint(connect, security))
+        if connect is not None:
+            raise InputError(f"{directory} says where its coordinator listens: leave out --connect, or it.")
+        folder = JobFolder.open(directory)
+        if folder.endpoint is None:
+            raise folder.no_coordinator()
+        places = (place.from_here for place in parse_endpoints(folder.endpoint))
+        return cls(",".join(places), folder)
+
+    def chosen(self, views: Sequence[JobView]) -> list[JobView]:
+        """Return the views of the jobs that are meant: another user's may have the same name."""
+        folder = self.folder
+        if folder is None:
+            return list(views)
+        name, identity = folder.name, folder.identity
+        return [view for view in views if view.job == name and view.meta.identity in ("", identity)]
+
+
 def no_job_message(endpoint: str) -> str:
     """The sentence for a router without jobs."""
     return f"No job is at {endpoint}: the router answers, but no coordinator does."
@@ -48,6 +90,7 @@ def router_endpoint(connect: str | None, security: Path | None) -> str:
 
 
 def jobs(
+    directory: JobDir = None,
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
     as_json: options.Json = False,
@@ -55,10 +98,15 @@ def jobs(
     """Say which jobs there are, what they have done, and who works on them.
 
     Example: qdgrasp jobs --connect tcp/head:7447
+
+    Example: qdgrasp jobs runs/mugs
     """
-    endpoint = router_endpoint(connect, security)
+    place = JobPlace.of(directory, connect, security)
+    endpoint = place.endpoint
     with open_session(endpoint, security, Role.MONITOR) as bus:
-        found = reachable_jobs(bus)
+        found = place.chosen(reachable_jobs(bus))
+    if not found and place.folder is not None:
+        raise place.folder.no_coordinator()
     if as_json:
         typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
     elif not found:

@@ -4,6 +4,7 @@ The same processes, commands and messages as on many machines; there is no secon
 """
 
 import os
+import shlex
 import signal
 import threading
 import time
@@ -160,6 +161,7 @@ class Supervisor:
         self._stop.tell(lambda: self._news.put(None))
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
+            stack.callback(self._folder.forget_endpoint)
             processes = stack.enter_context(ProcessGroup(self._folder.logs, GRACE))
             stack.callback(self._session.close)
             stack.callback(processes.request_stop)  # while the session is being closed
@@ -205,6 +207,7 @@ class Supervisor:
         near = parse_endpoints(endpoint)[0].from_here
         if self._endpoint is None:
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
+            self._say_commands(endpoint)
             self._start_members(processes, near)
         elif endpoint != self._endpoint:
             self._display.say(
@@ -215,6 +218,14 @@ class Supervisor:
         self._endpoint, self._session_turn, self._has_failed = endpoint, self._turn, False
         self._listen = replace(self._listen, endpoint=endpoint)  # where a later coordinator is found too
         self._session.open(near)
+
+    def _say_commands(self, endpoint: str) -> None:
+        """Tell by which commands the job is watched, and joined by more workers."""
+        flags = " ".join(map(shlex.quote, self._listen.security_flags))
+        reached = ",".join(place.from_elsewhere for place in parse_endpoints(endpoint))
+        watch = f"qdgrasp-monitor {shlex.quote(str(self._folder.path))} {flags}".rstrip()
+        join = f"qdgrasp-worker --connect {reached} --job {self._folder.name} {flags}".rstrip()
+        self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
 
     def _start_members(self, processes: ProcessGroup, near: str) -> None:
         """Start the recorder and the workers, which connect to the endpoint `near`."""

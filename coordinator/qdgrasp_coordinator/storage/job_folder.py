@@ -161,6 +161,13 @@ class JobFolder:
                 "that goes on with it, or begin anew."
             )
 
+    def no_coordinator(self) -> FolderError:
+        """Return the error that no coordinator of the job is there now."""
+        return FolderError(
+            f"No coordinator of {self.path} is there now; `{self.resume_command}` goes on with a job that is "
+            f"not finished, and `qdgrasp info {self.path}` says how far it is."
+        )
+
     @property
     def is_campaign(self) -> bool:
         """True if its runs have folders of their own; a recorder elsewhere has no campaign file."""
