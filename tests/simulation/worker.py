@@ -297,7 +297,7 @@ class Worker(Process):
     def _new_service(self) -> WorkerService:
         with (
             patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
-            patch.object(serving.secrets, "token_hex", lambda _: self.wid),
+            patch.object(serving, "worker_id", lambda _: self.wid),
         ):
             how = {"store": SceneStore(None), "job": JOB, "grace": GRACE}
             return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)

@@ -222,15 +222,23 @@ class RefusedByJob(Refused):
 class JobRegistry:
     """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
-    `rows` are those that its device evaluates at once; 0: it has none.
+    `rows` are those that its device evaluates at once; 0: it has none. `wid` is made of `key` (`worker_id`).
     """
 
     def __init__(
-        self, bus: Bus, requests: BackgroundRequests, wid: str, only: str | None, rows: int = 0
+        self,
+        bus: Bus,
+        requests: BackgroundRequests,
+        wid: str,
+        only: str | None,
+        rows: int = 0,
+        *,
+        key: bytes,
     ) -> None:
         self._bus = bus
         self._requests = requests
         self._wid = wid
+        self._key = key
         self._only = only
         self._rows = rows
         self._sessions: dict[str, JobSession] = {}  # By job; the one that was served last stands last
@@ -309,6 +317,7 @@ class JobRegistry:
                 request = Join(
                     versions=[VERSION],
                     wid=self._wid,
+                    key=self._key,
                     number=session.ask(credit),
                     credit=credit,
                     rows=self._rows,
