@@ -120,7 +120,7 @@ class Result(Message, frozen=True, kw_only=True):
 
 
 def worker_id(key: bytes) -> str:
-    """Return the id of the worker that has a key: only that worker can show what the id was made of."""
+    """Return the id of the worker that has a key; it shows in a join that the id is its own."""
     return hashlib.sha256(key).hexdigest()[:32]
 
 

@@ -171,7 +171,10 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
 
 
 def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
-    """Print the campaign's figures; exit if it is not finished, unless it was to end after some seconds."""
+    """Print the campaign's figures; exit if it is not finished.
+
+    `is_timed`: it was to end after some seconds, so that this is no failure.
+    """
     found = CampaignRunQueue(folder, asked.runs).extent
     if found.runs_done < found.runs:
         typer.echo(f"Not all runs are finished; {resume_hint(folder)}")

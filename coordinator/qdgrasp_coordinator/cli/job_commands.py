@@ -48,7 +48,7 @@ JobDir = Annotated[
 
 @dataclass(frozen=True)
 class JobPlace:
-    """Where jobs are looked for: a router, and there one job, or any."""
+    """A router at which jobs are looked for, and there one job, or any."""
 
     endpoint: str
     folder: JobFolder | None = None
@@ -56,7 +56,7 @@ class JobPlace:
 
     @classmethod
     def of(cls, directory: Path | None, connect: str | None, security: Path | None) -> "JobPlace":
-        """Return the place of the job in a folder, or the endpoint that was given, or the default one.
+        """Return the place of a folder's job, or of the endpoint given, or the default one.
 
         An InputError if both are given, and a FolderError if no coordinator of the folder's job listens.
         """

@@ -96,7 +96,7 @@ News = Sample | EndpointError | None
 
 
 class FiguresSession:
-    """The session that hears a job's figures, in a thread of its own: opening it holds up no restart."""
+    """The session that hears a job's figures, in a thread: opening it holds up no restart."""
 
     def __init__(self, job: str, credentials: Credentials | None, news: "SimpleQueue[News]") -> None:
         self._figures = Keys(job).stat("job")
@@ -190,7 +190,7 @@ class Supervisor:
         processes.start(COORDINATOR, "qdgrasp_coordinator.cli.coordinator_process", arguments)
 
     def _change_port(self) -> bool:
-        """Choose free ports in place of those that another program took while no coordinator was there.
+        """Choose free ports in place of those that another program took meanwhile.
 
         False where the coordinator has not listened yet: its ports are those that were asked for.
         """

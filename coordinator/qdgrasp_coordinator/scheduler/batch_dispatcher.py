@@ -137,7 +137,7 @@ class Dispatcher:
         return self._queue.seconds
 
     def wanted_workers(self, *, is_leasing: bool) -> int:
-        """Return how many workers the leased batches keep busy, and the queued rows if they are leased."""
+        """Return how many workers leased batches, and rows to be leased, could keep busy."""
         return self._batches.leased + (self._queue.batches if is_leasing else 0)
 
     @property

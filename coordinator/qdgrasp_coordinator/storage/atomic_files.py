@@ -49,7 +49,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_still_at(path: Path, file: IO[Any]) -> bool:
-    """Return whether an open file is the one at a path: it may have been deleted or replaced meanwhile."""
+    """Return whether an open file is the one at a path, not deleted or replaced."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file.fileno()))
     except OSError:
@@ -57,7 +57,7 @@ def is_still_at(path: Path, file: IO[Any]) -> bool:
 
 
 def is_staging(path: Path, of: Path) -> bool:
-    """Return whether a path is a temporary folder of another one, whose process may have been killed."""
+    """Return whether a path is a temporary folder (`staging_folder`) of another one."""
     return path.parent == of.parent and path.name.startswith(_begin(of)) and path.suffix == ".part"
 
 

@@ -97,7 +97,7 @@ class JournalWriter(Journal):
             self._database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (name, value))
 
     def _check_file(self) -> None:
-        """Raise `FolderError` if the file is not the one that was opened: what is written would be lost."""
+        """Raise `FolderError` if the file at the path is not the one that was opened."""
         with suppress(OSError):
             if os.path.samestat(self._file.stat(), self._opened):
                 return
