@@ -262,7 +262,7 @@ class ProcessGroup:
                 member.restart_at = None
 
     def restart_with(self, flag: str, value: str) -> None:
-        """Start all members again that have this flag, with another value; those that left stay away."""
+        """Start members with this flag again, with another value; those that left stay away."""
         told = [member for member in self._members.values() if flag in member.arguments]
         running = [member for member in told if member.process.poll() is None]
         for member in told:

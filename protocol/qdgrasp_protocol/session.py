@@ -353,7 +353,7 @@ class Unreachable(EndpointError):
 
 
 def silence_of(endpoint: Endpoint) -> str:
-    """Return why no router answers at an endpoint, as far as a socket shows it; empty where it does not."""
+    """Return why no router answers at an endpoint; empty where a socket does not show it."""
     if endpoint.protocol not in STREAMS:
         return ""
     try:

@@ -83,8 +83,8 @@ def test_a_file_that_vanishes_is_a_sentence_unless_the_process_is_to_be_started_
     else:
         assert done.returncode == 2
         assert done.stderr == (
-            f"program: {tmp_path / 'file'} is not there: it, or the folder that it lies in, was deleted or moved "
-            "while the command was at work; put it back, and give the command again.\n"
+            f"program: {tmp_path / 'file'} is not there: it, or the folder that it lies in, was deleted or "
+            "moved while the command was at work; put it back, and give the command again.\n"
         )
 
 

@@ -234,7 +234,7 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
 @pytest.mark.parametrize(
     ("whom", "reason"),
     [
-        ({"worker": "c"}, "has no worker 'c'; there are aaaaaaaa on here, bbbbbbbb on here"),
+        ({"worker": "c"}, f"has no worker 'c'; there are {ANN[:8]} on here, {BOB[:8]} on here"),
         ({"worker": ""}, "not said whom"),
         ({"host": "moon"}, "has no worker on host 'moon'; there are"),
     ],
