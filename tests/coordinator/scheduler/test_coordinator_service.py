@@ -206,7 +206,9 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
     bob = FakeWorker(job.network.session(), BOB)
     with job.serving(), job.network.session() as bus, ann.at_work():
         assert ann.kept.wait(PATIENCE)
-        assert send_command(bus, "drain", worker=ANN[:3]).startswith(f"Asked 1 worker of job '{JOB}' to finish")
+        assert send_command(bus, "drain", worker=ANN[:3]).startswith(
+            f"Asked 1 worker of job '{JOB}' to finish"
+        )
         (worker,) = job_view(bus).workers
         assert (worker.state, ann.controls[-1].drain) == ("leaving", True)
         assert job_view(bus).figures.workers == 0
