@@ -82,7 +82,17 @@ class Coordinator:
         workers.on_token(WID, True, 0.0)
         self._dispatcher = Dispatcher(1, workers, BATCH)
         self._dispatcher.join(
-            Join(versions=[VERSION], wid=WID, number=1, credit=8, held=[], host="here", pid=1, platform={}),
+            Join(
+                versions=[VERSION],
+                wid=WID,
+                key=bytes(32),
+                number=1,
+                credit=8,
+                held=[],
+                host="here",
+                pid=1,
+                platform={},
+            ),
             0.0,
         )
 

@@ -30,7 +30,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import BusError, NoReply
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work, deflated
+from qdgrasp_protocol.messages import VERSION, Join, Joined, Result, Work, deflated, worker_id
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, pack
 from qdgrasp_protocol.spec import RunSpec
@@ -189,7 +189,8 @@ class StandIn:
 
     def __init__(self, number: int, crowd: Crowd, later: Callable[[float, Callable[[], None]], None]) -> None:
         self._number = number
-        self.wid = secrets.token_hex(16)
+        self._key = secrets.token_bytes(32)
+        self.wid = worker_id(self._key)
         self._crowd = crowd
         self._later = later
         self._keys = Keys(crowd.job)
@@ -212,6 +213,7 @@ class StandIn:
         request = Join(
             versions=[VERSION],
             wid=self.wid,
+            key=self._key,
             number=1,
             credit=self._crowd.credit,
             held=[],

@@ -14,7 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
-from qdgrasp_protocol.process import STOP_SIGNALS
+from qdgrasp_protocol.process import STOP_SIGNALS, SUPERVISED
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable_lines
 
@@ -84,7 +84,11 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 
 
 def run_command(app: typer.Typer, name: str) -> None:
-    """Run a command line; an error ends it with a sentence on stderr and an exit code."""
+    """Run a command line; an error ends it with a sentence on stderr and an exit code.
+
+    So does a file that vanishes meanwhile; a process that has a supervisor is started again instead.
+    """
+    is_supervised = SUPERVISED in os.environ  # until its `lifetime` begins
     try:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_on_signal)
@@ -96,12 +100,25 @@ def run_command(app: typer.Typer, name: str) -> None:
         code = _print_usage_error(name, error)
     except typer.Abort:
         code = 130
+    except FileNotFoundError as error:
+        if is_supervised or error.filename is None:
+            raise
+        code = _print_error(name, _vanished(error), InputError.exit_code)
     except BrokenPipeError:
         code = 141
     finally:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_at_once)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _vanished(error: FileNotFoundError) -> str:
+    """Return the sentence for a file that was there when a command began, and is not any more."""
+    path = os.fsdecode(error.filename)
+    return (
+        f"{path} is not there: it, or the folder that it lies in, was deleted or moved while the command was "
+        "at work; put it back, and give the command again."
+    )
 
 
 def _exit_on_signal(number: int, _frame: FrameType | None) -> None:

@@ -7,6 +7,7 @@ Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, 
 passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
 """
 
+import hashlib
 import zlib
 from collections.abc import Mapping
 from functools import cache
@@ -29,6 +30,8 @@ Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
 """Id of a worker process: 128 random bits, new at every start."""
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
+WorkerKey = Annotated[bytes, Meta(min_length=32, max_length=32)]
+"""Random bytes that a worker's id is made of (`worker_id`); nobody but itself and coordinators sees them."""
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 RowCount = Annotated[int, Meta(ge=1, le=4096)]
@@ -116,6 +119,11 @@ class Result(Message, frozen=True, kw_only=True):
     failures: list[Failure] = []
 
 
+def worker_id(key: bytes) -> str:
+    """Return the id of the worker that has a key; it shows in a join that the id is its own."""
+    return hashlib.sha256(key).hexdigest()[:32]
+
+
 class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
     """Worker to coordinator, query: serve this job."""
 
@@ -123,6 +131,8 @@ class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
 
     versions: list[Count]
     wid: Wid
+    key: WorkerKey
+    """What `wid` is made of: it shows that the id is the asking worker's own."""
     number: Count
     """Counter of this worker's joins; the coordinator drops leases of older ones."""
     credit: Annotated[int, Meta(ge=0, le=64)]

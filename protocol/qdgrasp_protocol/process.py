@@ -275,6 +275,22 @@ class ProcessGroup:
                 member.process, member.started = _start(member.arguments, member.log, member.core), now
                 member.restart_at = None
 
+    def restart_with(self, flag: str, value: str) -> None:
+        """Start members with this flag again, with another value; those that left stay away."""
+        told = [member for member in self._members.values() if flag in member.arguments]
+        running = [member for member in told if member.process.poll() is None]
+        for member in told:
+            member.arguments[member.arguments.index(flag) + 1] = value
+        for member in running:
+            member.process.terminate()
+        leave_by = time.monotonic() + self._grace
+        for member in running:
+            _end_by(member.process, leave_by)
+            member.process, member.started = (
+                _start(member.arguments, member.log, member.core),
+                time.monotonic(),
+            )
+
     def last_error(self, name: str) -> str:
         """Return the error sentence with which a process ended; empty where it ended without one."""
         member = self._members[name]
@@ -309,11 +325,7 @@ class ProcessGroup:
         if self._leave_by is None:
             self.request_stop(number)
         for process in self._running().values():
-            try:
-                process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            _end_by(process, self._leave_by or 0.0)
         for member in self._members.values():
             if member.process.stdin is not None:
                 member.process.stdin.close()
@@ -323,6 +335,15 @@ class ProcessGroup:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _end_by(process: subprocess.Popen[bytes], time_limit: float) -> None:
+    """Wait for the end of a process until a time, then kill it."""
+    try:
+        process.wait(max(0.0, time_limit - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:

@@ -11,6 +11,7 @@ import os
 import re
 import socket
 import stat
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ LOOPBACK, PORT = "127.0.0.1", 7447
 HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls|quic|udp|ws)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
 SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
 ENCRYPTED = frozenset({"tls", "quic"})
+STREAMS = frozenset({"tcp", "tls", "ws"})
+"""Protocols over TCP, where a connection shows whether something listens."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +75,22 @@ class Endpoint:
     @property
     def from_here(self) -> str:
         """Address for sessions on this machine: loopback, if it listens on all interfaces."""
+        return self._with_host({4: LOOPBACK, 6: "[::1]"})
+
+    @property
+    def from_elsewhere(self) -> str:
+        """Address for sessions on other machines: this one's name, if it listens on all interfaces."""
+        return self._with_host(dict.fromkeys((4, 6), socket.gethostname()))
+
+    def _with_host(self, hosts: Mapping[int, str]) -> str:
+        """Return the endpoint, with a host of its version of IP where it listens on all interfaces."""
         try:
             address = ipaddress.ip_address(self.host)
         except ValueError:
             return self.text
         if not address.is_unspecified:
             return self.text
-        return f"{self.protocol}/{LOOPBACK if address.version == 4 else '[::1]'}:{self.port}"
+        return f"{self.protocol}/{hosts[address.version]}:{self.port}"
 
 
 def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
@@ -206,13 +218,18 @@ def _forbidden_permissions(key: Path) -> int:
 Mode = Literal["client", "router"]  # Routers relay; all others are clients of them
 ZenohSettings = dict[str, object]  # Values by their path in a zenoh configuration
 
+OPEN_SECONDS = 8.0
+"""Most seconds for opening a link, the first time and after a cut.
+
+A link with a round trip of 0.6 s takes 2.4 s, and some seconds more where it loses what is sent.
+"""
 BASE_SETTINGS: ZenohSettings = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
-    "transport/unicast/open_timeout": 3000,  # ms of one try; then another router has its turn
+    "transport/unicast/open_timeout": int(1000 * OPEN_SECONDS),  # then another router has its turn
     "transport/link/rx/max_message_size": 17 << 20,  # messages.MAX_PAYLOAD and what stands around it
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
@@ -307,31 +324,56 @@ def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
 
 
 CONNECT_HINT = (
-    "; is the coordinator or router running there, and the port reachable? Name another with --connect."
+    "Is the coordinator or router running there? Name another with --connect, or wait longer with --wait."
 )
 SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
 SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
 MAX_ZENOH_ERROR = 300  # The most characters that are repeated of what zenoh says
 HANDSHAKE_SECONDS = 2.0  # seconds that the other side may take for one step
 REFUSAL_SECONDS = 0.5
-"""Seconds in which it says whether it takes our certificate; it waits for us to speak first."""
+"""Seconds, besides twice those of the handshake, in which it says whether it takes our certificate.
+
+It waits for us to speak first.
+"""
 
 
 class Unreachable(EndpointError):
-    """No router answers, with the reason for encrypted endpoints."""
+    """No router answers, with the reason for each endpoint."""
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
     ) -> None:
         names = ", ".join(endpoint.text for endpoint in endpoints)
         reasons = [handshake_error(endpoint, credentials) for endpoint in endpoints] if credentials else []
-        known = " ".join(filter(None, reasons))
-        silent = f"Nothing answers at {names} after {seconds:g} s{CONNECT_HINT}"
-        super().__init__(f"No session at {names}: {known}" if known else silent)
+        if known := " ".join(filter(None, reasons)):
+            super().__init__(f"No session at {names}: {known}")
+            return
+        likely = " ".join(filter(None, map(silence_of, endpoints)))
+        super().__init__(f"Nothing answers at {names} after {seconds:g} s. {likely} {CONNECT_HINT}")
+
+
+def silence_of(endpoint: Endpoint) -> str:
+    """Return why no router answers at an endpoint; empty where a socket does not show it."""
+    if endpoint.protocol not in STREAMS:
+        return ""
+    try:
+        socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS).close()
+    except ConnectionRefusedError:
+        return f"Nothing listens at {endpoint.text}."
+    except TimeoutError:
+        return f"No host answers at {endpoint.text}: it is off, or a firewall is before it."
+    except OSError as error:
+        return f"There is no way to {endpoint.text} ({(error.strerror or str(error)).lower()})."
+    return (
+        f"Something listens at {endpoint.text}, but opened no session in that time: the link is slow, or it "
+        "is no router of qdgrasp."
+    )
 
 
 class NotListening(EndpointError):
     """A router cannot listen on an endpoint, by an error of zenoh."""
+
+    TAKEN = re.compile(r"Cannot listen on \S+: address already in use")
 
     def __init__(self, endpoint: str, error: str) -> None:
         why = SYSTEM_ERROR.search(error)
@@ -341,6 +383,11 @@ class NotListening(EndpointError):
             )
         else:
             super().__init__(f"Cannot listen on {endpoint}: zenoh says '{clean_zenoh_error(error)}'.")
+
+    @classmethod
+    def is_of_taken_port(cls, sentence: str) -> bool:
+        """True if the sentence of such an error says that another process has the port."""
+        return bool(cls.TAKEN.match(sentence))
 
 
 def clean_zenoh_error(error: str) -> str:
@@ -373,11 +420,12 @@ def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
 
     An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """
+    began = time.monotonic()
     with (
         socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,
         context.wrap_socket(plain, server_hostname=endpoint.host) as link,
     ):
-        link.settimeout(REFUSAL_SECONDS)
+        link.settimeout(REFUSAL_SECONDS + 2 * (time.monotonic() - began))
         with suppress(TimeoutError):
             return bool(link.recv(1))  # a router that does not take our certificate says so only now
         return True

@@ -2,9 +2,13 @@
 
 import json
 import socket
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
+from functools import partial
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import structlog
@@ -26,6 +30,7 @@ from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Re
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import (
+    OPEN_SECONDS,
     Credentials,
     Mode,
     NotListening,
@@ -44,7 +49,7 @@ log = structlog.get_logger()
 T = TypeVar("T")
 
 PORT_TRIES = 3  # How many free ports are tried where somebody else is quicker
-CONNECT_SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
+FIRST_TRY = 1.0  # seconds of the first try to connect to one of several routers; the next takes twice that
 ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
@@ -73,6 +78,21 @@ def free_endpoint(credentials: Credentials | None = None) -> str:
     raise EndpointError(f"No port is free on {default.host}.")
 
 
+def free_ports(endpoint: str) -> str:
+    """Return an endpoint, or several, with a free port in place of each that is taken."""
+    found = []
+    for place in parse_endpoints(endpoint):
+        text = place.text
+        if place.host:
+            family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
+            for port in (place.port, 0):
+                with suppress(OSError), socket.create_server((*address[:1], port), family=family) as server:
+                    text = text.replace(f":{place.port}", f":{server.getsockname()[1]}")
+                    break
+        found.append(text)
+    return ",".join(found)
+
+
 class ZenohBus(Bus):
     """A zenoh session; opened by `connect` or `router`."""
 
@@ -92,8 +112,9 @@ class ZenohBus(Bus):
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
 
         Of several endpoints, separated by commas, the first that answers serves, and when it is lost another
-        one; None is the default one. An EndpointError if no router answers in time, or the text is not an
-        endpoint; a SystemExit if `stop` was set while trying.
+        one; None is the default one. A try takes as long as a slow link needs, and ends when `stop` is set.
+        An EndpointError if no router answers in time, or the text is not an endpoint; a SystemExit if `stop`
+        was set while trying.
         """
         endpoints = (
             parse_endpoints(endpoint)
@@ -101,16 +122,31 @@ class ZenohBus(Bus):
             else (default_endpoint(encrypted=credentials is not None),)
         )
         deadline = time.monotonic() + deadline_seconds
+        order = deque(endpoints)
+        patience = FIRST_TRY if len(endpoints) > 1 else OPEN_SECONDS
+        ends: SimpleQueue[zenoh.Session | Exception | None] = SimpleQueue()  # Of tries; None: of all of them
+        if stop is not None:
+            stop.tell(lambda: ends.put(None))
         while True:
             if stop is not None and stop.is_set:
                 raise SystemExit(stop.exit_code)
-            left = min(CONNECT_SLICE, max(0.0, deadline - time.monotonic()))
-            chosen = session_settings("client", connect=endpoints, credentials=credentials, seconds=left)
-            try:
-                return cls(zenoh.open(_config(chosen, zenoh.Config())), "client")
-            except zenoh.ZError:
-                if time.monotonic() >= deadline:
-                    raise Unreachable(endpoints, deadline_seconds, credentials) from None
+            left = min(patience, max(0.0, deadline - time.monotonic()))
+            chosen = session_settings("client", connect=order, credentials=credentials, seconds=left)
+            config = _config(chosen, zenoh.Config())
+            attempt = partial(_open, config, stop)  # in a thread, as nothing can interrupt it
+            threading.Thread(target=lambda attempt=attempt: ends.put(attempt()), daemon=True).start()
+            end = ends.get()
+            if isinstance(end, zenoh.Session):
+                if stop is None or not stop.is_set:
+                    return cls(end, "client")
+                end.close()  # type: ignore[no-untyped-call]  # zenoh says no type
+                continue
+            if end is not None and not isinstance(end, zenoh.ZError):
+                raise end
+            if time.monotonic() >= deadline:
+                raise Unreachable(endpoints, deadline_seconds, credentials)
+            order.rotate(-1)  # a router that does not answer may have taken up all of this try
+            patience = min(2 * patience, OPEN_SECONDS)
 
     @classmethod
     def router(
@@ -295,6 +331,17 @@ class ZenohRing(RingBuffer):
             while self.holds and (sample := self.subscriber.try_recv()) is not None:
                 taken.append(_sample(sample))
         return taken
+
+
+def _open(config: zenoh.Config, stop: Stop | None) -> zenoh.Session | Exception:
+    """Open a client's session; returns the error in its place, and closes it after a stop."""
+    try:
+        session = zenoh.open(config)
+    except Exception as error:  # noqa: BLE001  # it is for the thread that waits
+        return error
+    if stop is not None and stop.is_set:
+        session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
+    return session
 
 
 def _sample(sample: zenoh.Sample) -> Sample:

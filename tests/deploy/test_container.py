@@ -11,10 +11,13 @@ from typing import Any
 
 import pytest
 import yaml
+from msgspec import structs
 from packaging.requirements import Requirement
 from packaging.version import Version
+from tests.coordinator.monitor.sample_jobs import values, views
 from tests.deploy.commands import COMMANDS, DEPLOY, understood
 
+from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_protocol.session import parse_endpoints
 from qdgrasp_worker.device import DEVICE_MODULE
 
@@ -257,7 +260,10 @@ def megabytes(quantity: str) -> float:
 
 
 def test_everything_is_named_and_of_a_kind() -> None:
-    assert {each["kind"] for each in OBJECTS} == {"Deployment", "Service", "HorizontalPodAutoscaler"}
+    assert {each["kind"] for each in OBJECTS} == {
+        *("Deployment", "Service"),
+        *("HorizontalPodAutoscaler", "ScaledObject"),
+    }
     assert set(DEPLOYMENTS) == {"qdgrasp-router", "qdgrasp-worker"}
 
 
@@ -314,5 +320,18 @@ def test_a_worker_writes_only_where_it_is_given_a_place() -> None:
 
 
 def test_what_scales_is_what_there_is() -> None:
-    (scaler,) = (each for each in OBJECTS if each["kind"] == "HorizontalPodAutoscaler")
-    assert scaler["spec"]["scaleTargetRef"]["name"] in DEPLOYMENTS
+    scalers = [each for each in OBJECTS if each["kind"] in ("HorizontalPodAutoscaler", "ScaledObject")]
+    assert len(scalers) == 2
+    assert all(each["spec"]["scaleTargetRef"]["name"] in DEPLOYMENTS for each in scalers)
+
+
+def test_without_work_there_are_no_workers_and_what_is_asked_for_is_told() -> None:
+    (scaler,) = (each["spec"] for each in OBJECTS if each["kind"] == "ScaledObject")
+    assert scaler["minReplicaCount"] == 0
+    (trigger,) = scaler["triggers"]
+    query = trigger["metadata"]["query"]
+    (view,) = views(values())
+    shown = structs.replace(view, figures=structs.replace(view.figures, wanted_workers=7))
+    (name,) = re.findall(r"qdgrasp_\w+", query)
+    assert f'{name}{{job="mugs"}} 7.0' in exposition([shown])[0].decode()
+    assert query.endswith("or vector(0)")  # a job that is over tells nothing

@@ -11,7 +11,7 @@ from msgspec.inspect import type_info
 
 from qdgrasp_protocol import build_messages, messages
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.messages import VERSION, Join, Message, OpenRun, Result
+from qdgrasp_protocol.messages import VERSION, Join, Message, OpenRun, Result, worker_id
 
 KINDS = sorted(
     (
@@ -24,8 +24,15 @@ KINDS = sorted(
 """All messages in the order of their encodings."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
 """What stands in fields that are text: the first that the field's pattern takes."""
-ANN, BOB, EVE = "a" * 32, "b" * 32, "e" * 32
-"""Workers."""
+WORKER_KEYS = {
+    letter: next(
+        key for key in (number.to_bytes(32) for number in count()) if worker_id(key).startswith(letter)
+    )
+    for letter in "abef"
+}
+ANN, BOB, EVE, FAY = (worker_id(key) for key in WORKER_KEYS.values())
+"""Workers, in the order of their ids."""
+KEYS_BY_ID = {worker_id(key): key for key in WORKER_KEYS.values()}
 HERE = {"pybullet": "3.2.7"}
 """The platform of workers."""
 
@@ -38,6 +45,7 @@ def join_message(
     wid: str, number: int = 1, credit: int = 2, held: Sequence[bytes] = (), **values: Any
 ) -> Join:
     common = {"versions": [VERSION], "host": "node7", "pid": 9, "platform": HERE}
+    common["key"] = KEYS_BY_ID.get(wid, bytes(32))
     return Join(**common | {"wid": wid, "number": number, "credit": credit, "held": list(held)} | values)
 
 

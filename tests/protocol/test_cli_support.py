@@ -1,6 +1,7 @@
 """Sentences of commands, and exit codes of impossible command lines and of signals."""
 
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from typer.exceptions import TyperException
 
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_protocol.cli_support import echo, usage_error
-from qdgrasp_protocol.process import configure_logging
+from qdgrasp_protocol.process import SUPERVISED, configure_logging
 from qdgrasp_protocol.text import counted, first_few, join_numbers, parse_numbers, quoted
 
 
@@ -52,6 +53,41 @@ def said(*words: str) -> str:
     with pytest.raises(TyperException) as raised:
         app(words, prog_name="program", standalone_mode=False)
     return usage_error(raised.value, "program")
+
+
+VANISHED = """
+import sys, pathlib, typer
+from qdgrasp_protocol.cli_support import run_command
+app = typer.Typer()
+
+@app.command()
+def read(path: pathlib.Path):
+    path.unlink()
+    path.read_text()
+
+sys.argv = ["program", *sys.argv[1:]]
+run_command(app, "program")
+"""
+
+
+@pytest.mark.parametrize("is_supervised", [False, True])
+def test_a_file_that_vanishes_is_a_sentence_unless_the_process_is_to_be_started_again(
+    tmp_path: Path, is_supervised: bool
+) -> None:
+    (tmp_path / "file").touch()
+    environment = {**os.environ, **({SUPERVISED: "1"} if is_supervised else {})}
+    command = [sys.executable, "-c", VANISHED, str(tmp_path / "file")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE, check=False, env=environment
+    )
+    if is_supervised:
+        assert (done.returncode, "FileNotFoundError" in done.stderr) == (1, True)
+    else:
+        assert done.returncode == 2
+        assert done.stderr == (
+            f"program: {tmp_path / 'file'} is not there: it, or the folder that it lies in, was deleted or "
+            "moved while the command was at work; put it back, and give the command again.\n"
+        )
 
 
 LEAST = "it must be greater than or equal to 0"

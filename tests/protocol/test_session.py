@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import socket
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -95,6 +97,8 @@ def test_the_default_is_on_loopback() -> None:
 )
 def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> None:
     assert Endpoint.parse(text).from_here == near
+    far = re.sub(r"(127\.0\.0\.1|\[::1\]):7000", f"{socket.gethostname()}:7000", near)
+    assert Endpoint.parse(text).from_elsewhere == far
 
 
 NOBODY = 65534

@@ -348,7 +348,7 @@ class Worker(Process):
         with (
             patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
             patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._mishaps)),
-            patch.object(serving.secrets, "token_hex", lambda _: self.wid),
+            patch.object(serving, "worker_id", lambda _: self.wid),
         ):
             how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}
             return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)

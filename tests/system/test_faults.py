@@ -2,11 +2,13 @@
 
 import os
 import signal
+import socket
 import subprocess
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.common import HOST, PATIENCE, own_endpoint, wait_for
+from tests.fakes.slow_link import slow_link
 from tests.system.commands import (
     BUDGET,
     COORDINATOR,
@@ -22,10 +24,12 @@ from tests.system.commands import (
     pids,
     processes_of,
     rows_recorded,
+    says,
     stop,
 )
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.session import Endpoint
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -65,6 +69,35 @@ def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, lo
     _, err = end_of(process)
     assert "coordinator was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_coordinator_that_is_killed_as_soon_as_it_listens_is_started_again(qdgrasp, long_digest):
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
+    wait_for(lambda: (qdgrasp.home / "run" / "endpoint").exists(), "the endpoint")
+    kill(pids(process, "coordinator")[0])
+    _, err = end_of(process)
+    assert "coordinator was killed by SIGKILL; it is started again" in err
+    assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_port_that_another_program_takes_meanwhile_does_not_end_the_run(qdgrasp, long_digest):
+    process, folder = start(qdgrasp, 20)
+    before = Endpoint.parse(JobFolder(folder).endpoint)
+    with held(*pids(process, "worker")):
+        kill(pids(process, "coordinator")[0])
+        with wait_for(lambda: server_at(before.port), "the port"):
+            says(process, "as another program took the port")
+            assert JobFolder(folder).endpoint not in (None, before.text)
+            end_of(process)
+    assert qdgrasp.digest("run") == long_digest
+
+
+def server_at(port: int) -> socket.socket | None:
+    """Listen on a port, if it is free."""
+    try:
+        return socket.create_server((HOST, port))
+    except OSError:
+        return None
 
 
 @pytest.mark.slow
@@ -167,3 +200,34 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
         end_of(new)
         qdgrasp.end_all()
     assert qdgrasp.digest("run") == long_digest
+
+
+@pytest.mark.slow
+def test_a_worker_behind_a_long_link_that_is_cut_finishes_the_run(qdgrasp, long_digest):
+    endpoint = own_endpoint()
+    with slow_link(Endpoint.parse(endpoint).port, round_trip=0.6, loss=0.05) as link:
+        process = qdgrasp.start("run", *LONG, "--workers", 0, "--listen", endpoint, "--out", "run")
+        qdgrasp.start("--connect", f"tcp/{HOST}:{link.port}", module=WORKER)
+        has_rows(process, qdgrasp.home / "run", 1)
+        link.cut()
+        end_of(process)
+    assert link.connections > 1
+    assert qdgrasp.digest("run") == long_digest
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("run/run.sqlite", "run/run.sqlite was deleted or replaced while its run was being recorded"),
+        ("run", "run was deleted or moved while its job ran"),
+    ],
+)
+def test_a_journal_or_folder_that_is_deleted_meanwhile_ends_the_run_with_a_sentence(qdgrasp, name, words):
+    process, folder = start(qdgrasp, 20)
+    path = qdgrasp.home / name
+    path.rename(qdgrasp.home / "elsewhere")  # so that nothing is made in it while it is being deleted
+    _, err = end_of(process, 2)
+    last = err.splitlines()[-1]
+    assert last.startswith(f"qdgrasp: {words}")
+    assert "Traceback" not in err
+    assert folder.exists() == (path != folder)

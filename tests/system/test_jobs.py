@@ -29,6 +29,7 @@ from tests.system.commands import (
 )
 from tests.system.test_bad_input import sentence
 
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -129,6 +130,24 @@ def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     assert "30 successes in" in again.out
     qdgrasp.succeed(*goal, "--successes", 30, "--out", "whole")
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
+
+
+def test_a_job_is_found_by_its_folder_and_says_how_it_is_watched_and_joined(qdgrasp):
+    job = Running(qdgrasp)
+    with job.at_rest():
+        says(
+            job.process, f"by `qdgrasp-monitor run`, add workers by `qdgrasp-worker --connect {job.endpoint} "
+        )
+        for done in (qdgrasp("jobs", "run", "--json"), qdgrasp("run", "--once", "--json", entry="monitor")):
+            assert done.json["endpoint"] == job.endpoint
+            assert [one["meta"]["job"] for one in done.json["jobs"]] == ["mugs"]
+        stranger = qdgrasp.home / "stranger"  # a job of the same name, begun elsewhere
+        JobFolder.create(stranger, "mugs").write_endpoint(job.endpoint)
+        for words in (("jobs", "stranger"), ("jobs", "nowhere"), ("jobs", "run", "--connect", job.endpoint)):
+            sentence(qdgrasp(*words))
+        assert "No coordinator of stranger is there now" in sentence(qdgrasp("jobs", "stranger"))
+    stop(job.process, signal.SIGTERM)
+    assert "No coordinator of run is there now; `qdgrasp resume run`" in sentence(qdgrasp("jobs", "run"))
 
 
 def test_where_nobody_is_it_is_said(qdgrasp):

@@ -30,7 +30,7 @@ from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted
 
@@ -193,7 +193,7 @@ def campaign(
         if extent.runs_done < extent.runs:
             run_job(folder, config, shown, stop)
     check_not_stopped(folder, stop)
-    print_summary(folder, asked)
+    print_summary(folder, asked, is_timed=seconds is not None)
 
 
 def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
@@ -204,8 +204,11 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
     return what
 
 
-def print_summary(folder: JobFolder, asked: Campaign) -> None:
-    """Print the campaign's figures."""
+def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
+    """Print the campaign's figures; exit if it is not finished.
+
+    `is_timed`: it was to end after some seconds, so that this is no failure.
+    """
     queue = CampaignRunQueue(folder, asked.runs)
     found = queue.extent
     if found.runs_done < found.runs:
@@ -218,6 +221,8 @@ def print_summary(folder: JobFolder, asked: Campaign) -> None:
     if queue.ends:
         ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
         echo(f"Finished runs ended: {ends}.")
+    if found.runs_done < found.runs and not is_timed:
+        raise typer.Exit(EndedEarly.exit_code)
 
 
 def analyse(

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -15,17 +16,18 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
 from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.records import BusRecords
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Order, OrderReply
-from qdgrasp_protocol.session import Credentials, Role, default_endpoint
+from qdgrasp_protocol.session import Credentials, Role, default_endpoint, parse_endpoints
 from qdgrasp_protocol.text import printable
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-SESSION_SECONDS = 3.0  # seconds that a router may take to answer
+SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too
 
 
 @contextmanager
@@ -39,6 +41,45 @@ def open_session(
     credentials = Credentials.find(security, role)
     with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
         yield bus
+
+
+JobDir = Annotated[
+    Path | None,
+    typer.Argument(metavar="DIR", help="A job's folder: its job alone, where its coordinator listens."),
+]
+
+
+@dataclass(frozen=True)
+class JobPlace:
+    """A router at which jobs are looked for, and there one job, or any."""
+
+    endpoint: str
+    folder: JobFolder | None = None
+    """The job's folder; None: any job is meant."""
+
+    @classmethod
+    def of(cls, directory: Path | None, connect: str | None, security: Path | None) -> "JobPlace":
+        """Return the place of a folder's job, or of the endpoint given, or the default one.
+
+        An InputError if both are given, and a FolderError if no coordinator of the folder's job listens.
+        """
+        if directory is None:
+            return cls(router_endpoint(connect, security))
+        if connect is not None:
+            raise InputError(f"{directory} says where its coordinator listens: leave out --connect, or it.")
+        folder = JobFolder.open(directory)
+        if folder.endpoint is None:
+            raise folder.no_coordinator()
+        places = (place.from_here for place in parse_endpoints(folder.endpoint))
+        return cls(",".join(places), folder)
+
+    def chosen(self, views: Sequence[JobView]) -> list[JobView]:
+        """Return the views of the jobs that are meant: another user's may have the same name."""
+        folder = self.folder
+        if folder is None:
+            return list(views)
+        name, identity = folder.name, folder.identity
+        return [view for view in views if view.job == name and view.meta.identity in ("", identity)]
 
 
 def no_job_message(endpoint: str) -> str:
@@ -63,6 +104,7 @@ def recorded_objects(bus: Bus, view: JobView) -> Sequence[ObjectListing]:
 
 
 def jobs(
+    directory: JobDir = None,
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
     as_json: options.Json = False,
@@ -70,11 +112,16 @@ def jobs(
     """Say which jobs there are, what they have done, and who works on them.
 
     Example: qdgrasp jobs --connect tcp/head:7447
+
+    Example: qdgrasp jobs runs/mugs
     """
-    endpoint = router_endpoint(connect, security)
+    place = JobPlace.of(directory, connect, security)
+    endpoint = place.endpoint
     with open_session(endpoint, security, Role.MONITOR) as bus:
-        found = reachable_jobs(bus)
+        found = place.chosen(reachable_jobs(bus))
         objects = {job.job: recorded_objects(bus, job) for job in ([] if as_json else found)}
+    if not found and place.folder is not None:
+        raise place.folder.no_coordinator()
     if as_json:
         echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
     elif not found:

@@ -13,7 +13,7 @@ import structlog
 import typer
 from rich.console import Console
 
-from qdgrasp_coordinator.cli.job_commands import SESSION_SECONDS, open_session, router_endpoint
+from qdgrasp_coordinator.cli.job_commands import SESSION_SECONDS, JobDir, JobPlace, open_session
 from qdgrasp_coordinator.cli.options import host_and_port
 from qdgrasp_coordinator.monitor.feed import Feed, ObjectFeed, query_jobs
 from qdgrasp_coordinator.monitor.job_view import JobView
@@ -54,6 +54,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 @app.command()
 def monitor(
     context: typer.Context,
+    directory: JobDir = None,
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
     job: Annotated[str | None, typer.Option(metavar="NAME", help="Watch this job only.")] = None,
@@ -86,14 +87,24 @@ def monitor(
     and e show all objects, runs, workers and events.
 
     Example: qdgrasp-monitor --connect tcp/head:7447
+
+    Example: qdgrasp-monitor runs/mugs
     """
     check_flags(typed_flags(context))
     configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
-    endpoint = router_endpoint(connect, security)
+    place = JobPlace.of(directory, connect, security)
+    endpoint = place.endpoint
+    if place.folder is not None:
+        if job is not None:
+            raise InputError(f"{directory} says which job is meant: leave out --job, or it.")
+        job = place.folder.name
     if once:
         with open_session(endpoint, security, Role.MONITOR, wait) as bus:
             there = query_jobs(bus)
-        views = chosen_views(there.views(time.time()), job)
+        found = place.chosen(there.views(time.time()))
+        if not found and place.folder is not None:
+            raise place.folder.no_coordinator()
+        views = chosen_views(found, job)
         if as_json:
             echo(to_json(views, endpoint))
         else:

@@ -199,16 +199,21 @@ def start_run(
             folder = RunFolder.create(out, spec, bundle, job=job)
             begun(folder)
             run_job(folder.job, config, shown, stop)
-    print_result(folder, stop)
+    print_result(folder, stop, is_timed=config.seconds is not None)
 
 
-def print_result(folder: RunFolder, stop: Stop) -> None:
-    """Print the run's figures, or exit if there was a signal."""
+def print_result(folder: RunFolder, stop: Stop, *, is_timed: bool = False) -> None:
+    """Print the run's figures; exit if there was a signal, or the run is not finished.
+
+    `is_timed`: the run was to end after some seconds, so that this is no failure.
+    """
     check_not_stopped(folder.job, stop)
     found = run_summary(folder)
     echo(found.words)
     if not found.complete:
         echo(f"It is not finished; {resume_hint(folder.job)}")
+        if not is_timed:
+            raise typer.Exit(EndedEarly.exit_code)
     elif found.evaluations < found.budget:
         echo(f"It ended early: {found.ended}.")
     write_ranking_of(folder)
@@ -274,7 +279,7 @@ def resume(
     ):
         shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
         run_job(folder.job, config, shown, stop)
-    print_result(folder, stop)
+    print_result(folder, stop, is_timed=seconds is not None)
 
 
 def rerank(

@@ -8,6 +8,7 @@ from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import ProcessExit, ProcessGroup, back_off
+from qdgrasp_protocol.session import NotListening
 
 GRACE = 1.2
 """Seconds that a command's processes have to stop, of the two of the command itself.
@@ -34,7 +35,8 @@ class RestartPolicy:
 
     A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
     that ended with a sentence has decided to; the job then ends with that sentence. `start_coordinator`
-    starts it again; None: there is no such process.
+    starts it again; None: there is no such process. Where its port was taken, `change_port` chooses another
+    one for it, and returns whether there is to be one.
     """
 
     def __init__(
@@ -42,15 +44,22 @@ class RestartPolicy:
         processes: ProcessGroup,
         display: ProgressDisplay,
         start_coordinator: Callable[[], None] | None = None,
+        change_port: Callable[[], bool] = lambda: False,
     ) -> None:
         self._processes = processes
         self._display = display
         self._start_coordinator = start_coordinator
+        self._change_port = change_port
         self._start_at: float | None = None
         self._deaths: Counter[str] = Counter()
         self._most = -1
         self.is_done = False
         """The coordinator ended with its job complete, or after the seconds that it was given."""
+
+    @property
+    def awaits_coordinator(self) -> bool:
+        """True while the coordinator is down, until it is started again."""
+        return self._start_at is not None
 
     def note_progress(self, figures: JobStatus) -> None:
         """Record the job's figures; progress resets the counts of deaths."""
@@ -76,10 +85,11 @@ class RestartPolicy:
 
     def _coordinator_died(self, death: ProcessExit, now: float) -> None:
         words = self._processes.last_error(death.name)
-        if death.exit_code == InputError.exit_code:
-            raise InputError(words)
-        if words:
-            raise EndedEarly(words)
+        if not (NotListening.is_of_taken_port(words) and self._change_port()):
+            if death.exit_code == InputError.exit_code:
+                raise InputError(words or self._silence(death))
+            if words:
+                raise EndedEarly(words)
         if death.exit_code == 0:
             self.is_done = True
             return
@@ -94,9 +104,13 @@ class RestartPolicy:
             self._display.say(f"{death.name} has left")
             return
         if death.exit_code == InputError.exit_code and self._start_at is None:
-            raise InputError(self._processes.last_error(death.name))
+            raise InputError(self._processes.last_error(death.name) or self._silence(death))
         self._count(death)
         self._say(death, self._processes.restart_later(death.name, now))
+
+    @staticmethod
+    def _silence(death: ProcessExit) -> str:
+        return f"The {death.name} {death.description}, and its log does not say why: it is gone, or empty."
 
     def _count(self, death: ProcessExit) -> None:
         self._deaths[death.name] += 1

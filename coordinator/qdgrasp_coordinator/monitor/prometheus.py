@@ -91,6 +91,7 @@ COORDINATED_JOB = MetricGroup("job", ("job",), JobStatus, (
     MetricSpec("strays", name="stray_results"),
     MetricSpec("waiting", GaugeMetricFamily, unit="rows"),
     MetricSpec("workers", GaugeMetricFamily),
+    MetricSpec("wanted_workers", GaugeMetricFamily),
     MetricSpec("recorders", GaugeMetricFamily),
 ))  # fmt: skip
 """Metrics of a job while its coordinator publishes."""

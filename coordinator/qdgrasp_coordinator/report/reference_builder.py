@@ -59,7 +59,7 @@ def build_reference_sets(
     with (
         atomic_files.writing(out, output.instead),
         atomic_files.making_parents(home),
-        job_folder.hold_lock(home, f".{out.name}.lock"),
+        job_folder.hold_lock(home, f".{out.name}.lock", is_removed=True),
     ):
         sets = _existing_sets(out)
         for found in gathered.values():

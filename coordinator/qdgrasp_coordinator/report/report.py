@@ -86,7 +86,7 @@ def write_report(
     there is no run, none has recorded an evaluation or has curves, one cannot be read, or `out` cannot be
     written, and UnknownName if no run is of this method; it names those that there are.
     """
-    folder = SharedFolder(out, is_kind=is_ours)
+    folder = SharedFolder(out, is_kind=is_ours, mark=PAGE_FILE)
     folder.check()
     there = search_run_folders(path)
     folders = [folder for folder in there if has_curves(folder)]

@@ -59,6 +59,11 @@ class BatchTable:
         """Return the state of a batch that is leased, made at its first lease."""
         return self._open.setdefault(batch.id, BatchState(batch))
 
+    @property
+    def leased(self) -> int:
+        """Number of batches that workers hold."""
+        return sum(state.holder is not None for state in self._open.values())
+
     def find(self, batch_id: bytes) -> BatchState | None:
         """Return the state of a leased batch; None: never leased, or settled."""
         return self._open.get(batch_id)
@@ -168,6 +173,10 @@ class Dispatcher:
     def queued_seconds(self) -> float:
         """Expected cost of the rows that wait for a worker [CPU s]."""
         return self._queue.seconds
+
+    def wanted_workers(self, *, is_leasing: bool) -> int:
+        """Return how many workers leased batches, and rows to be leased, could keep busy."""
+        return self._batches.leased + (self._queue.batches if is_leasing else 0)
 
     @property
     def strays(self) -> int:

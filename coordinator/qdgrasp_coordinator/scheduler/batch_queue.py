@@ -165,6 +165,11 @@ class BatchSizer:
         self._seconds = _MEMORY * self._seconds + cpu_seconds
         self._rows = _MEMORY * self._rows + rows
 
+    @property
+    def full_size(self) -> int:
+        """Rows of a batch that is not cut shorter to share the end of a generation."""
+        return self._fixed or _rows_within(BATCH_SECONDS, self.seconds_per_row or FIRST_COST)
+
     def next_size(self, remaining: int, workers: int, runs: int = 1) -> int:
         """Return the number of rows of the next batch.
 
@@ -213,6 +218,11 @@ class BatchQueue:
     def seconds(self) -> float:
         """Expected cost of the waiting rows [CPU s]."""
         return sum(len(rows) * (rows.sizer.seconds_per_row or FIRST_COST) for rows in self._runs.values())
+
+    @property
+    def batches(self) -> int:
+        """Number of batches of about `BATCH_SECONDS` that the waiting rows make."""
+        return sum(ceil(len(rows) / rows.sizer.full_size) for rows in self._runs.values())
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""

@@ -18,7 +18,7 @@ from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus, Query, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
-from qdgrasp_protocol.messages import Join, Order, OrderReply, shorten
+from qdgrasp_protocol.messages import Join, Order, OrderReply, shorten, worker_id
 
 ANSWER_TIMEOUT = 5.0  # seconds that a question waits for the coordinator's one thread
 
@@ -137,6 +137,10 @@ class BusSubscriptions(ExitStack):
             request = JoinRequest(messages.decode(query.payload, Join))
         except MessageError as error:
             raise Refused(str(error)) from None
+        if worker_id(request.join.key) != request.join.wid:
+            raise Refused(
+                f"the id {request.join.wid} is not that of the worker's key: it is another worker's"
+            )
         self._inbox.put(request)
         return _await(request.answer)
 

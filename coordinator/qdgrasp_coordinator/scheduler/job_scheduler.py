@@ -446,6 +446,7 @@ class JobScheduler:
             self.runs.status(self.job, len(self.workers), now),
             state=self.state,
             recorders=len(self._recorders),
+            wanted_workers=self.dispatcher.wanted_workers(is_leasing=not (self.is_paused or self.is_ending)),
             requeued=self.dispatcher.counters["requeued"],
             strays=self.dispatcher.strays,
         )

@@ -69,6 +69,11 @@ class LeaseTimeout:
         return self._limit
 
 
+JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
+"""By how much a join's number may exceed the last one, besides so many for each second of silence.
+
+A worker raises it by one each time it asks, at most 20 times a second (rule 2), answered or not.
+"""
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
 SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
@@ -248,13 +253,16 @@ class WorkerRegistry:
 
         Returns the ids of the batches that it held, which are taken from it; None: a join older than the
         latest changes nothing. A worker whose token is not there yet is waited for, at most `TOKEN_DELAY`
-        seconds. Raises Refused if it speaks another version of the protocol, or is of another platform.
+        seconds. Raises Refused if it speaks another version of the protocol, is of another platform, or its
+        number is further ahead than a worker's can be.
         """
         if VERSION not in join.versions:
             spoken = f"it speaks versions {join.versions} of the protocol"
             raise Refused(f"{spoken}, this job speaks {VERSION}")
-        self.platform = admit_platform(self.platform, join.platform)
         known = self._workers.get(join.wid)
+        if known is not None:
+            _check_number(join.number, known, now)
+        self.platform = admit_platform(self.platform, join.platform)
         worker = known or self._add(join, now)
         worker.heard = now
         batches = None
@@ -398,6 +406,14 @@ class WorkerRegistry:
             WorkersPage(page=page, pages=len(firsts), workers=shown[first : first + WORKERS_PER_PAGE])
             for page, first in enumerate(firsts)
         ]
+
+
+def _check_number(number: int, known: Worker, now: float) -> None:
+    """Refuse a join whose number a worker cannot have come to since it was heard of last."""
+    last = known.join.number
+    most = last + JOINS_AHEAD + int(JOINS_PER_SECOND * (now - known.heard))
+    if number > most:
+        raise Refused(f"its join has the number {number}, expected at most {most} after {last}")
 
 
 def _lose_token(worker: Worker, at: float) -> None:

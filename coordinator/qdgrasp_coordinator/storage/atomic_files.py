@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
+from typing import IO, Any
 
 from qdgrasp_protocol.errors import DiskFull, FolderError, NoFolder, OutputError
 
@@ -50,6 +51,19 @@ def is_file(path: Path) -> bool:
     with suppress(OSError):
         return path.is_file()
     return False
+
+
+def is_still_at(path: Path, file: IO[Any]) -> bool:
+    """Return whether an open file is the one at a path, not deleted or replaced."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(file.fileno()))
+    except OSError:
+        return False
+
+
+def is_staging(path: Path, of: Path) -> bool:
+    """Return whether a path is a temporary folder (`staging_folder`) of another one."""
+    return path.parent == of.parent and path.name.startswith(_begin(of)) and path.suffix == ".part"
 
 
 def check_folder(path: Path) -> None:
@@ -137,7 +151,7 @@ def _begin(whole: Path) -> str:
 def _sweep(whole: Path) -> None:
     """Remove the temporary folders that killed processes left of a folder."""
     for part in whole.parent.iterdir():
-        if part.is_dir() and part.name.startswith(_begin(whole)) and part.suffix == ".part":
+        if is_staging(part, whole) and part.is_dir():
             with suppress(BlockingIOError), _held(part):
                 shutil.rmtree(part, ignore_errors=True)
 

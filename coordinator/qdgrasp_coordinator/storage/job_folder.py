@@ -42,19 +42,30 @@ LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
-    with _lock_file(folder, name) as file:
-        deadline = time.monotonic() + LOCK_PATIENCE
-        while not _try_lock(file):
-            if time.monotonic() > deadline:
-                raise _in_use(folder, file)
-            time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
-        with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
-            file.truncate(0)
-            file.write(str(os.getpid()))
-            file.flush()
-        yield
+def hold_lock(folder: Path, name: str = LOCK, *, is_removed: bool = False) -> Iterator[None]:
+    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it.
+
+    Its file is removed at the end if `is_removed`.
+    """
+    deadline = time.monotonic() + LOCK_PATIENCE
+    while True:
+        with _lock_file(folder, name) as file:
+            while not _try_lock(file):
+                if time.monotonic() > deadline:
+                    raise _in_use(folder, file)
+                time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
+            if not atomic_files.is_still_at(folder / name, file):
+                continue  # the process that held it removed it
+            with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
+                file.truncate(0)
+                file.write(str(os.getpid()))
+                file.flush()
+            try:
+                yield
+            finally:
+                if is_removed:
+                    (folder / name).unlink(missing_ok=True)
+            return
 
 
 def check_unlocked(folder: Path, name: str = LOCK) -> None:
@@ -142,6 +153,21 @@ class JobFolder:
         """Return whether a job was begun in this folder."""
         return atomic_files.is_file(path / JOB)
 
+    def check_there(self) -> None:
+        """Raise `FolderError` if the folder of a job that goes on is not there any more."""
+        if not self.is_job(self.path):
+            raise FolderError(
+                f"{self.path} was deleted or moved while its job ran: put it back and give the command again "
+                "that goes on with it, or begin anew."
+            )
+
+    def no_coordinator(self) -> FolderError:
+        """Return the error that no coordinator of the job is there now."""
+        return FolderError(
+            f"No coordinator of {self.path} is there now; `{self.resume_command}` goes on with a job that is "
+            f"not finished, and `qdgrasp info {self.path}` says how far it is."
+        )
+
     @property
     def is_campaign(self) -> bool:
         """True if its runs have folders of their own; a recorder elsewhere has no campaign file."""
@@ -186,8 +212,9 @@ class JobFolder:
     @property
     def endpoint(self) -> str | None:
         """Address on which the coordinator's router listens; None: it is not known."""
-        file = self.path / ENDPOINT
-        return file.read_text().strip() or None if file.is_file() else None
+        with suppress(OSError, UnicodeDecodeError):
+            return (self.path / ENDPOINT).read_text().strip() or None
+        return None
 
     def write_endpoint(self, endpoint: str) -> None:
         """Note where the router listens."""

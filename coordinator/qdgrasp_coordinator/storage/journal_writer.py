@@ -4,10 +4,11 @@ A few journals are open for writing at a time: each holds three files open.
 """
 
 import json
+import os
 import sqlite3
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -51,6 +52,10 @@ NO_EPOCH = FirstEpoch()
 
 class JournalWriter(Journal):
     """A journal to append to; the process that opens it holds its job's lock (`JobFolder.lock`)."""
+
+    def __init__(self, database: sqlite3.Connection, file: Path) -> None:
+        super().__init__(database, file)
+        self._opened = file.stat()
 
     @classmethod
     def create(cls, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> "JournalWriter":
@@ -106,8 +111,8 @@ class JournalWriter(Journal):
     def append(self, part: JournalSlice, epoch: int, now: float) -> None:
         """Add the next rows: all of them, durably, or none.
 
-        Raises `DiskFull`, or `FolderError` where the file cannot be written, or `ValueError` for other rows
-        than the next ones.
+        Raises `DiskFull`, or `FolderError` where the file cannot be written or was deleted, or `ValueError`
+        for other rows than the next ones.
         """
         if part.first != self.count:
             raise ValueError(f"row {self.count} is next, got {part.first}")
@@ -127,6 +132,17 @@ class JournalWriter(Journal):
         with self._transaction():
             self._database.execute(META, (name, value))
 
+    def _check_file(self) -> None:
+        """Raise `FolderError` if the file at the path is not the one that was opened."""
+        with suppress(OSError):
+            if os.path.samestat(self._file.stat(), self._opened):
+                return
+        raise FolderError(
+            f"{self._file} was deleted or replaced while its run was being recorded, and what is recorded "
+            "now would be lost; restore the folder from a copy and go on with `qdgrasp resume`, or begin the "
+            "run anew."
+        )
+
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         with explaining_write_errors(self._file.parent):
@@ -138,6 +154,7 @@ class JournalWriter(Journal):
                 if self._database.in_transaction:
                     self._database.execute("ROLLBACK")
                 raise
+        self._check_file()
 
 
 def _platform_text(platform: Mapping[str, str]) -> str:

@@ -161,6 +161,8 @@ class SharedFolder(Output):
 
     is_kind: Callable[[Path], bool] = lambda _: True
     """Returns True for a folder, not empty, that files may be put into."""
+    mark: str = ""
+    """The file by which `is_kind` knows such a folder; it takes its place before the others."""
 
     def file(self, name: str, is_kind: Callable[[Path], bool] = lambda _: True) -> OutFile:
         """A file in it, in the place of an earlier one of the name and the kind."""
@@ -175,10 +177,10 @@ class SharedFolder(Output):
         self.check()
         with (
             atomic_files.writing(self.path, self.instead),
-            atomic_files.staging_folder(self.path / "new") as part,
+            atomic_files.staging_folder(self._staged) as part,
         ):
             yield part
-            files = sorted(part.iterdir())
+            files = sorted(part.iterdir(), key=lambda made: (made.name != self.mark, made.name))
             for made in files:
                 self.file(made.name).check()
             for made in files:
@@ -192,13 +194,20 @@ class SharedFolder(Output):
         what = _what(self.path)
         if what and not self.path.is_dir():
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
-        names = _names(self.path)
+        names = _names(self.path, self._staged)
         if names and not self.is_kind(self.path):
             raise self._refused(_others(names))
 
+    @property
+    def _staged(self) -> Path:
+        """Path after which its temporary folders are named."""
+        return self.path / "new"
 
-def _names(folder: Path) -> list[str]:
-    return sorted(each.name for each in folder.iterdir()) if folder.is_dir() else []
+
+def _names(folder: Path, staged: Path | None = None) -> list[str]:
+    """Return the names in a folder, without those of temporary folders of `staged`."""
+    there = folder.iterdir() if folder.is_dir() else ()
+    return sorted(each.name for each in there if not (staged and atomic_files.is_staging(each, staged)))
 
 
 def _others(names: list[str]) -> str:

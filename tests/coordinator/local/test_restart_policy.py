@@ -89,6 +89,12 @@ def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int
     assert raised.value.exit_code > 0  # the job is not done
 
 
+@pytest.mark.parametrize("name", ["coordinator", "recorder"])
+def test_a_process_whose_log_is_gone_ends_the_job_with_a_sentence_all_the_same(staff: Staff, name) -> None:
+    with pytest.raises(InputError, match=f"^The {name} ended with exit code 2, and its log does not say why"):
+        staff.dies(name, 2)
+
+
 @pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
 def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(staff, name) -> None:
     for _ in range(MOST_TRIES):

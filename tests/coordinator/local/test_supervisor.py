@@ -1,6 +1,8 @@
 """Start and restart of the processes of a job on one machine."""
 
-from contextlib import nullcontext
+import re
+import socket
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,22 +11,29 @@ from qdgrasp_coordinator.local import restart_policy, supervisor
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.errors import EndpointError, InputError
 from qdgrasp_protocol.process import ProcessExit, Stop
 
 CHOSEN = "tcp/127.0.0.1:50123"
 """Endpoint of a coordinator that was not given one."""
 
 
+KILLED, DONE = (-9, ""), (0, "")
+TAKEN = (2, "Cannot listen on tcp/127.0.0.1:1: address already in use; name another endpoint with --listen.")
+
+
 class Staff:
-    """Processes by name: its first coordinator is killed, its second one gets done."""
+    """Processes by name; each coordinator ends as `ends` says, the first when the others are there."""
 
     members_grace = 0.25
 
-    def __init__(self, folder: JobFolder) -> None:
+    def __init__(self, folder: JobFolder, *ends: tuple[int, str]) -> None:
         self._folder = folder
-        self._is_killed = False
+        self._ends = ends
+        self._ended = 0
         self.coordinators: list[list[str]] = []
         self.others: list[list[str]] = []
+        self.moved: list[str] = []
 
     def __call__(self, *_: object) -> "Staff":
         return self
@@ -40,17 +49,21 @@ class Staff:
             self.others.append(arguments)
             return
         self.coordinators.append(arguments)
-        self._folder.write_endpoint(after("--listen", arguments) or CHOSEN)
+        if self._ends[self._ended] != TAKEN:
+            self._folder.write_endpoint(after("--listen", arguments) or CHOSEN)
+
+    def restart_with(self, flag: str, value: str) -> None:
+        self.moved += [flag, value]
 
     def exits(self) -> list[ProcessExit]:
-        if len(self.coordinators) == 2:
-            return [ProcessExit("coordinator", 0)]
-        killed = [ProcessExit("coordinator", -9)] if self.others and not self._is_killed else []
-        self._is_killed |= bool(killed)
-        return killed
+        is_first = not self.others and self._ends[0] != TAKEN
+        if is_first or self._ended == len(self.coordinators):
+            return []
+        self._ended += 1
+        return [ProcessExit("coordinator", self._ends[self._ended - 1][0])]
 
     def last_error(self, _name: str) -> str:
-        return ""
+        return self._ends[self._ended - 1][1]
 
     def restart_due(self, now: float) -> None:
         pass
@@ -84,12 +97,94 @@ def after(flag: str, arguments: list[str]) -> str | None:
 def test_a_coordinator_that_is_started_again_listens_where_the_first_did(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listen: str | None, again: str, near: str
 ) -> None:
-    folder = JobFolder.create(tmp_path / "job", "mugs")
-    staff = Staff(folder)
-    monkeypatch.setattr(supervisor, "ProcessGroup", staff)
-    monkeypatch.setattr(restart_policy, "back_off", lambda _: 0.0)
-    monkeypatch.setattr(Supervisor, "_subscribe", lambda *_: nullcontext())
-    Supervisor(folder, LocalJobConfig(1, listen=ListenConfig(listen)), Silence(), Stop()).run()
+    staff = carries_out(tmp_path, monkeypatch, listen, KILLED, DONE)
     assert [after("--listen", one) for one in staff.coordinators] == [listen, again]
     assert [after("--connect", one) for one in staff.others] == [near, near]
     assert [after("--grace", one) for one in staff.others] == [None, "0.25"]  # a recorder, a worker
+    assert staff.moved == []
+
+
+class Session:
+    """A session that hears no figures; `open` is called with its endpoint and the supervisor's news."""
+
+    def __init__(self, opened: Callable[[str, Callable], object]) -> None:
+        self._opened = opened
+
+    def __call__(self, _job: object, _credentials: object, news: object) -> "Session":
+        self._put = news.put  # type: ignore[attr-defined]
+        return self
+
+    def open(self, endpoint: str) -> None:
+        self._opened(endpoint, self._put)
+
+    def close(self) -> None:
+        pass
+
+
+def carries_out(
+    home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    listen: str | None,
+    *ends: tuple[int, str],
+    opened: Callable[[str, Callable], object] = lambda *_: None,
+    display: Silence | None = None,
+) -> Staff:
+    """Carry out a job whose coordinators end so."""
+    folder = JobFolder.create(home / "job", "mugs")
+    staff = Staff(folder, *ends)
+    monkeypatch.setattr(supervisor, "ProcessGroup", staff)
+    monkeypatch.setattr(restart_policy, "back_off", lambda _: 0.0)
+    monkeypatch.setattr(supervisor, "FiguresSession", Session(opened))
+    config = LocalJobConfig(1, listen=ListenConfig(listen))
+    Supervisor(folder, config, display or Silence(), Stop()).run()
+    return staff
+
+
+def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+    said: list[str] = []
+    display = Silence()
+    display.say = said.append  # type: ignore[method-assign]
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        asked = f"tcp/127.0.0.1:{port}"
+        staff = carries_out(
+            tmp_path,
+            monkeypatch,
+            asked,
+            KILLED,
+            TAKEN,
+            DONE,
+            opened=lambda at, _: opened.append(at),
+            display=display,
+        )
+    first, second, third = (after("--listen", one) for one in staff.coordinators)
+    assert (first, second) == (asked, asked)
+    assert third != asked
+    assert re.fullmatch(r"tcp/127\.0\.0\.1:[1-9]\d+", third or "")
+    assert staff.moved == ["--connect", third]
+    assert opened == [asked, third]
+    assert any(f"listening on {third} now, as another program took the port" in line for line in said)
+
+
+def test_a_port_that_is_taken_from_the_start_ends_the_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match="address already in use"):
+        carries_out(tmp_path, monkeypatch, "tcp/127.0.0.1:1", TAKEN)
+
+
+def test_a_session_that_failed_at_a_coordinator_that_died_is_opened_at_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def fail_once(endpoint: str, put: Callable) -> None:
+        opened.append(endpoint)
+        if len(opened) == 1:
+            put(EndpointError("Nothing answers."))
+
+    carries_out(tmp_path, monkeypatch, None, KILLED, DONE, opened=fail_once)
+    assert opened == [CHOSEN, CHOSEN]

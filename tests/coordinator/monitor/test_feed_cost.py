@@ -17,7 +17,7 @@ from unittest.mock import patch
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
 from tests.fakes.job import PLANS, FakeRunQueue, Job, scheduler_of
-from tests.fakes.messages import join_message
+from tests.fakes.messages import ANN, join_message
 from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
@@ -228,7 +228,7 @@ def test_a_monitor_that_is_stopped_keeps_nobody_waiting_and_takes_no_memory() ->
     with (
         job.serving(),
         job.network.session() as worker,
-        FakeWorker(worker, "a" * 32).at_work() as pretender,
+        FakeWorker(worker, ANN).at_work() as pretender,
         running(monitor, network.endpoint) as (pid, pipe),
     ):
         assert pipe.recv() == "there"
@@ -261,7 +261,7 @@ def test_answers_that_a_stopped_monitor_does_not_take_hold_nobody_up() -> None:
         job.serving(),
         job.bus.answer_values(HEAVY, answers),
         job.network.session() as worker,
-        FakeWorker(worker, "a" * 32).at_work() as pretender,
+        FakeWorker(worker, ANN).at_work() as pretender,
         job.network.session() as other,
         running(asker, network.endpoint) as (pid, _),
     ):

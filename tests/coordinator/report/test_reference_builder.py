@@ -151,6 +151,12 @@ def test_a_set_that_does_not_say_what_it_was_built_from_is_not_added_to(run: Run
     assert list(tmp_path.glob(".*")) == []
 
 
+def test_nothing_but_the_file_is_left_beside_it(run: Runs, tmp_path: Path) -> None:
+    (tmp_path / "sets").mkdir()
+    build_reference_sets([run({A: Outcome.HELD})], tmp_path / "sets" / "own.npz")
+    assert [path.name for path in (tmp_path / "sets").iterdir()] == ["own.npz"]
+
+
 def test_the_folder_of_a_set_is_made(run: Runs, tmp_path: Path) -> None:
     build_reference_sets([run({A: Outcome.HELD})], tmp_path / "new" / "set.npz")
     assert groups(tmp_path / "new" / "set.npz") == {A: 2}

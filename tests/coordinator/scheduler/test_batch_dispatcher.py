@@ -236,6 +236,33 @@ def test_a_withdrawn_run_may_hold_batches_that_wait_to_be_leased_again() -> None
     assert (dispatch.leases(2.0), dispatch.queued_seconds, dispatch.workers.next_deadline()) == ([], 0, inf)
 
 
+def test_the_workers_that_are_wanted_are_those_that_queued_and_leased_batches_keep_busy() -> None:
+    dispatch = Dispatch(EPOCH, 2)
+    assert dispatch.wanted_workers(is_leasing=True) == 0
+    submit(dispatch, 9)
+    assert dispatch.wanted_workers(is_leasing=True) == 5
+    assert dispatch.wanted_workers(is_leasing=False) == 0
+    dispatch.admit(ANN, 1, 2, [], 0.0)
+    first, second = dispatch.leases(0.1)
+    assert dispatch.wanted_workers(is_leasing=True) == 5
+    assert dispatch.wanted_workers(is_leasing=False) == 2
+    settle(dispatch, first, 0.2)
+    settle(dispatch, second, 0.2)
+    assert dispatch.wanted_workers(is_leasing=True) == 3
+    dispatch.withdraw("run")
+    assert dispatch.wanted_workers(is_leasing=True) == 0
+
+
+def test_of_rows_whose_cost_was_measured_a_quarter_of_a_second_keeps_a_worker_busy() -> None:
+    dispatch = with_work(n=10, batch_size=None)
+    lease, *_ = dispatch.leases(0.0)
+    settle(dispatch, lease, 0.1)  # 0.1 s a row
+    submit(dispatch, 100, generation=1)
+    held = len(lease.batch) + len(dispatch.leases(0.0))  # those of before, and new ones
+    assert dispatch.wanted_workers(is_leasing=True) > 30
+    assert dispatch.wanted_workers(is_leasing=False) <= held
+
+
 # 5. Settle once.
 
 

@@ -11,7 +11,7 @@ import pytest
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan, reference
 from tests.fakes.job import PLANS, Job, OtherPlatformSink, ReplacedSink, SlowSink, job_view, send_command
-from tests.fakes.messages import ANN, BOB
+from tests.fakes.messages import ANN, BOB, FAY
 from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
@@ -64,7 +64,7 @@ def test_no_more_runs_are_open_than_keep_the_workers_busy() -> None:
 def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
     job = Job(dict(PLANS))
     other = job.network.session()
-    with FakeWorker(job.network.session(), "f" * 32, answers=False).at_work() as idle, job.serving():
+    with FakeWorker(job.network.session(), FAY, answers=False).at_work() as idle, job.serving():
         assert idle.kept.wait(PATIENCE)
         scene = b"run-0" * 100
         assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
@@ -92,7 +92,7 @@ def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:
         if job.service.status(now).trouble == "There is no room.":
             job.programme.has_room.set()
 
-    with FakeWorker(job.network.session(), "f" * 32).at_work():
+    with FakeWorker(job.network.session(), FAY).at_work():
         job.service.run(make_room)
     assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
 
@@ -115,7 +115,7 @@ def test_nobody_works_on_what_a_finished_run_does_not_need() -> None:
         if len(looks) == 5:
             job.records["slow"].is_safe = True
 
-    with FakeWorker(job.network.session(), "f" * 32).at_work() as worker:
+    with FakeWorker(job.network.session(), FAY).at_work() as worker:
         job.service.run(look)
     rows = job.records["slow"].rows
     again, held, crossing = 2 * np.count_nonzero(rows["outcome"] == Outcome.ERROR), 2 * 2, 1
@@ -206,7 +206,9 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
     bob = FakeWorker(job.network.session(), BOB)
     with job.serving(), job.network.session() as bus, ann.at_work():
         assert ann.kept.wait(PATIENCE)
-        assert send_command(bus, "drain", worker="aaa").startswith(f"Asked 1 worker of job '{JOB}' to finish")
+        assert send_command(bus, "drain", worker=ANN[:3]).startswith(
+            f"Asked 1 worker of job '{JOB}' to finish"
+        )
         (worker,) = job_view(bus).workers
         assert (worker.state, ann.controls[-1].drain) == ("leaving", True)
         assert job_view(bus).figures.workers == 0
@@ -222,7 +224,7 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
     ann = FakeWorker(session, ANN, answers=False)
     with job.serving(), job.network.session() as bus, ann.at_work():
         assert ann.kept.wait(PATIENCE)
-        send_command(bus, "drain", worker="aaa")
+        send_command(bus, "drain", worker=ANN[:3])
         before = ann.rows
         session.disconnect()
         session.reconnect()
@@ -234,7 +236,7 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
 @pytest.mark.parametrize(
     ("whom", "reason"),
     [
-        ({"worker": "c"}, "has no worker 'c'; there are aaaaaaaa on here, bbbbbbbb on here"),
+        ({"worker": "c"}, f"has no worker 'c'; there are {ANN[:8]} on here, {BOB[:8]} on here"),
         ({"worker": ""}, "not said whom"),
         ({"host": "moon"}, "has no worker on host 'moon'; there are"),
     ],

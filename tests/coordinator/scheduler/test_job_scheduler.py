@@ -83,7 +83,7 @@ def test_a_killed_worker_is_gone_at_once_and_listed_for_a_minute(job) -> None:
     job.dies(ANN, 5.0)
     assert job.states(5.0) == ["gone", "idle"]
     job.scheduler.step(6.1)
-    assert job.words[-1] == "Worker aaaaaaaa on node7 (process 9) is gone: its token vanished."
+    assert job.words[-1] == f"Worker {ANN[:8]} on node7 (process 9) is gone: its token vanished."
     assert job.states(6.1 + GONE_SECONDS - 0.1) == ["idle", "gone"]
     assert job.states(6.2 + GONE_SECONDS) == ["idle"]
 

@@ -10,7 +10,7 @@ import pytest
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan
 from tests.fakes.job import PLANS, IdentifiedSink, Job
-from tests.fakes.messages import ANN, join_message
+from tests.fakes.messages import ANN, FAY, join_message
 from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
@@ -223,7 +223,7 @@ def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> 
         if heard.words("trouble") and not job.programme.has_room.is_set():
             job.programme.has_room.set()
 
-    with heard.listening(), FakeWorker(job.network.session(), "f" * 32).at_work():
+    with heard.listening(), FakeWorker(job.network.session(), FAY).at_work():
         job.service.run(make_room)
     assert heard.words("trouble") == ["There is no room.", "It goes on; this is over: There is no room."]
 

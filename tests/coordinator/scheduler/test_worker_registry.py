@@ -4,9 +4,16 @@ import copy
 import random
 
 import pytest
-from tests.fakes.messages import join_message
+from tests.fakes.messages import ANN, join_message
 
-from qdgrasp_coordinator.scheduler.worker_registry import MOST_GONE, RATE_SECONDS, RateMeter, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    MOST_GONE,
+    RATE_SECONDS,
+    TOKEN_GRACE,
+    RateMeter,
+    WorkerRegistry,
+)
+from qdgrasp_protocol.errors import Refused
 
 SCENE = "0" * 64
 WORKERS = [f"{number:032x}" for number in range(6)]
@@ -139,3 +146,25 @@ def test_nothing_was_counted_before_there_was_time() -> None:
     speed = RateMeter(5.0)
     speed.count(10, 5.0)
     assert speed.rate(5.0) == 0.0
+
+
+def test_the_number_of_a_join_is_one_that_the_worker_can_have_come_to() -> None:
+    workers = WorkerRegistry()
+    workers.join(join_message(ANN, number=2**40), 0.0)  # of a life that this coordinator knows nothing of
+    with pytest.raises(
+        Refused, match=f"has the number {2**62}, expected at most {2**40 + 100} after {2**40}"
+    ):
+        workers.join(join_message(ANN, number=2**62), 0.0)
+    assert workers.join(join_message(ANN, number=2**40 + 1), 0.0) == []
+    asked = 20 * 3600  # for an hour, as often as a worker may, and nothing was heard of it
+    assert workers.join(join_message(ANN, number=2**40 + asked), 3600.0) == []
+
+
+def test_a_worker_that_was_away_for_so_long_that_it_was_forgotten_is_let_in() -> None:
+    workers = WorkerRegistry()
+    workers.on_token(ANN, True, 0.0)
+    workers.join(join_message(ANN, number=1), 0.0)
+    workers.on_token(ANN, False, 1.0)
+    workers.overdue(1.0 + TOKEN_GRACE)
+    workers.on_token(ANN, True, 1e6)
+    assert workers.join(join_message(ANN, number=10**9), 1e6) == []

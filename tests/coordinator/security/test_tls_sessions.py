@@ -1,7 +1,9 @@
 """Sessions over mutual TLS: who gets one, and what is said where there is none."""
 
 import shutil
+import threading
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -10,11 +12,16 @@ from queue import SimpleQueue
 import pytest
 from tests.common import PATIENCE
 from tests.coordinator.security.conftest import HOSTS, encrypted_endpoint
+from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
 
+from qdgrasp_coordinator.scheduler.inbox import BusSubscriptions, Inbox, JoinRequest
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.access_probe import temporary_certificate
 from qdgrasp_coordinator.security.folder import SecurityFolder
-from qdgrasp_protocol.errors import EndpointError, SecurityError
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import EndpointError, NoReply, Refused, SecurityError
+from qdgrasp_protocol.keys import Keys, last_chunk
+from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.session import Credentials, Endpoint, Role, handshake_error
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -106,6 +113,50 @@ def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, fo
         worker.on_link(links.put),
     ):
         assert links.get(timeout=PATIENCE) is False
+
+
+def test_a_worker_joins_in_its_own_name_alone(secured: str, folder: Path) -> None:
+    """Another worker's id is seen in the keys of its work; its key goes to coordinators alone."""
+    proof, inbox, keys = partial(Credentials.find, folder), Inbox(), Keys("mugs")
+    stolen, seen, joined = SimpleQueue[str](), SimpleQueue[bytes](), Joined(epoch=1, drop=[])
+    over = threading.Event()
+
+    def answer_joins() -> None:
+        while not over.is_set():
+            for event in inbox.take(0.1):
+                if isinstance(event, JoinRequest):
+                    event.answer.set_result(messages.encode(joined))
+
+    def asks(bus: ZenohBus, **values: object) -> Joined:
+        """Ask to join as Ann, until the router knows of the coordinator."""
+        request = messages.encode(join_message(ANN, **values))
+        while True:
+            with suppress(NoReply):
+                return messages.decode(bus.ask(keys.join, request, timeout=PATIENCE), Joined)
+
+    with ExitStack() as stack:
+        enter = stack.enter_context
+        coordinator = enter(ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.COORDINATOR)))
+        ann, ear, eve = (
+            enter(ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.WORKER))) for _ in range(3)
+        )
+        enter(ear.subscribe(keys.work("*"), lambda sample: stolen.put(last_chunk(sample.key))))
+        enter(ear.answer(keys.join, lambda query: seen.put(query.payload) or b""))
+        subscriptions = enter(BusSubscriptions(coordinator, keys, inbox, lambda _: None, lambda _: {}))
+        subscriptions.open()
+        subscriptions.open_to_workers(1)
+        thread = threading.Thread(target=answer_joins)
+        stack.callback(thread.join)
+        stack.callback(over.set)
+        thread.start()
+        assert asks(ann) == joined
+        while stolen.empty():  # the router may tell of the subscriber later
+            coordinator.put(keys.work(ANN), b"work", encoding="application/octet-stream")
+        assert stolen.get() == ANN
+        with pytest.raises(Refused, match=f"the id {ANN} is not that of the worker's key"):
+            asks(eve, number=2**62, credit=0, key=KEYS_BY_ID[EVE])
+        assert asks(ann, number=2) == joined
+        assert seen.empty()
 
 
 def other(name: str) -> Change:

@@ -194,6 +194,22 @@ def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) 
             assert late.count == 20
 
 
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_rows_are_not_taken_for_durable_in_a_journal_that_was_deleted(
+    tmp_path: Path, is_replaced: bool
+) -> None:
+    rows = make_rows(20)
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        journal.append(JournalSlice(0, rows[:10]), 1, 0.0)
+        file = tmp_path / "run.sqlite"
+        copy = file.read_bytes()
+        file.unlink()
+        if is_replaced:
+            file.write_bytes(copy)
+        with pytest.raises(FolderError, match=r"run\.sqlite was deleted or replaced while its run was"):
+            journal.append(JournalSlice(10, rows[10:]), 1, 0.0)
+
+
 def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
     code = (
         "import os, sys; from pathlib import Path; from importlib import util\n"

@@ -282,3 +282,30 @@ def test_what_is_to_be_done_instead_may_be_said_otherwise(tmp_path: Path) -> Non
     (tmp_path / "out").touch()
     said = refused(OutFile(tmp_path / "out", "choose another name", force=None))
     assert said == f"{tmp_path / 'out'} is there already; choose another name."
+
+
+def test_what_a_killed_process_left_in_a_folder_is_in_the_way_of_none_and_is_swept(tmp_path: Path) -> None:
+    (tmp_path / "out" / ".new.1.part").mkdir(parents=True)
+    (tmp_path / "out" / ".new.1.part" / "drawing.png").touch()
+    folder = SharedFolder(tmp_path / "out", is_kind=lambda _: False)
+    put(folder, {"one": "1"})
+    assert there(tmp_path) == ["out", "out/one"]
+
+
+def test_a_process_that_is_killed_while_files_take_their_places_leaves_a_folder_of_its_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = SharedFolder(tmp_path, is_kind=lambda path: (path / "page").exists(), mark="page")
+    place, done = outputs.atomic_files.put_in_place, []
+
+    def place_one(*paths: Path) -> None:
+        if done:
+            raise KeyboardInterrupt
+        done.append(paths)
+        place(*paths)
+
+    monkeypatch.setattr(outputs.atomic_files, "put_in_place", place_one)
+    with pytest.raises(KeyboardInterrupt):
+        put(folder, {"curves": "1", "page": "2"})
+    monkeypatch.undo()
+    folder.check()

@@ -3,6 +3,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
 import msgspec
 import numpy as np
@@ -13,6 +14,7 @@ from tests.coordinator.scenes import SceneMaker
 from qdgrasp_assets.scene import Bundle, pack_scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
 from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
@@ -221,6 +223,25 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
     folder.job.check_not_in_use()
     with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
         folder.job.check_not_in_use()
+
+
+def test_a_lock_whose_file_was_removed_by_the_one_that_held_it_is_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, tried = job_folder._try_lock, []
+
+    def take_late(file: IO[str]) -> bool:
+        if not tried:
+            (tmp_path / "lock").unlink()
+        tried.append(file)
+        return take(file)
+
+    monkeypatch.setattr(job_folder, "_try_lock", take_late)
+    with job_folder.hold_lock(tmp_path, "lock", is_removed=True):
+        assert (tmp_path / "lock").read_text() == str(os.getpid())
+        with pytest.raises(FolderError, match="in use by process"):
+            job_folder.check_unlocked(tmp_path, "lock")
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(tmp_path) -> None:

@@ -13,6 +13,8 @@ from qdgrasp_protocol.messages import Control, Joined
 from qdgrasp_worker.runtime.background_requests import JoinAnswered
 from qdgrasp_worker.runtime.job_registry import ABANDON_SECONDS, JobRegistry, JobSession
 
+KEY = bytes(32)
+
 
 def answer(epoch: int = 1, drop: tuple[int, ...] = ()) -> Joined:
     return Joined(epoch=epoch, drop=[bytes([batch]) * 16 for batch in drop])
@@ -101,7 +103,7 @@ class Membership:
         self.tokens: set[str] = set()
         self.bus = network.session()
         network.session().watch("qdgrasp/v1/*/live/worker/*", self._see)
-        self.jobs = JobRegistry(self.bus, self.requests, "a" * 32, None)
+        self.jobs = JobRegistry(self.bus, self.requests, "a" * 32, None, key=KEY)
 
     def meet(self, job: str, epoch: int, now: float, *, is_alive: bool = True) -> None:
         self.jobs.on_coordinator(Keys(job).coordinator_token(epoch), is_alive, now)
@@ -125,7 +127,7 @@ def member() -> Iterator[Membership]:
 
 
 def test_a_worker_says_how_many_rows_its_device_evaluates_at_once(member):
-    member.jobs = JobRegistry(member.bus, member.requests, "a" * 32, None, rows=64)
+    member.jobs = JobRegistry(member.bus, member.requests, "a" * 32, None, rows=64, key=KEY)
     member.meet("job", 1, 0.0)
     member.join("job", 1, 0.0)
     (asked,) = [call.args[1] for call in member.requests.join.call_args_list]

@@ -239,7 +239,7 @@ class JobRegistry:
     """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
     `rows` are those that its device evaluates at once; 0: it has none. `builds` is the digest of the code
-    with which it builds shapes; empty: it builds none.
+    with which it builds shapes; empty: it builds none. `wid` is made of `key` (`worker_id`).
     """
 
     def __init__(
@@ -250,10 +250,13 @@ class JobRegistry:
         only: str | None,
         rows: int = 0,
         builds: str = "",
+        *,
+        key: bytes,
     ) -> None:
         self._bus = bus
         self._requests = requests
         self._wid = wid
+        self._key = key
         self._only = only
         self._rows = rows
         self._builds = builds
@@ -333,6 +336,7 @@ class JobRegistry:
                 request = Join(
                     versions=[VERSION],
                     wid=self._wid,
+                    key=self._key,
                     number=session.ask(credit),
                     credit=credit,
                     rows=self._rows,

@@ -26,7 +26,7 @@ from qdgrasp_protocol.bundle_transfer import TooLarge
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Sample
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
-from qdgrasp_protocol.messages import Control, Heartbeat, Work, shorten
+from qdgrasp_protocol.messages import Control, Heartbeat, Work, shorten, worker_id
 from qdgrasp_protocol.process import Stop
 from qdgrasp_worker.runtime.background_requests import (
     BackgroundRequests,
@@ -156,13 +156,14 @@ class WorkerService:
         builds: str = "",
         nice: int = 0,
     ) -> None:
-        self.wid = secrets.token_hex(16)
+        key = secrets.token_bytes(32)
+        self.wid = worker_id(key)
         self._bus = bus
         self._stop = stop
         self._simulator = simulator
         self._inbox = inbox
         requests = BackgroundRequests(bus, store, inbox.put)
-        self._jobs = JobRegistry(bus, requests, self.wid, job, rows, builds)
+        self._jobs = JobRegistry(bus, requests, self.wid, job, rows, builds, key=key)
         self._scenes = SceneCache(requests)
         self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
