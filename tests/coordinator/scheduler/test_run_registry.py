@@ -127,7 +127,7 @@ def test_as_many_runs_are_open_at_once_as_there_are_workers_between_two_bounds(m
     coming = Coming("a", "b", "c", "d")
     for workers, most in ((0, 1), (1, 1), (2, 2), (9, 3)):
         for _ in range(4):
-            coming.runs.open_another(1, is_wanted=True, workers=workers)
+            coming.runs.load(1, is_wanted=True, workers=workers)
             if coming.runs._is_opening:
                 coming.runs.add(coming._news.get(timeout=PATIENCE).run)
         assert len(list(coming.runs)) == most
