@@ -21,7 +21,7 @@ from tests.fakes.messages import join_message, result_message
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 
@@ -126,7 +126,9 @@ class FleetSimulation:
         self._workers = WorkerRegistry()
         self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
         self._pipelines = {
-            f"run-{n}": Pipeline(TimedSearch(task.population, self), SHAPE, MANY, "count", task.in_flight)
+            f"run-{n}": Pipeline(
+                TimedSearch(task.population, self), SHAPE, MANY, "count", Flight(task.in_flight)
+            )
             for n in range(task.runs)
         }
         self._told = set(self._pipelines)

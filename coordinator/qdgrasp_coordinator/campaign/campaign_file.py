@@ -30,7 +30,7 @@ from qdgrasp_coordinator.campaign.object_library import (
     mesh_fault,
     read_library,
 )
-from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, full_spec
+from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, absolute_asset, full_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
@@ -55,6 +55,7 @@ SHORT_KEYS = {
     "mutation_sigma": "sigma",
     "mutation_probability": "rate",
     "generations_in_flight": "flight",
+    "in_flight": "inflight",
     "surface_seed": "surface",
     "protocol": "",
     "overlaps": "",
@@ -68,8 +69,13 @@ NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's nam
 CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """Defaults of a campaign's runs.
 
-A second generation in flight keeps the workers of a single run busy; here other runs do, and the search is
-told all that it asked.
+A second generation in flight from the beginning keeps the workers of a single run busy; here other runs do,
+and the search is told all that it asked.
+"""
+TAKEN_FOR_GRANTED = {"aim_for": method(DEFAULT_METHOD).aim_for, "in_flight": 400}
+"""Defaults of a new campaign's runs that the campaigns of earlier versions do not have.
+
+Half as many genomes in flight as a single run has in the end: other runs fill the gaps.
 """
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
@@ -123,13 +129,15 @@ def read_campaign(
     *,
     here: bool = True,
     is_begun: bool = False,
+    without: Collection[str] = (),
     goals: Mapping[str, int | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
-    `here` checks that its grippers and objects are on this machine; `is_begun`: it may have been begun by a
-    version without objectives, which a missing `aim_for` then means; `goals` are values of a spec's keys that
+    `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder,
+    which says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
+    `goals` are values of a spec's keys that
     end runs, in place of the file's defaults; `rules` are for the libraries that it names as objects.
     Raises InputError if the file is missing, is not TOML, or asks
     for a run that is not possible; the run is named.
@@ -141,7 +149,8 @@ def read_campaign(
     if asked and isinstance(source.get("defaults", {}), dict):
         source["defaults"] = source.get("defaults", {}) | asked
     source, skipped = _with_libraries(source, rules) if here else (source, None)
-    return replace(make_campaign(source, str(path), here=here, is_begun=is_begun), skipped=skipped)
+    taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
+    return replace(make_campaign(source, str(path), here=here, taken=taken), skipped=skipped)
 
 
 def _with_libraries(
@@ -182,15 +191,29 @@ def is_campaign(path: Path) -> bool:
 
 
 def make_campaign(
-    source: dict[str, Any], where: str, *, here: bool = True, is_begun: bool = False
+    source: dict[str, Any],
+    where: str,
+    *,
+    here: bool = True,
+    taken: Collection[str] = frozenset(TAKEN_FOR_GRANTED),
 ) -> Campaign:
-    """Make the campaign of a file's content; parameters and errors as of `read_campaign`."""
+    """Make the campaign of a file's content, with the keys `taken` of `TAKEN_FOR_GRANTED` where it has none.
+
+    Other parameters and errors are those of `read_campaign`.
+    """
     _check_tables(source, where)
-    objective = {"aim_for": method(DEFAULT_METHOD).aim_for}
-    if not is_begun:  # the folder's file says it; one without was begun when there was no choice
-        source = source | {"defaults": objective | source.get("defaults", {})}
+    said = source.get("defaults", {})
+    says_flight = not said.keys().isdisjoint(FLIGHT_KEYS)
+    usual = {
+        key: value
+        for key, value in TAKEN_FOR_GRANTED.items()
+        if key in taken and not (key == "in_flight" and says_flight)
+    }
+    source = source | {"defaults": usual | said}
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(CAMPAIGN_DEFAULTS | {"aim_for": None} | source.get("defaults", {}))
+    defaults = assets.resolve(
+        CAMPAIGN_DEFAULTS | dict.fromkeys(TAKEN_FOR_GRANTED) | source.get("defaults", {})
+    )
     crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
@@ -223,8 +246,9 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
     """
     own_name = spec.about.id if spec.about and spec.about.id else Path(spec.object).stem
     parts = [Path(spec.gripper).stem, own_name, spec.method, f"s{spec.seed}"]
-    usual = full_spec(
-        CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
+    usual = structs.replace(
+        full_spec(CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}),
+        in_flight=TAKEN_FOR_GRANTED["in_flight"],
     )
     others = sorted(values.keys() - {*NAME_KEYS, *STOP_KEYS})
     unusual = [key for key in others if getattr(spec, key) not in (None, getattr(usual, key))]
@@ -314,7 +338,16 @@ def _cross_lists(
             for key in OBJECTIVE_KEYS:
                 if key in values and key not in cross and values["method"] != DEFAULT_METHOD:
                     run_spec({"gripper": "", "object": "", key: values.pop(key)}, where)
+            if "in_flight" not in cross and not _may_grow(values, cross):
+                values["in_flight"] = None
             yield {key: value for key, value in values.items() if key not in known}, known
+
+
+def _may_grow(values: Mapping[str, Any], cross: Mapping[str, Any]) -> bool:
+    """Return whether a run has the defaults' genomes in flight: a crossing that says how many has its own."""
+    is_by_position = values.get("diversity") in (None, "position")
+    looks_for_value = values["method"] == DEFAULT_METHOD and values.get("aim_for") not in (None, "touch")
+    return is_by_position and looks_for_value and cross.keys().isdisjoint(FLIGHT_KEYS)
 
 
 def campaign_of_meshes(
@@ -322,17 +355,18 @@ def campaign_of_meshes(
     rules: LibraryRules,
     values: Mapping[str, Any],
     *,
-    is_begun: bool = False,
+    without: Collection[str] = (),
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `is_begun` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
+    `without` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
     campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
     """
     library = read_library(where, rules)
     cross = {key: value for key, value in values.items() if value is not None}
     source = {"cross": [cross | {"object": list(library.objects)}], "objects": library.objects}
-    campaign = make_campaign(source, f"campaign of {where}", is_begun=is_begun)
+    taken = TAKEN_FOR_GRANTED.keys() - set(without)
+    campaign = make_campaign(source, f"campaign of {where}", taken=taken)
     return replace(campaign, skipped=library.skipped)
 
 

@@ -15,7 +15,12 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct, structs
 
-from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_file import (
+    LARGEST_CAMPAIGN,
+    TAKEN_FOR_GRANTED,
+    Campaign,
+    read_campaign,
+)
 from qdgrasp_coordinator.campaign.object_library import skip_report
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
@@ -271,10 +276,14 @@ def open_campaign(path: Path) -> JobFolder:
     return folder
 
 
-def knows_no_objective(path: Path) -> bool:
-    """Return whether a folder's campaign was begun by a version without objectives."""
+def defaults_left_out(path: Path) -> frozenset[str]:
+    """Return the keys of `TAKEN_FOR_GRANTED` that the campaign of a folder does not have; none: no folder."""
     file = path / CAMPAIGN
-    return file.is_file() and "aim_for" not in read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {})
+    if not file.is_file():
+        return frozenset()
+    return frozenset(
+        TAKEN_FOR_GRANTED.keys() - read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {}).keys()
+    )
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:

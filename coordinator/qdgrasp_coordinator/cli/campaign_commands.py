@@ -17,7 +17,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
 from qdgrasp_coordinator.campaign.campaign_folder import (
     CampaignRunQueue,
     begin_campaign,
-    knows_no_objective,
+    defaults_left_out,
     open_campaign,
 )
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest
@@ -118,13 +118,13 @@ def campaign(
     metres, path = scale_of(units, scale), _campaign_folder(what, objects, out)
     prepared = options.preparation(simplify, remesh, hull, glued)
     rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
-    begun = knows_no_objective(path)
+    without = defaults_left_out(path)
     if objects is not None:
         if what is not None:
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        asked = campaign_of_meshes(objects, rules, {**keys, **goals}, is_begun=begun)
+        asked = campaign_of_meshes(objects, rules, {**keys, **goals}, without=without)
     elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
         raise InputError(
             f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its own, "
@@ -136,7 +136,7 @@ def campaign(
         )
     else:
         file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
-        asked = read_campaign(file, is_begun=begun, goals=goals, rules=rules)
+        asked = read_campaign(file, is_begun=what.is_dir(), without=without, goals=goals, rules=rules)
     if list_runs:
         for name, spec in asked.runs.items():
             typer.echo(f"{name}  {spec.evaluations}")

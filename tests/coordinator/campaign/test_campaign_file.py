@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -16,6 +17,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
     read_campaign,
     run_name,
 )
+from qdgrasp_coordinator.campaign.campaign_folder import defaults_left_out
 from qdgrasp_coordinator.campaign.object_library import LibraryRules
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.registry import prior_of
@@ -95,6 +97,38 @@ class TestCrossing:
         source = {"cross": [{"gripper": "panda", "object": "mug", "generations_in_flight": [1, 2]}]}
         found = {name: spec.generations_in_flight for name, spec in make_campaign(source, "c").runs.items()}
         assert found == {"panda-mug-aimed-s0": 1, "panda-mug-aimed-s0-flight2": 2}
+
+    def test_a_new_campaign_has_more_genomes_in_flight_and_one_that_was_begun_what_its_folder_says(
+        self, tmp_path: Path
+    ) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
+        asked = make_campaign(source, "c.toml")
+        assert {name: spec.in_flight for name, spec in asked.runs.items()} == {"panda-mug-aimed-s0": 400}
+        file = tmp_path / "campaign.toml"
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+        elder = make_campaign(source, "c.toml", taken={"aim_for"})
+        assert {name: spec.in_flight for name, spec in elder.runs.items()} == {"panda-mug-aimed-s0": None}
+        file.write_text(elder.toml)
+        assert read_campaign(file, is_begun=True).runs == elder.runs
+        assert defaults_left_out(tmp_path) == {"in_flight"}
+        file.write_text(tomli_w.dumps(source))
+        assert (
+            read_campaign(file, without=defaults_left_out(tmp_path)).runs["panda-mug-aimed-s0"].aim_for
+            is None
+        )
+
+    @pytest.mark.parametrize(
+        "said",
+        [{"population": 20}, {"generations_in_flight": 2}, {"aim_for": "touch"}, {"diversity": "posture"}],
+    )
+    def test_a_file_that_says_how_much_is_in_flight_gets_that(self, said: dict[str, Any]) -> None:
+        cross = {"gripper": "panda", "object": "mug"}
+        for source in ({"cross": [cross | said]}, {"defaults": said, "cross": [cross]}):
+            (spec,) = make_campaign(source, "c.toml").runs.values()
+            assert spec.in_flight is None
+        (spec,) = make_campaign({"cross": [cross | {"in_flight": 100}]}, "c.toml").runs.values()
+        assert spec.in_flight == 100
 
     def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
         runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
