@@ -5,6 +5,7 @@ Mesh files are checked before anything is begun, so that all faults are named at
 
 import hashlib
 import itertools
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -75,11 +76,12 @@ and the search is told all that it asked.
 TAKEN_FOR_GRANTED = {"aim_for": method(DEFAULT_METHOD).aim_for, "in_flight": 400}
 """Defaults of a new campaign's runs that the campaigns of earlier versions do not have.
 
-Half as many genomes in flight as a single run has in the end: other runs fill the gaps.
+A third of the genomes in flight that a single run has in the end: other runs fill the gaps.
 """
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
-CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
+CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects", "shard"})
+SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's runs: which of how many
 OBJECT_KEYS = frozenset({"mass", "scale", "friction", "mesh", "about"})
 """Keys of an object: left out of its runs' names, and stronger than the defaults."""
 
@@ -132,15 +134,16 @@ def read_campaign(
     without: Collection[str] = (),
     goals: Mapping[str, int | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
+    shard: str | None = None,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
-    `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder,
-    which says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
-    `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults; `rules` are for the libraries that it names as objects.
-    Raises InputError if the file is missing, is not TOML, or asks
-    for a run that is not possible; the run is named.
+    `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder, which
+    says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have; `goals`
+    are values of a spec's keys that end runs, in place of the file's defaults; `rules` are for the libraries
+    that it names as objects; `shard` is the share of its runs that is meant, as "2/4"; None: what the file
+    says, or all. Raises InputError if the file is missing, is not TOML, or asks for a run that is not
+    possible; the run is named.
     """
     source, asked = (
         read_run_spec(path, LARGEST_CAMPAIGN),
@@ -148,6 +151,7 @@ def read_campaign(
     )
     if asked and isinstance(source.get("defaults", {}), dict):
         source["defaults"] = source.get("defaults", {}) | asked
+    source |= {} if shard is None else {"shard": shard}
     source, skipped = _with_libraries(source, rules) if here else (source, None)
     taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
     return replace(make_campaign(source, str(path), here=here, taken=taken), skipped=skipped)
@@ -225,6 +229,7 @@ def make_campaign(
                 f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
                 "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
             )
+    shard = source.get("shard")
     used = {spec.object for spec in runs.values()}
     for name in objects:
         if name not in used:
@@ -232,11 +237,31 @@ def make_campaign(
                 f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
                 "[[cross]], in the same words."
             )
+    if shard is not None:
+        runs = _share_of(runs, shard, where)
     if here:
         _check_assets(runs.values())
     said = {key: value for key, value in defaults.items() if value is not None}
-    resolved = {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
+    resolved = {} if shard is None else {"shard": shard}
+    resolved |= {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
+
+
+def _share_of(runs: Mapping[str, RunSpec], shard: Any, where: str) -> dict[str, RunSpec]:
+    """Return the runs of a share, by the digests of their names: every run is in one share of so many."""
+    match = SHARD.fullmatch(shard) if isinstance(shard, str) else None
+    part, parts = (int(match[1]), int(match[2])) if match else (1, 0)
+    if part > parts:
+        raise ImpossibleValue(
+            f"{where}: shard", shard, "a share of so many, such as '2/4' for the second of four"
+        )
+    digests = {name: int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) for name in runs}
+    share = {name: spec for name, spec in runs.items() if digests[name] % parts == part - 1}
+    if not share:
+        raise InputError(
+            f"{where}: none of its {counted(len(runs), 'run')} is in the share {shard}; take fewer shares."
+        )
+    return share
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
@@ -356,15 +381,17 @@ def campaign_of_meshes(
     values: Mapping[str, Any],
     *,
     without: Collection[str] = (),
+    shard: str | None = None,
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `without` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
-    campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
+    `without` and `shard` are those of `read_campaign`. `values` are values or lists of keys of a spec, crossed
+    as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
     """
     library = read_library(where, rules)
     cross = {key: value for key, value in values.items() if value is not None}
     source = {"cross": [cross | {"object": list(library.objects)}], "objects": library.objects}
+    source |= {} if shard is None else {"shard": shard}
     taken = TAKEN_FOR_GRANTED.keys() - set(without)
     campaign = make_campaign(source, f"campaign of {where}", taken=taken)
     return replace(campaign, skipped=library.skipped)

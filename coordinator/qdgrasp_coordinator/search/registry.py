@@ -161,7 +161,7 @@ AIMED = Method(
     50,
     "The default, this project's own: cells that may gain most, with a neighbour's grasp.",
     generations_in_flight=2,
-    in_flight=800,
+    in_flight=1200,
     aim_for="hold",
 )
 METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
