@@ -139,9 +139,9 @@ def read_campaign(
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder, which
-    says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have; `goals`
-    are values of a spec's keys that end runs, in place of the file's defaults; `rules` are for the libraries
-    that it names as objects; `shard` is the share of its runs that is meant, as "2/4"; None: what the file
+    says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
+    `goals` are values of a spec's keys that end runs, in place of the file's defaults; `rules` are for the
+    libraries that it names as objects; `shard` is the share of its runs that is meant, as "2/4"; None: what the file
     says, or all. Raises InputError if the file is missing, is not TOML, or asks for a run that is not
     possible; the run is named.
     """
@@ -385,8 +385,9 @@ def campaign_of_meshes(
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `without` and `shard` are those of `read_campaign`. `values` are values or lists of keys of a spec, crossed
-    as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
+    `without` and `shard` are those of `read_campaign`. `values` are values or lists of keys of a spec,
+    crossed as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run that
+    is not possible.
     """
     library = read_library(where, rules)
     cross = {key: value for key, value in values.items() if value is not None}

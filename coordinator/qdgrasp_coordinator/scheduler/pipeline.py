@@ -400,8 +400,7 @@ class Pipeline:
             needed = self.tally.left
             if self._overlaps == "count":
                 needed -= sum(buffer.missing for buffer in self._open)
-            genomes = self._search.ask(self._asked) if needed > 0 else ()
-            if not len(genomes):
+            if needed <= 0 or not len(genomes := self._search.ask(self._asked)):
                 return
             limit = needed if self._overlaps == "count" else len(genomes)
             self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, self._trials))
