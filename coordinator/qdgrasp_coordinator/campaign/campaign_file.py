@@ -141,9 +141,9 @@ def read_campaign(
     `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder, which
     says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
     `goals` are values of a spec's keys that end runs, in place of the file's defaults; `rules` are for the
-    libraries that it names as objects; `shard` is the share of its runs that is meant, as "2/4"; None: what the file
-    says, or all. Raises InputError if the file is missing, is not TOML, or asks for a run that is not
-    possible; the run is named.
+    libraries that it names as objects; `shard` is the share of its runs that is meant, as "2/4"; None: what
+    the file says, or all. Raises InputError if the file is missing, is not TOML, or asks for a run that
+    is not possible; the run is named.
     """
     source, asked = (
         read_run_spec(path, LARGEST_CAMPAIGN),

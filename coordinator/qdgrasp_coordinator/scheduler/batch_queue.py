@@ -267,8 +267,8 @@ class BatchQueue:
     def pop(self, run: str, workers: int, at_once: int = 0) -> Batch:
         """Return the next batch of a waiting run: one queued again, or a new one.
 
-        `workers` share all rows that wait, or would wait if every run had as many as this one; a device takes
-        all of a generation, as many as it evaluates `at_once`.
+        `workers` share the rows of a generation, and where there are other runs all rows that wait, or would if
+        every run had as many; a device takes all of a generation, as many as it evaluates `at_once`.
         """
         waiting = self._runs[run]
         if waiting.again:
@@ -278,7 +278,8 @@ class BatchQueue:
             if waiting.run.needs_device and self._batch_size is None:
                 n = min(at_once, len(rows))
             else:
-                shared = max(len(self._runs), self._rows // len(rows))
+                runs = len(self._runs)
+                shared = max(runs, self._rows // len(rows)) if runs > 1 else 1
                 n = waiting.sizer.next_size(len(rows), workers, shared)
             if n < len(rows):
                 waiting.uncut.appendleft(rows[n:])
@@ -303,7 +304,8 @@ class BatchQueue:
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""
-        if batch.run.run in self._runs and self._runs[batch.run.run].again.pop(batch.id, None):
+        if (waiting := self._runs.get(batch.run.run)) is not None and batch.id in waiting.again:
+            del waiting.again[batch.id]
             self._rows -= len(batch)
 
     def measure(self, batch: Batch, cpu_seconds: float) -> None:

@@ -138,17 +138,15 @@ def generation(rows: int, number: int = 0) -> Generation:
     return Generation(number, indices, np.zeros(rows, np.uint16), np.zeros((rows, 2), np.float32))
 
 
-def test_rows_of_later_generations_make_larger_batches() -> None:
-    queue, run = BatchQueue(None), RunRef("run", "scene", "prior")
-    for number in range(16):
-        queue.submit(run, generation(50, number))
-    queue.measure(Batch(b"", run, generation(50)), 50 * 0.05)
-    assert len(queue.pop("run", 10)) == 5  # 0.25 s
-    assert len(queue.pop("run", 100)) == 4  # half of the part of each of 100 workers
-    alone = BatchQueue(None)
-    alone.submit(run, generation(50))
-    alone.measure(Batch(b"", run, generation(50)), 50 * 0.05)
-    assert len(alone.pop("run", 100)) == 1
+@pytest.mark.parametrize(("runs", "sizes"), [(1, (5, 1)), (2, (5, 4))])
+def test_rows_of_later_generations_make_larger_batches_where_there_are_other_runs(runs, sizes) -> None:
+    queue, refs = BatchQueue(None), [RunRef(f"run-{n}", "scene", "prior") for n in range(runs)]
+    for ref in refs:
+        for number in range(16 // runs):
+            queue.submit(ref, generation(50, number))
+        queue.measure(Batch(b"", ref, generation(50)), 50 * 0.05)
+    few = len(queue.pop("run-0", 4))  # 0.25 s
+    assert (few, len(queue.pop("run-0", 100))) == sizes
 
 
 class ScannedQueue(BatchQueue):
