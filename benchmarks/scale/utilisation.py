@@ -155,7 +155,7 @@ class FleetSimulation:
         self._told: set[str] = set()
         """Runs that may have something to ask."""
         for _ in range(task.runs):
-            share = 1.0 if task.runs == 1 else self._chance.uniform(0.1, 1.0)
+            share = 1.0 if task.runs == 1 else self._chance.random()
             self._open_run(int(min(task.genomes, MANY) * share))
         self._rows = 0
         self._simulated: dict[str, SimulatedWorker] = {}
@@ -357,8 +357,10 @@ def _nothing() -> None:
 
 SIZES = (10, 30, 100, 300, 1000, 3000)
 """Workers."""
-SETTLED = 8
-"""Batches for each worker that a point takes where its runs go on."""
+SETTLED, SETTLED_EACH, SETTLED_OF_ONE = 4000, 8, 16_000
+"""Batches of a point of many runs, in all and more for each worker; of a point of one run that goes on."""
+FREEZING = 20.0
+"""Duration of a point with workers that freeze [s]."""
 
 
 @dataclass(frozen=True)
@@ -424,9 +426,9 @@ def measure(line: Line, workers: int) -> Point:
     if task.runs == 1 and task.genomes < MANY:
         figures = fleet.play(inf, MANY, since=0.0)
     else:
-        seconds = 20.0 if "freeze" in line.profile else inf
-        most = MANY if "freeze" in line.profile else 4000 + SETTLED * profile.workers
-        figures = fleet.play(seconds, most)
+        some = SETTLED_OF_ONE if task.runs == 1 else SETTLED + SETTLED_EACH * profile.workers
+        freezes = "freeze" in line.profile
+        figures = fleet.play(FREEZING if freezes else inf, MANY if freezes else some)
     return Point(line.panel.name, line.name, workers, figures)
 
 

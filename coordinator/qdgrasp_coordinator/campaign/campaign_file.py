@@ -201,9 +201,10 @@ def make_campaign(
     here: bool = True,
     taken: Collection[str] = frozenset(TAKEN_FOR_GRANTED),
 ) -> Campaign:
-    """Make the campaign of a file's content, with the keys `taken` of `TAKEN_FOR_GRANTED` where it has none.
+    """Make the campaign of a file's content.
 
-    Other parameters and errors are those of `read_campaign`.
+    It has the keys `taken` of `TAKEN_FOR_GRANTED` where the file does not say them. Other parameters and errors
+    are those of `read_campaign`.
     """
     _check_tables(source, where)
     said = source.get("defaults", {})
@@ -248,7 +249,10 @@ def make_campaign(
 
 
 def _share_of(runs: Mapping[str, RunSpec], shard: Any, where: str) -> dict[str, RunSpec]:
-    """Return the runs of a share, by the digests of their names: every run is in one share of so many."""
+    """Return the runs of a share, by the digests of their names.
+
+    Every run is in one share of so many.
+    """
     match = SHARD.fullmatch(shard) if isinstance(shard, str) else None
     part, parts = (int(match[1]), int(match[2])) if match else (1, 0)
     if part > parts:
@@ -369,7 +373,10 @@ def _cross_lists(
 
 
 def _may_grow(values: Mapping[str, Any], cross: Mapping[str, Any]) -> bool:
-    """Return whether a run has the defaults' genomes in flight: a crossing that says how many has its own."""
+    """Return whether a run has the defaults' genomes in flight.
+
+    A crossing that says how many are in flight has its own.
+    """
     is_by_position = values.get("diversity") in (None, "position")
     looks_for_value = values["method"] == DEFAULT_METHOD and values.get("aim_for") not in (None, "touch")
     return is_by_position and looks_for_value and cross.keys().isdisjoint(FLIGHT_KEYS)

@@ -277,7 +277,7 @@ def open_campaign(path: Path) -> JobFolder:
 
 
 def defaults_left_out(path: Path) -> frozenset[str]:
-    """Return the keys of `TAKEN_FOR_GRANTED` that the campaign of a folder does not have; none: no folder."""
+    """Return the keys of `TAKEN_FOR_GRANTED` that a folder's campaign lacks; none without one."""
     file = path / CAMPAIGN
     if not file.is_file():
         return frozenset()

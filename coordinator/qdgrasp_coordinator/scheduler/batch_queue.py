@@ -267,7 +267,7 @@ class BatchQueue:
     def pop(self, run: str, workers: int, at_once: int = 0) -> Batch:
         """Return the next batch of a waiting run: one queued again, or a new one.
 
-        `workers` share the rows of a generation, and where there are other runs all rows that wait, or would if
+        `workers` share the rows of a generation, and where there are other runs all that wait, or would if
         every run had as many; a device takes all of a generation, as many as it evaluates `at_once`.
         """
         waiting = self._runs[run]
