@@ -357,7 +357,7 @@ def _nothing() -> None:
 
 SIZES = (10, 30, 100, 300, 1000, 3000)
 """Workers."""
-SETTLED, SETTLED_EACH, SETTLED_OF_ONE = 4000, 8, 16_000
+SETTLED, SETTLED_EACH, SETTLED_OF_ONE = 4000, 16, 16_000
 """Batches of a point of many runs, in all and more for each worker; of a point of one run that goes on."""
 FREEZING = 20.0
 """Duration of a point with workers that freeze [s]."""

@@ -203,8 +203,8 @@ def make_campaign(
 ) -> Campaign:
     """Make the campaign of a file's content.
 
-    It has the keys `taken` of `TAKEN_FOR_GRANTED` where the file does not say them. Other parameters and errors
-    are those of `read_campaign`.
+    It has the keys `taken` of `TAKEN_FOR_GRANTED` where the file does not say them. Other parameters and
+    errors are those of `read_campaign`.
     """
     _check_tables(source, where)
     said = source.get("defaults", {})
