@@ -474,7 +474,7 @@ def _rounded(row: dict[str, object]) -> dict[str, object]:
 TITLES = {
     "one run": "One run of the default method, by genomes in flight",
     "campaigns": "Campaigns: share of time that counts",
-    "crews": "1 run of 1200 in flight, and 64 runs, where workers differ or freeze",
+    "crews": "1 run of 1200, and 64 runs, where workers differ or freeze",
     "age": "From the ask of a generation to its tell, one run",
 }
 PLACES = {"one run": "lower left", "campaigns": "lower left", "crews": "lower left", "age": "upper right"}

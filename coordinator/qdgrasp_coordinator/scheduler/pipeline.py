@@ -266,8 +266,8 @@ class Flight:
     def after(self, told: int) -> int:
         """Return the number when so many generations were told.
 
-        It grows with these, so that a genome is made without the knowledge of at most about a `GROWTH`-th of
-        all that the search could have been told.
+        It grows with these, so that a genome is made without the knowledge of `first` generations and about a
+        `GROWTH`-th of all that the search was told.
         """
         return max(self.first, min(self.most, self.first + told // GROWTH))
 
