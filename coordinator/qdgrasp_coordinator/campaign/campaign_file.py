@@ -379,7 +379,8 @@ def _may_grow(values: Mapping[str, Any], cross: Mapping[str, Any]) -> bool:
     """
     is_by_position = values.get("diversity") in (None, "position")
     looks_for_value = values["method"] == DEFAULT_METHOD and values.get("aim_for") not in (None, "touch")
-    return is_by_position and looks_for_value and cross.keys().isdisjoint(FLIGHT_KEYS)
+    redraws = values.get("overlaps") in (None, "redraw")
+    return is_by_position and looks_for_value and redraws and cross.keys().isdisjoint(FLIGHT_KEYS)
 
 
 def campaign_of_meshes(

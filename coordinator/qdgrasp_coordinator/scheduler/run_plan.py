@@ -173,7 +173,8 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     whole = usual | values
     whole |= {name: absolute_asset(values[name]) for name in ("gripper", "object")}
     spec = run_spec(whole, where)
-    if values.keys().isdisjoint(FLIGHT_KEYS) and learns_value(spec):
+    may_grow = spec.overlaps == "redraw" and learns_value(spec)
+    if may_grow and values.keys().isdisjoint(FLIGHT_KEYS):
         spec = structs.replace(spec, in_flight=chosen.in_flight)
     check_spec(spec)
     return spec

@@ -42,7 +42,7 @@ class Method:
     generations_in_flight: int = 1
     """Generations asked before the first is told unless the spec says otherwise."""
     in_flight: int | None = None
-    """Most genomes in flight, for grasps of value told apart by position, unless the spec says how many."""
+    """Most genomes in flight of searches for value by position that redraw, unless the spec says how many."""
     aim_for: AimFor | None = None
     """Objective unless the spec says otherwise; None: the method has none."""
 

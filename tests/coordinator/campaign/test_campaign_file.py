@@ -120,7 +120,13 @@ class TestCrossing:
 
     @pytest.mark.parametrize(
         "said",
-        [{"population": 20}, {"generations_in_flight": 2}, {"aim_for": "touch"}, {"diversity": "posture"}],
+        [
+            {"population": 20},
+            {"generations_in_flight": 2},
+            {"aim_for": "touch"},
+            {"diversity": "posture"},
+            {"overlaps": "count"},
+        ],
     )
     def test_a_file_that_says_how_much_is_in_flight_gets_that(self, said: dict[str, Any]) -> None:
         cross = {"gripper": "panda", "object": "mug"}
