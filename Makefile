@@ -23,7 +23,7 @@ help:
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
-	@echo "make simulate-curves   how busy 10 to 10 000 workers are kept: table and figure in docs/simulation"
+	@echo "make simulate-curves   how busy 10 to 3000 workers are kept: table and figure in docs/simulation"
 	@echo "make chaos   ten runs whose processes are killed and stopped all the time, and scenarios (SEED=, EVALUATIONS=)"
 	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
 	@echo "make scale   how far a coordinator goes, with workers that only answer; ten minutes (runs/scale.json)"

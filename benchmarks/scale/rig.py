@@ -22,7 +22,7 @@ from tests.common import own_endpoint
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.search.base import SearchAlgorithm
@@ -336,7 +336,7 @@ SCENE = Bundle(b"", "0" * 64)
 
 def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int = 1) -> RunPlan:
     """A run that goes on for ever."""
-    pipeline = Pipeline(search, SHAPE, spec.evaluations, "count", in_flight)
+    pipeline = Pipeline(search, SHAPE, spec.evaluations, "count", Flight(in_flight))
     return RunPlan(run, spec, SCENE, "contact", SHAPE, pipeline)
 
 

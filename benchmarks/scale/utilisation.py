@@ -1,6 +1,7 @@
-"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome: `make simulate-curves`.
+"""Utilisation of 10 to 3000 workers, and the age of the state behind a genome: `make simulate-curves`.
 
-The coordinator's decisions are the real ones, time and workers are simulated.
+The coordinator's decisions are the real ones, time and workers are simulated. Rows take their time as those
+of the default method do.
 """
 
 import csv
@@ -16,28 +17,43 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from tests.fakes.messages import join_message, result_message
 
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=1, joints=0, descriptors=3)
 CREDIT = 2
+BEFORE, ALONE, IN_CAMPAIGN = Flight(2), Flight(2, 24), Flight(8)
+"""Generations of 50 in flight: of a run until version 0.2.0, of a run alone, and of one among many."""
+MANY = 10**9
 LATENCY = 0.002
 """Seconds that a message takes."""
-HANDLING = 50e-6
-"""Time of the coordinator's thread per batch [s]."""
+HANDLING = 80e-6
+"""Time of the coordinator's thread per batch [s]: one of 64 rows, less its rows (docs/speed.md)."""
+SEARCHING = 17e-6
+"""Time of the coordinator's thread per genome [s], of the default method (docs/speed.md)."""
+UNTRIED = 0.4
+"""Share of genomes of which no pose is simulated: on the cube .32, on the drill .41."""
+SCREENED = 0.3
+"""Time of such a genome, as a share of the mean."""
+SHAPES = (9.0, 16.0)
+"""Of the gamma distributions of the times of both kinds: with these 99.9 % take less than thrice the mean."""
+SLOW = 10.0
+"""Time of a slow row, as a multiple of its usual time: the machine was busy, or something was made first."""
+GENOMES = 16_700
+"""Genomes of a run of 10 000 evaluations."""
 AT_ONCE = 256
 """Messages that it takes between two looks at what may be leased."""
 LEASE = 4.0
 """Seconds after which a frozen worker's token vanishes."""
 REPLACED, FROZEN = 5.0, 20.0
 """Seconds until a worker that died is replaced, and that one is frozen."""
-MANY = 10**9
 
 
 @dataclass(frozen=True)
@@ -45,7 +61,7 @@ class WorkerProfile:
     """Number, speed and failures of the simulated workers."""
 
     workers: int
-    row_seconds: float = 0.02
+    row_seconds: float = 0.05
     """The mean time of a row [s]."""
     spread: float = 0.0
     """The deviation of the logarithm of the workers' speeds."""
@@ -53,6 +69,8 @@ class WorkerProfile:
     """The mean time until a worker dies [s]; another one joins after `REPLACED` seconds."""
     freeze: float = inf
     """The mean time until a worker is frozen for `FROZEN` seconds [s]."""
+    slow: float = 2e-4
+    """Share of slow rows; there was one in 4500 and 6800."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +78,15 @@ class Task:
     """The runs that the workers carry out."""
 
     runs: int = 1
-    population: int = 500
-    in_flight: int = 1
+    population: int = 50
+    flight: Flight = BEFORE
     batch_size: int | None = None
+    genomes: int = MANY
+    """Genomes of a run, after which another one is opened in its place; of the first runs any share."""
+    build: float = 0.0
+    """Time for which a worker builds an object's shape before its run is opened [s]."""
+    shards: int = 1
+    """Coordinators that share runs and workers evenly."""
 
 
 @dataclass
@@ -125,22 +149,44 @@ class FleetSimulation:
         self._leased: list[tuple[float, int]] = []
         self._workers = WorkerRegistry()
         self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
-        self._pipelines = {
-            f"run-{n}": Pipeline(TimedSearch(task.population, self), SHAPE, MANY, "count", task.in_flight)
-            for n in range(task.runs)
-        }
-        self._told = set(self._pipelines)
+        self._task = task
+        self._opened = itertools.count()
+        self._pipelines: dict[str, Pipeline] = {}
+        self._told: set[str] = set()
         """Runs that may have something to ask."""
+        for _ in range(task.runs):
+            share = 1.0 if task.runs == 1 else self._chance.random()
+            self._open_run(int(min(task.genomes, MANY) * share))
+        self._rows = 0
         self._simulated: dict[str, SimulatedWorker] = {}
         for _ in range(profile.workers):
             self._at(self._begin(), self._hire)
 
-    def play(self, seconds: float, most: int) -> Figures:
-        """Figures of the second half of so many seconds, or of so many settled batches if sooner."""
-        while self.now < seconds and len(self._useful) < most:
+    def play(self, seconds: float, most: int, since: float = 0.5) -> Figures:
+        """Figures of the second half of so many seconds, or of so many settled batches if sooner.
+
+        It ends with the last run. `since` is the share of the time that does not count.
+        """
+        while self.now < seconds and len(self._useful) < most and self._pipelines:
             self.now, _, call = heapq.heappop(self._events)
             call()
-        return self._figures(self.now / 2, self.now)
+        return self._figures(self.now * since, self.now)
+
+    def _open_run(self, genomes: int) -> None:
+        name, task = f"run-{next(self._opened)}", self._task
+        search = TimedSearch(task.population, self)
+        self._pipelines[name] = Pipeline(search, SHAPE, max(1, genomes), "count", task.flight)
+        self._told.add(name)
+
+    def _end_run(self, name: str) -> None:
+        """Let a run go, and open another one when the worker that has least to do has built its shape."""
+        del self._pipelines[name]
+        self._dispatcher.withdraw(name)
+        self._told.discard(name)
+        if self._task.runs > 1:
+            worker = min(self._simulated.values(), key=lambda each: each.free_at)
+            worker.free_at = max(worker.free_at, self.now) + self._task.build
+            self._at(worker.free_at, lambda: self._send(lambda: self._open_run(self._task.genomes)))
 
     def _figures(self, begin: float, end: float) -> Figures:
         useful = [(min(took, at - begin), rows) for at, took, rows in self._useful if at > begin]
@@ -174,10 +220,10 @@ class FleetSimulation:
 
     def _turn(self) -> None:
         """Process what came, and do what can be done, as the service does."""
-        n = min(len(self._inbox), AT_ONCE)
+        n, before = min(len(self._inbox), AT_ONCE), self._rows
         for _ in range(n):
             self._inbox.popleft()()
-        self._at(self.now + n * HANDLING, self._step)
+        self._at(self.now + n * HANDLING + (self._rows - before) * SEARCHING, self._step)
 
     def _step(self) -> None:
         for lost in self._workers.overdue(self.now):
@@ -211,10 +257,14 @@ class FleetSimulation:
         more = {"attempt": lease.attempt, "wid": worker.wid, "joints": 0, "cpu_seconds": seconds}
         result = result_message(**named, **more)
         settled = self._dispatcher.settle(worker.wid, result, rows, self.now)
+        self._rows += len(batch)
         if settled.rows is not None:
-            self._pipelines[batch.run.run].settle(settled.rows, seconds)
+            pipeline = self._pipelines[batch.run.run]
+            pipeline.settle(settled.rows, seconds)
             self._told.add(batch.run.run)
             self._useful.append((self.now, seconds, len(batch)))
+            if pipeline.finished is not None:
+                self._end_run(batch.run.run)
         if settled.superseded is not None and settled.superseded in self._simulated:
             self._simulated[settled.superseded].pending.pop(batch.id, None)
 
@@ -250,9 +300,8 @@ class FleetSimulation:
         worker = self._simulated.get(lease.wid)
         if worker is None or lease.join != worker.number:
             return
-        n = len(lease.batch)
-        noise = self._chance.gamma(n) / n
-        seconds = n * self._profile.row_seconds * worker.speed * noise
+        times = row_times(self._chance, len(lease.batch), self._profile.slow)
+        seconds = float(times.sum()) * self._profile.row_seconds * worker.speed
         worker.free_at = max(worker.free_at, self.now) + seconds
         worker.pending[lease.batch.id] = worker.free_at
         self._at(worker.free_at, lambda: self._finish(worker, lease, seconds))
@@ -292,14 +341,26 @@ class FleetSimulation:
             self._join(worker)
 
 
+def row_times(chance: np.random.Generator, n: int, slow: float = 0.0) -> NDArray[np.float64]:
+    """Draw times of rows (n,), 1 on average; `slow` is the share of slow ones."""
+    is_untried = chance.random(n) < UNTRIED
+    mean = np.where(is_untried, SCREENED, (1.0 - UNTRIED * SCREENED) / (1.0 - UNTRIED))
+    shape = np.where(is_untried, *SHAPES)
+    is_slow = chance.random(n) < slow
+    times: NDArray[np.float64] = mean * chance.gamma(shape) / shape * np.where(is_slow, SLOW, 1.0)
+    return times / (1.0 + slow * (SLOW - 1.0))
+
+
 def _nothing() -> None:
     """Nothing happened but time."""
 
 
-SIZES = (10, 30, 100, 300, 1000, 3000, 10_000)
+SIZES = (10, 30, 100, 300, 1000, 3000)
 """Workers."""
-TURNS = 8
-"""Generations that a point takes, roughly; the second half counts."""
+SETTLED, SETTLED_EACH, SETTLED_OF_ONE = 4000, 16, 16_000
+"""Batches of a point of many runs, in all and more for each worker; of a point of one run that goes on."""
+FREEZING = 20.0
+"""Duration of a point with workers that freeze [s]."""
 
 
 @dataclass(frozen=True)
@@ -308,10 +369,6 @@ class Panel:
 
     name: str
     sizes: tuple[int, ...]
-    seconds: float
-    """Least duration of a point."""
-    most: int
-    """Batches that a point takes at most, beside two for each worker."""
 
 
 @dataclass(frozen=True)
@@ -321,36 +378,35 @@ class Line:
     panel: Panel
     name: str
     task: Task
-    profile: dict[str, float]
+    profile: dict[str, float] = field(default_factory=dict)
+    sizes: tuple[int, ...] = SIZES
+    """Those that are worth their time."""
 
 
-RUNS = Panel("runs", SIZES, 1.0, 10_000)
-BATCHES = Panel("batches", (100, 1000, 10_000), 1.0, 10_000)
-PROFILES = Panel("crews", (10, 100, 1000), 40.0, 15_000)
-PANELS = (RUNS, BATCHES, PROFILES)
+ONE = Panel("one run", (10, 30, 100, 300, 1000))
+MANY_RUNS = Panel("campaigns", (300, 1000, 3000))
+PROFILES = Panel("crews", (30, 100))
+PANELS = (ONE, MANY_RUNS, PROFILES)
 
 
-def _runs() -> Iterable[Line]:
-    for population, in_flight in ((500, 1), (500, 2), (500, 4), (4096, 1)):
-        yield Line(RUNS, f"1 run, {in_flight} x {population}", Task(1, population, in_flight), {})
-    for runs in (16, 64, 256):
-        yield Line(RUNS, f"{runs} runs, 1 x 500", Task(runs), {})
-
-
-def _batches() -> Iterable[Line]:
-    for size in (None, 1, 16, 64):
-        name = "as measured" if size is None else "1 row" if size == 1 else f"{size} rows"
-        yield Line(BATCHES, name, Task(64, batch_size=size), {})
-
-
-def _profiles() -> Iterable[Line]:
+def _lines() -> Iterable[Line]:
+    yield Line(ONE, "100 in flight", Task(genomes=GENOMES), sizes=(10, 30, 100, 300))
+    yield Line(ONE, "100 to 1200, as runs have it", Task(genomes=GENOMES, flight=ALONE))
+    yield Line(ONE, "1200 in flight", Task(flight=Flight(24)))
+    yield Line(MANY_RUNS, "256 runs, 50 in flight", Task(256, flight=Flight(1)))
+    yield Line(MANY_RUNS, "256 runs, 400, as campaigns have it", Task(256, flight=IN_CAMPAIGN))
+    ends = Task(256, flight=IN_CAMPAIGN, genomes=2000, build=10.0)
+    yield Line(MANY_RUNS, "of 2000 genomes, each after 10 s of building", ends)
+    shares = Task(256, flight=IN_CAMPAIGN, shards=4)
+    yield Line(MANY_RUNS, "four shares of 256 runs each", shares, sizes=(1000, 3000))
+    alone, campaign = Task(flight=Flight(24)), Task(64, flight=IN_CAMPAIGN)
     profiles = {"alike": {}, "3 times apart": {"spread": 0.55}, "some freeze": {"freeze": 300.0}}
-    for task, what in ((Task(1, 500, 2), "1 run"), (Task(64), "64 runs")):
+    for task, what in ((alone, "1 run"), (campaign, "64 runs")):
         for name, profile in profiles.items():
             yield Line(PROFILES, f"{what}: {name}", task, profile)
 
 
-LINES = [*_runs(), *_batches(), *_profiles()]
+LINES = [*_lines()]
 
 
 @dataclass(frozen=True)
@@ -364,11 +420,15 @@ class Point:
 
 
 def measure(line: Line, workers: int) -> Point:
-    """A point, over so long that every run is at its usual work."""
-    task, profile = line.task, WorkerProfile(workers, **line.profile)
-    work = task.runs * task.population * task.in_flight * profile.row_seconds
-    seconds = max(TURNS * work / workers, line.panel.seconds)
-    figures = FleetSimulation(profile, task, seed=workers).play(seconds, line.panel.most + 2 * workers)
+    """A point: a run from its beginning to its end, or, where runs go on, the second half of its time."""
+    task, profile = line.task, WorkerProfile(workers // line.task.shards, **line.profile)
+    fleet = FleetSimulation(profile, task, seed=workers)
+    if task.runs == 1 and task.genomes < MANY:
+        figures = fleet.play(inf, MANY, since=0.0)
+    else:
+        some = SETTLED_OF_ONE if task.runs == 1 else SETTLED + SETTLED_EACH * profile.workers
+        freezes = "freeze" in line.profile
+        figures = fleet.play(FREEZING if freezes else inf, MANY if freezes else some)
     return Point(line.panel.name, line.name, workers, figures)
 
 
@@ -376,7 +436,7 @@ def points() -> Iterable[Point]:
     """All points, those of few workers first."""
     for size in SIZES:
         for line in LINES:
-            if size in line.panel.sizes:
+            if size in line.panel.sizes and size in line.sizes:
                 yield measure(line, size)
 
 
@@ -412,12 +472,12 @@ def _rounded(row: dict[str, object]) -> dict[str, object]:
 
 
 TITLES = {
-    "runs": "Share of time that counts, by what is in flight",
-    "batches": "64 runs, by rows in a batch",
-    "crews": "1 run of 2 x 500, and 64 runs, where workers differ or freeze",
-    "age": "From the ask of a generation to its tell (colours: both)",
+    "one run": "One run of the default method, by genomes in flight",
+    "campaigns": "Campaigns: share of time that counts",
+    "crews": "1 run of 1200, and 64 runs, where workers differ or freeze",
+    "age": "From the ask of a generation to its tell, one run",
 }
-PLACES = {"batches": "upper right", "crews": "center right", "age": "upper right"}
+PLACES = {"one run": "lower left", "campaigns": "lower left", "crews": "lower left", "age": "upper right"}
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
 """Of Okabe and Ito."""
 
@@ -438,29 +498,29 @@ def make(folder: Path) -> int:
 def draw(found: Sequence[Point]) -> Figure:
     """Four panels."""
     figure = Figure(figsize=(11, 7.6), layout="constrained")
-    (runs, age), (batches, profiles) = figure.subplots(2, 2)
-    _share(runs, RUNS, found)
+    (one, age), (many, profiles) = figure.subplots(2, 2)
+    _share(one, ONE, found)
     _age(age, found)
-    _share(batches, BATCHES, found)
+    _share(many, MANY_RUNS, found)
     _share(profiles, PROFILES, found)
     return figure
 
 
 def _share(axes: Axes, panel: Panel, found: Sequence[Point]) -> None:
-    _lines(axes, panel, found, "utilisation", 100.0)
+    _draw_lines(axes, panel, found, "utilisation", 100.0)
     axes.set_ylim(0, 103)
     axes.set_ylabel("share of the workers' time that counts [%]", color=FAINT)
     _dress(axes, panel.name)
 
 
 def _age(axes: Axes, found: Sequence[Point]) -> None:
-    _lines(axes, RUNS, found, "age", 1.0)
+    _draw_lines(axes, ONE, found, "age", 1.0)
     axes.set_yscale("log")
     axes.set_ylabel("seconds", color=FAINT)
     _dress(axes, "age")
 
 
-def _lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, scale: float) -> None:
+def _draw_lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, scale: float) -> None:
     names = [line.name for line in LINES if line.panel == panel]
     for place, name in enumerate(names):
         of_line = [point for point in found if (point.panel, point.line) == (panel.name, name)]
@@ -481,7 +541,7 @@ def _dress(axes: Axes, what: str) -> None:
     axes.grid(color=RULE, lw=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=FAINT, labelsize=8.5)
-    if what != "runs":  # the lines are those of the panel beside it
+    if what != "age":  # the lines are those of the panel beside it
         axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
 
 

@@ -133,8 +133,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     method: str = DEFAULT_METHOD
     """A search with its prior.
 
-    When a run is requested it decides `aim_for`, `overlaps`, `population` and `generations_in_flight` unless
-    they are given; their defaults here are the paper's.
+    When a run is requested it decides `aim_for`, `overlaps`, `population`, `generations_in_flight` and
+    `in_flight` unless they are given; their defaults here are the paper's.
     """
     protocol: ProtocolName = "paper"
     base: BaseName = "paper"
@@ -170,7 +170,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     mutation_probability: Annotated[float, Meta(gt=0, le=1)] = 0.3
     """The probability that a gene mutates."""
     generations_in_flight: Annotated[int, Meta(ge=1, le=16)] = 1
-    """Generation g is asked when generation g minus this has been told."""
+    """Generation g is asked when generation g minus this has been told; where the number grows, at first."""
+    in_flight: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    """Most genomes in flight, where generations in flight become more as more are told; None: they do not."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
     poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (

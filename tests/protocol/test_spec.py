@@ -43,6 +43,7 @@ SPECS = st.builds(
     mutation_sigma=st.floats(max_value=2, **POSITIVE),
     mutation_probability=st.floats(max_value=1, **POSITIVE),
     generations_in_flight=st.integers(1, 16),
+    in_flight=st.none() | st.integers(1, 100_000),
     surface_seed=st.integers(0, 2**63 - 1),
     poses=st.none()
     | st.lists(st.lists(st.floats(width=32, allow_nan=False)).map(tuple), min_size=1).map(tuple),

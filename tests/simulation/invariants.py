@@ -2,6 +2,7 @@
 
 from collections import deque
 
+from qdgrasp_coordinator.scheduler.pipeline import Flight
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_protocol.rows import Genomes, Rows
 
@@ -15,18 +16,19 @@ class InvariantViolated(AssertionError):
 
 
 class CheckedSearch:
-    """A search that insists on the order in which it is asked and told, so many generations in flight."""
+    """A search that insists on the order in which it is asked and told, with as many in flight as are due."""
 
-    def __init__(self, search: SearchAlgorithm, in_flight: int) -> None:
+    def __init__(self, search: SearchAlgorithm, flight: Flight) -> None:
         self._search = search
-        self._in_flight = in_flight
+        self._flight = flight
         self._asked: deque[int] = deque()
         """Numbers of genomes of the generations that are asked and not told."""
         self._told = 0
 
     def ask(self, generation: int) -> Genomes:
-        """Generation g is asked when generation g - L has been told."""
-        is_next = generation == self._told + len(self._asked) and len(self._asked) < self._in_flight
+        """A generation is asked while fewer are in flight than are due after those that were told."""
+        most = self._flight.after(self._told)
+        is_next = generation == self._told + len(self._asked) and len(self._asked) < most
         if not is_next:
             raise InvariantViolated("told in order", f"asked {generation} with {self._told} told")
         genomes = self._search.ask(generation)

@@ -184,10 +184,10 @@ class Simulation:
         plan, digest = self.plans[run], hashlib.sha256(run.encode()).hexdigest()
         spec = RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations)
         search, shape = (
-            CheckedSearch(plan.task.search(plan.population, plan.seed), plan.in_flight),
+            CheckedSearch(plan.task.search(plan.population, plan.seed), plan.flight),
             self.task.shape,
         )
-        budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trial_plan)
+        budget = (plan.evaluations, plan.overlaps, plan.flight, plan.trial_plan)
         pipeline = Pipeline(search, shape, *budget, plan.goals)
         return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 
@@ -502,7 +502,7 @@ class SimulationChecker:
         assert isinstance(run.sink, RecorderClient)
         box, plan = run.sink._outbox, self._stage.plans[run.name]
         size = self._stage.task.shape.dtype.itemsize
-        most = plan.in_flight * plan.population * (1 + plan.trials)
+        most = max(plan.in_flight, plan.most_in_flight) * plan.population * (1 + plan.trials)
         require(
             box.unconfirmed <= recorder_client.MOST_UNCONFIRMED + most,
             "bounded memory",

@@ -204,9 +204,9 @@ def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) 
 
 
 @pytest.mark.parametrize("overlaps", ["redraw", "count"])
-@pytest.mark.parametrize("in_flight", [1, 2])
+@pytest.mark.parametrize(("in_flight", "most"), [(1, 0), (2, 0), (1, 3)])
 def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(
-    in_flight: int, overlaps: Overlaps
+    in_flight: int, most: int, overlaps: Overlaps
 ) -> None:
     plan = Plan(
         seed=7,
@@ -214,6 +214,7 @@ def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(
         evaluations=300,
         overlaps=overlaps,
         in_flight=in_flight,
+        most_in_flight=most,
         task=aimed_task(overlaps),
     )
     journals = {journal_of(plan, number) for number in (1, 2)}

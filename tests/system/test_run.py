@@ -308,3 +308,16 @@ def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdg
         str(source["generation"]),
         str(source["index"]),
     )
+
+
+GROWING = ("--population", 3, "--generations-in-flight", 1, "--in-flight", 18)
+
+
+@pytest.mark.slow
+def test_a_run_with_a_growing_number_in_flight_is_the_same_whatever_the_workers_and_goes_on(qdgrasp):
+    asked = ("run", *SMALL, *GROWING)
+    qdgrasp.succeed(*asked, "--evaluations", 90, "--workers", 1, "--out", "one")
+    qdgrasp.succeed(*asked, "--evaluations", 60, "--workers", 3, "--batch-size", 2, "--out", "three")
+    assert qdgrasp.digest("three") != qdgrasp.digest("one")
+    qdgrasp.succeed("resume", "three", "--evaluations", 90, "--workers", 2)
+    assert qdgrasp.digest("three") == qdgrasp.digest("one")

@@ -5,6 +5,7 @@ Mesh files are checked before anything is begun, so that all faults are named at
 
 import hashlib
 import itertools
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -31,7 +32,7 @@ from qdgrasp_coordinator.campaign.object_library import (
     mesh_fault,
     read_library,
 )
-from qdgrasp_coordinator.scheduler.run_plan import absolute_asset, complete_spec
+from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import (
@@ -57,6 +58,7 @@ SHORT_KEYS = {
     "mutation_sigma": "sigma",
     "mutation_probability": "rate",
     "generations_in_flight": "flight",
+    "in_flight": "inflight",
     "surface_seed": "surface",
     "protocol": "",
     "overlaps": "",
@@ -70,8 +72,13 @@ NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's nam
 CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """Defaults of a campaign's runs.
 
-A second generation in flight keeps the workers of a single run busy; here other runs do, and the search is
-told all that it asked.
+A second generation in flight from the beginning keeps the workers of a single run busy; here other runs do,
+and the search is told all that it asked.
+"""
+TAKEN_FOR_GRANTED = {"aim_for": method(DEFAULT_METHOD).aim_for, "in_flight": 400}
+"""Defaults of a new campaign's runs that the campaigns of earlier versions do not have.
+
+A third of the genomes in flight that a single run has in the end: other runs fill the gaps.
 """
 SATURATION = 0.1
 """Share of its mean rate of new niches at which an object is saturated, where a target of grasps is given."""
@@ -79,7 +86,8 @@ ADAPTIVE_BUDGET = {"evaluations": 20_000, "saturation": SATURATION}
 """Budget and saturation of a campaign with a target of grasps, unless it says others."""
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
-CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
+CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects", "shard"})
+SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's runs: which of how many
 OBJECT_KEYS = frozenset({"mass", "scale", "friction", "mesh", "about"})
 """Keys of an object: left out of its runs' names, and stronger than the defaults."""
 
@@ -131,22 +139,27 @@ def read_campaign(
     *,
     here: bool = True,
     is_begun: bool = False,
+    without: Collection[str] = (),
     goals: Mapping[str, float | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
+    shard: str | None = None,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
-    `here` checks that its grippers and objects are on this machine; `is_begun`: it may have been begun by a
-    version without objectives, which a missing `aim_for` then means; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults, and behind these stands `ADAPTIVE_BUDGET` if grasps are among
-    them; `rules` are for the libraries that it names as objects. Raises InputError if the file is missing, is
-    not TOML, or asks for a run that is not possible; the run is named.
+    `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder, which
+    says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
+    `goals` are values of a spec's keys that end runs, in place of the file's defaults, and behind these
+    stands `ADAPTIVE_BUDGET` if grasps are among them; `rules` are for the libraries that it names as objects;
+    `shard` is the share of its runs that is meant, as "2/4"; None: what the file says, or all. Raises
+    InputError if the file is missing, is not TOML, or asks for a run that is not possible; the run is named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
     if isinstance(source.get("defaults", {}), dict):
         source["defaults"] = _with_goals(source.get("defaults", {}), goals)
+    source |= {} if shard is None else {"shard": shard}
     source, skipped = _with_libraries(source, rules) if here else (source, None)
-    return replace(make_campaign(source, str(path), here=here, is_begun=is_begun), skipped=skipped)
+    taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
+    return replace(make_campaign(source, str(path), here=here, taken=taken), skipped=skipped)
 
 
 def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[str, Any]:
@@ -193,15 +206,30 @@ def is_campaign(path: Path) -> bool:
 
 
 def make_campaign(
-    source: dict[str, Any], where: str, *, here: bool = True, is_begun: bool = False
+    source: dict[str, Any],
+    where: str,
+    *,
+    here: bool = True,
+    taken: Collection[str] = frozenset(TAKEN_FOR_GRANTED),
 ) -> Campaign:
-    """Make the campaign of a file's content; parameters and errors as of `read_campaign`."""
+    """Make the campaign of a file's content.
+
+    It has the keys `taken` of `TAKEN_FOR_GRANTED` where the file does not say them. Other parameters and
+    errors are those of `read_campaign`.
+    """
     _check_tables(source, where)
-    objective = {"aim_for": method(DEFAULT_METHOD).aim_for}
-    if not is_begun:  # the folder's file says it; one without was begun when there was no choice
-        source = source | {"defaults": objective | source.get("defaults", {})}
+    said = source.get("defaults", {})
+    says_flight = not said.keys().isdisjoint(FLIGHT_KEYS)
+    usual = {
+        key: value
+        for key, value in TAKEN_FOR_GRANTED.items()
+        if key in taken and not (key == "in_flight" and says_flight)
+    }
+    source = source | {"defaults": usual | said}
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(CAMPAIGN_DEFAULTS | {"aim_for": None} | source.get("defaults", {}))
+    defaults = assets.resolve(
+        CAMPAIGN_DEFAULTS | dict.fromkeys(TAKEN_FOR_GRANTED) | source.get("defaults", {})
+    )
     crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {assets.absolute(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
@@ -213,6 +241,7 @@ def make_campaign(
                 f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
                 "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
             )
+    shard = source.get("shard")
     used = {spec.object for spec in runs.values()}
     for name in objects:
         if name not in used:
@@ -220,11 +249,34 @@ def make_campaign(
                 f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
                 "[[cross]], in the same words."
             )
+    if shard is not None:
+        runs = _share_of(runs, shard, where)
     if here:
         _check_assets(runs.values())
     said = {key: value for key, value in defaults.items() if value is not None}
-    resolved = {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
+    resolved = {} if shard is None else {"shard": shard}
+    resolved |= {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
+
+
+def _share_of(runs: Mapping[str, RunSpec], shard: Any, where: str) -> dict[str, RunSpec]:
+    """Return the runs of a share, by the digests of their names.
+
+    Every run is in one share of so many.
+    """
+    match = SHARD.fullmatch(shard) if isinstance(shard, str) else None
+    part, parts = (int(match[1]), int(match[2])) if match else (1, 0)
+    if part > parts:
+        raise ImpossibleValue(
+            f"{where}: shard", shard, "a share of so many, such as '2/4' for the second of four"
+        )
+    digests = {name: int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) for name in runs}
+    share = {name: spec for name, spec in runs.items() if digests[name] % parts == part - 1}
+    if not share:
+        raise InputError(
+            f"{where}: none of its {counted(len(runs), 'run')} is in the share {shard}; take fewer shares."
+        )
+    return share
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
@@ -248,7 +300,8 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
 @cache
 def _usual_spec(method: str) -> RunSpec:
     """Return a method's spec as is usual in a campaign; hand and object are empty."""
-    return complete_spec(CAMPAIGN_DEFAULTS | {"gripper": "", "object": "", "method": method})
+    spec = complete_spec(CAMPAIGN_DEFAULTS | {"gripper": "", "object": "", "method": method})
+    return structs.replace(spec, in_flight=TAKEN_FOR_GRANTED["in_flight"])
 
 
 class AssetNames:
@@ -338,7 +391,20 @@ def _cross_lists(
             for key in OBJECTIVE_KEYS:
                 if key in values and key not in cross and values["method"] != DEFAULT_METHOD:
                     run_spec({"gripper": "", "object": "", key: values.pop(key)}, where)
+            if "in_flight" not in cross and not _may_grow(values, cross):
+                values["in_flight"] = None
             yield {key: value for key, value in values.items() if key not in known}, known
+
+
+def _may_grow(values: Mapping[str, Any], cross: Mapping[str, Any]) -> bool:
+    """Return whether a run has the defaults' genomes in flight.
+
+    A crossing that says how many are in flight has its own.
+    """
+    is_by_position = values.get("diversity") in (None, "position")
+    looks_for_value = values["method"] == DEFAULT_METHOD and values.get("aim_for") not in (None, "touch")
+    redraws = values.get("overlaps") in (None, "redraw")
+    return is_by_position and looks_for_value and redraws and cross.keys().isdisjoint(FLIGHT_KEYS)
 
 
 def campaign_of_meshes(
@@ -346,12 +412,14 @@ def campaign_of_meshes(
     rules: LibraryRules,
     values: Mapping[str, Any],
     *,
-    is_begun: bool = False,
+    without: Collection[str] = (),
+    shard: str | None = None,
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `is_begun` is that of `read_campaign`. `values` are values or lists of keys of a spec, crossed as in a
-    campaign's file; None: not given. Raises InputError as `read_library`, or for a run that is not possible.
+    `without` and `shard` are those of `read_campaign`. `values` are values or lists of keys of a spec,
+    crossed as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run that
+    is not possible.
     """
     library = read_library(where, rules)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
@@ -360,7 +428,9 @@ def campaign_of_meshes(
         "cross": [cross | {"object": list(library.objects)}],
         "objects": library.objects,
     }
-    campaign = make_campaign(source, f"campaign of {where}", is_begun=is_begun)
+    source |= {} if shard is None else {"shard": shard}
+    taken = TAKEN_FOR_GRANTED.keys() - set(without)
+    campaign = make_campaign(source, f"campaign of {where}", taken=taken)
     return replace(campaign, skipped=library.skipped)
 
 

@@ -14,7 +14,12 @@ from msgspec import Struct, structs
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
-from qdgrasp_coordinator.campaign.campaign_file import LARGEST_CAMPAIGN, Campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_file import (
+    LARGEST_CAMPAIGN,
+    TAKEN_FOR_GRANTED,
+    Campaign,
+    read_campaign,
+)
 from qdgrasp_coordinator.campaign.object_library import read_skip_report, skip_report
 from qdgrasp_coordinator.campaign.object_table import (
     ObjectQuantiles,
@@ -423,10 +428,14 @@ def open_campaign(path: Path) -> JobFolder:
     return folder
 
 
-def knows_no_objective(path: Path) -> bool:
-    """Return whether a folder's campaign was begun by a version without objectives."""
+def defaults_left_out(path: Path) -> frozenset[str]:
+    """Return the keys of `TAKEN_FOR_GRANTED` that a folder's campaign lacks; none without one."""
     file = path / CAMPAIGN
-    return file.is_file() and "aim_for" not in read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {})
+    if not file.is_file():
+        return frozenset()
+    return frozenset(
+        TAKEN_FOR_GRANTED.keys() - read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {}).keys()
+    )
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:

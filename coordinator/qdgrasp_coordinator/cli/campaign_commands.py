@@ -17,7 +17,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
 from qdgrasp_coordinator.campaign.campaign_folder import (
     CampaignRunQueue,
     begin_campaign,
-    knows_no_objective,
+    defaults_left_out,
     open_campaign,
 )
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest
@@ -75,6 +75,10 @@ def campaign(
     evaluations: Annotated[
         int | None, typer.Option(help="With --objects: counted evaluations of each run; default 10000.")
     ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a job of its own."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
     grasps_per_object: Annotated[
         int | None,
@@ -118,6 +122,8 @@ def campaign(
     --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
     said for all. With --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
 
+    --shard shares the runs among several coordinators, each with a job and a folder, runs/<file>-IofN.
+
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
@@ -149,16 +155,17 @@ def campaign(
         if objects is not None:
             raise InputError(f"'{what}' is a manifest, and --objects is a library too: give one of them.")
         what, objects = None, what
-    metres, path = scale_of(units, scale), _campaign_folder(what, objects, out)
+    metres, path = scale_of(units, scale), _campaign_folder(what, objects, out, shard)
     prepared = options.preparation(simplify, remesh, hull, glued)
     rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
-    begun = knows_no_objective(path)
+    without = defaults_left_out(path)
     if objects is not None:
         if what is not None:
             raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
         if None not in (mass, density):
             raise InputError("--mass and --density say the same of each object: give one of them.")
-        asked = campaign_of_meshes(objects, rules, {**goals, **options.given(**keys)}, is_begun=begun)
+        values = {**goals, **options.given(**keys)}
+        asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard)
     elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
         raise InputError(
             f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its own, "
@@ -170,7 +177,9 @@ def campaign(
         )
     else:
         file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
-        asked = read_campaign(file, is_begun=begun, goals=goals, rules=rules)
+        asked = read_campaign(
+            file, is_begun=what.is_dir(), without=without, goals=goals, rules=rules, shard=shard
+        )
     if list_runs:
         for name, spec in asked.runs.items():
             echo(f"{name}  {spec.evaluations}")
@@ -196,9 +205,12 @@ def campaign(
     print_summary(folder, asked, is_timed=seconds is not None)
 
 
-def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
+def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None, shard: str | None) -> Path:
     if what is None or not what.is_dir():
-        return out or Path("runs") / (what or objects or Path()).absolute().stem
+        share = f"-{shard.replace('/', 'of')}" if shard else ""
+        return out or Path("runs") / ((what or objects or Path()).absolute().stem + share)
+    if shard is not None:
+        raise InputError(f"{what} is a campaign's folder, whose share is decided; leave --shard out.")
     if out is not None:
         raise InputError(f"{what} is a campaign's folder, and goes on where it is; leave --out out.")
     return what

@@ -353,8 +353,8 @@ def has_desktop(environment: Mapping[str, str]) -> bool:
     return bool(shown) and not environment.get("SSH_CONNECTION")
 
 
-METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "summary")
-METHOD_WIDTHS = (18, 10, 9, 11, 22, 0)
+METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "in_flight", "summary")
+METHOD_WIDTHS = (18, 10, 9, 11, 22, 10, 0)
 
 
 def methods(as_json: options.Json = False) -> None:

@@ -113,6 +113,12 @@ def run(
     generations_in_flight: Annotated[
         int | None, typer.Option(help="Generations asked before the first is told; default: the method's.")
     ] = None,
+    in_flight: Annotated[
+        int | None,
+        typer.Option(
+            help="Most genomes in flight, which become more as the run goes on; default: the method's."
+        ),
+    ] = None,
     surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
     warm_start: Annotated[
         list[Path] | None,
@@ -160,6 +166,7 @@ def run(
         mutation_sigma=mutation_sigma,
         mutation_probability=mutation_probability,
         generations_in_flight=generations_in_flight,
+        in_flight=in_flight,
         surface_seed=surface_seed,
     )
     values = read_run_spec(spec) if spec else {}
@@ -450,7 +457,7 @@ def rerank_spec(
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "first_weights", "trials", "finalists", *GOAL_KEYS)
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", "finalists", *GOAL_KEYS)
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""

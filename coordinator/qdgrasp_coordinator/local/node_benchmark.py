@@ -20,7 +20,7 @@ from qdgrasp_coordinator.local.benchmark_figures import (
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.restart_policy import RestartPolicy, start_worker
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, SingleRunQueue
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
@@ -78,7 +78,7 @@ class SceneBenchmark:
         self._plan = RunPlan.of(
             spec,
             prepared,
-            lambda shape: Pipeline(self._search, shape, ENDLESS, "count", IN_FLIGHT),
+            lambda shape: Pipeline(self._search, shape, ENDLESS, "count", Flight(IN_FLIGHT)),
             BENCH_PRIOR,
         )
         self._sink = PlatformSink(self._plan.shape)

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
+from heapq import heappop, heappush
 from math import ceil, sqrt
 
 import msgspec
@@ -207,6 +208,12 @@ class BatchQueue:
         self._prefix = secrets.token_bytes(8)
         self._batch_size = batch_size
         self._runs: dict[str, _RunBatches] = {}
+        self._of_scene: dict[str, dict[str, _RunBatches]] = {}
+        self._order = {False: RunOrder(), True: RunOrder()}
+        """The waiting runs, those that need a device apart."""
+        self._begun = 0
+        self._rows = 0
+        """Number of waiting rows of all runs."""
         self._cut = 0
         self._served = 0.0
 
@@ -226,34 +233,52 @@ class BatchQueue:
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
-        waiting = self._runs.setdefault(run.run, _RunBatches(run, BatchSizer(self._batch_size)))
+        if run.run not in self._runs:
+            self._begin(run)
+        waiting = self._runs[run.run]
         if not waiting:
             waiting.served = max(waiting.served, self._served)
         waiting.uncut.append(generation)
+        self._rows += len(generation)
+        self._order[run.needs_device].put(waiting)
+
+    def _begin(self, run: RunRef) -> None:
+        begun = _RunBatches(run, BatchSizer(self._batch_size), self._begun)
+        self._begun += 1
+        self._runs[run.run] = self._of_scene.setdefault(run.scene, {})[run.run] = begun
 
     def withdraw(self, run: str) -> None:
         """Forget a run."""
-        self._runs.pop(run, None)
+        if (gone := self._runs.pop(run, None)) is not None:
+            self._rows -= len(gone)
+            self._order[gone.run.needs_device].remove(gone)
+            del self._of_scene[gone.run.scene][run]
+            if not self._of_scene[gone.run.scene]:
+                del self._of_scene[gone.run.scene]
 
     def next_run(self, scenes: Collection[str], has_device: bool = False) -> str | None:
         """Return the run served least, or within the slack one whose scene is held; None: no rows.
 
-        A worker that has a device takes runs that need one first, and others do not take them.
+        A worker that has a device takes runs that need one first, and others do not take them. It costs the
+        runs of the scenes that the worker holds, and not of those only where the least served is one of them.
         """
-        waiting = [rows for rows in self._runs.values() if rows and rows.run.needs_device <= has_device]
-        if not waiting:
-            return None
-        if any(rows.run.needs_device for rows in waiting):
-            waiting = [rows for rows in waiting if rows.run.needs_device]
-        least = min(waiting, key=lambda rows: rows.served)
-        held = (rows for rows in waiting if rows.run.scene in scenes)
-        least_held = min(held, key=lambda rows: rows.served, default=least)
+        least = (self._order[True].least if has_device else None) or self._order[False].least
+        if least is None or least.run.scene in scenes:
+            return least.run.run if least else None
+        held = [
+            rows
+            for scene in scenes
+            for rows in self._of_scene.get(scene, {}).values()
+            if rows and rows.run.needs_device == least.run.needs_device
+        ]
+        least_held = min(held, key=lambda rows: rows.place, default=least)
         return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
 
     def pop(self, run: str, workers: int, at_once: int = 0) -> Batch:
         """Return the next batch of a waiting run: one queued again, or a new one.
 
-        `workers` share the rows of a generation; a device takes all, as many as it evaluates `at_once`.
+        `workers` share the rows of a generation, and where there are other runs all that wait, or would if
+        every run had as many; a device takes all of a generation, as many as it evaluates `at_once`.
         """
         waiting = self._runs[run]
         if waiting.again:
@@ -263,17 +288,25 @@ class BatchQueue:
             if waiting.run.needs_device and self._batch_size is None:
                 n = min(at_once, len(rows))
             else:
-                n = waiting.sizer.next_size(len(rows), workers, len(self._runs))
+                runs = len(self._runs)
+                shared = max(runs, self._rows // len(rows)) if runs > 1 else 1
+                n = waiting.sizer.next_size(len(rows), workers, shared)
             if n < len(rows):
                 waiting.uncut.appendleft(rows[n:])
             batch = Batch(self._new_id(), waiting.run, rows[:n])
+        self._rows -= len(batch)
         self._served = waiting.served
         waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
+        self._order[waiting.run.needs_device].put(waiting)
         return batch
 
     def requeue(self, batch: Batch) -> None:
         """Have a batch leased again, before anything new of its run."""
-        self._runs[batch.run.run].again[batch.id] = batch
+        waiting = self._runs[batch.run.run]
+        if batch.id not in waiting.again:
+            self._rows += len(batch)
+        waiting.again[batch.id] = batch
+        self._order[batch.run.needs_device].put(waiting)
 
     def requeue_row(self, batch: Batch, place: int) -> None:
         """Queue a row on which the simulator failed again, as a batch of its own."""
@@ -281,8 +314,9 @@ class BatchQueue:
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""
-        if batch.run.run in self._runs:
-            self._runs[batch.run.run].again.pop(batch.id, None)
+        if (waiting := self._runs.get(batch.run.run)) is not None and batch.id in waiting.again:
+            del waiting.again[batch.id]
+            self._rows -= len(batch)
 
     def measure(self, batch: Batch, cpu_seconds: float) -> None:
         """Record the cost of a batch."""
@@ -294,12 +328,14 @@ class BatchQueue:
         return self._prefix + self._cut.to_bytes(8)
 
 
-@dataclass
+@dataclass(eq=False)
 class _RunBatches:
     """Waiting rows of a run."""
 
     run: RunRef
     sizer: BatchSizer
+    number: int
+    """Ascends with the first rows."""
     uncut: deque[Generation] = field(default_factory=deque)
     """Rows that were never leased, of a generation each."""
     again: dict[bytes, Batch] = field(default_factory=dict)
@@ -312,3 +348,40 @@ class _RunBatches:
 
     def __bool__(self) -> bool:
         return bool(self.uncut or self.again)
+
+    @property
+    def place(self) -> tuple[float, int]:
+        """Its place among waiting runs: the one served least is first, of equals the eldest."""
+        return self.served, self.number
+
+
+class RunOrder:
+    """Waiting runs by what they were served: the least is found without a pass over all of them.
+
+    A place that a run has left stays until it comes to the top.
+    """
+
+    def __init__(self) -> None:
+        self._places: list[tuple[float, int]] = []
+        self._runs: dict[int, _RunBatches] = {}
+
+    def put(self, rows: _RunBatches) -> None:
+        """Add a run, or note its new place, if it waits."""
+        if rows:
+            self._runs[rows.number] = rows
+            heappush(self._places, rows.place)
+
+    def remove(self, rows: _RunBatches) -> None:
+        """Forget a run."""
+        self._runs.pop(rows.number, None)
+
+    @property
+    def least(self) -> _RunBatches | None:
+        """The run served least of those that wait; None: none does."""
+        while self._places:
+            place = self._places[0]
+            rows = self._runs.get(place[1])
+            if rows and rows.place == place:
+                return rows
+            heappop(self._places)
+        return None

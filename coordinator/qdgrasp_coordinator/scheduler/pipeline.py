@@ -22,7 +22,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import Overlaps
+from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 MOST_FINAL = 4096  # The most rows that become final at once
 Places = NDArray[np.int64]  # (n,): indices, or trials, of rows
@@ -246,12 +246,41 @@ def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
     return len(is_present) if is_present.all() else int(is_present.argmin())
 
 
+GROWTH = 8  # Generations that are told for each further one in flight
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Number of generations that are asked and not told, as a function of those told."""
+
+    first: int = 1
+    """In the beginning."""
+    most: int = 0
+    """Later, if that is more."""
+
+    @classmethod
+    def of(cls, spec: RunSpec) -> "Flight":
+        """Return what a spec says."""
+        return cls(spec.generations_in_flight, (spec.in_flight or 0) // spec.population)
+
+    def after(self, told: int) -> int:
+        """Return the number when so many generations were told.
+
+        It grows with these, so that a genome is made without the knowledge of `first` generations and about a
+        `GROWTH`-th of all that the search was told.
+        """
+        return max(self.first, min(self.most, self.first + told // GROWTH))
+
+
+ONE_GENERATION = Flight()
+
+
 class Pipeline:
     """Orders the asks and tells of one search.
 
-    Generation g is asked of the search at the moment when generation g - `generations_in_flight` has been
-    told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one; `ask`
-    only hands out what is there. Nothing has been asked of the search before.
+    A generation is asked of the search at the moment when fewer are in flight than `flight` has after those
+    that were told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one;
+    `ask` only hands out what is there. Nothing has been asked of the search before.
 
     The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
     of its generation's rows up to that one. Later rows of that generation are not journalled, and that
@@ -266,7 +295,7 @@ class Pipeline:
         shape: RowShape,
         evaluations: int,
         overlaps: Overlaps,
-        generations_in_flight: int = 1,
+        flight: Flight = ONE_GENERATION,
         trials: TrialPlan = NO_TRIALS,
         goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
@@ -275,12 +304,12 @@ class Pipeline:
         self._shape = shape
         self._overlaps = overlaps
         self._trials = trials
+        self._flight = flight
         self._open: deque[GenerationBuffer] = deque()
         self._asked = 0
         self._cpu_seconds = 0.0
         self._reasons: dict[tuple[int, int, int], str] = {}
-        for _ in range(generations_in_flight):
-            self._prepare()
+        self._prepare(told=0)
 
     @property
     def finished(self) -> str | None:
@@ -363,17 +392,16 @@ class Pipeline:
         if self.finished is None:
             self._search.tell(buffer.number, buffer.rows_for_tell)
             self._open.popleft()
-            self._prepare()
+            self._prepare(told=buffer.number + 1)
 
-    def _prepare(self) -> None:
-        """Ask the search for the next generation, unless the open ones are sure to spend the budget."""
-        needed = self.tally.left
-        if self._overlaps == "count":
-            needed -= sum(buffer.missing for buffer in self._open)
-        if needed <= 0:
-            return
-        genomes = self._search.ask(self._asked)
-        if len(genomes):
+    def _prepare(self, told: int) -> None:
+        """Ask the search for what may be in flight now, unless that is sure to spend the budget."""
+        while len(self._open) < self._flight.after(told):
+            needed = self.tally.left
+            if self._overlaps == "count":
+                needed -= sum(buffer.missing for buffer in self._open)
+            if needed <= 0 or not len(genomes := self._search.ask(self._asked)):
+                return
             limit = needed if self._overlaps == "count" else len(genomes)
             self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, self._trials))
             self._asked += 1

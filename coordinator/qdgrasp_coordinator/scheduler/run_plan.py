@@ -19,11 +19,11 @@ from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
-from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
-from qdgrasp_coordinator.search.registry import check_spec, method, prior_of
+from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
@@ -199,6 +199,10 @@ RUN_DEFAULTS = {"protocol": "physical"}
 """Defaults of a run that a user asks for by itself; a campaign's and a spec's are those of the paper."""
 
 
+FLIGHT_KEYS = ("population", "generations_in_flight", "in_flight")
+"""Keys of a spec that say how much is in flight: where one is given, the method decides none of them anew."""
+
+
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """Return the complete spec: files as absolute paths, defaults of the method filled in.
 
@@ -218,6 +222,9 @@ def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         name: getattr(chosen, name) for name in ("aim_for", "overlaps", "population", "generations_in_flight")
     }
     spec = run_spec(usual | values, where)
+    may_grow = spec.overlaps == "redraw" and learns_value(spec)
+    if may_grow and values.keys().isdisjoint(FLIGHT_KEYS):
+        spec = structs.replace(spec, in_flight=chosen.in_flight)
     check_spec(spec)
     return spec
 
@@ -250,7 +257,7 @@ def plan_run(
     chosen = method(spec.method)
     if search is None:
         search = chosen.build(spec, search_space(prepared.scene, prior_of(spec)))
-    budget = (spec.evaluations, spec.overlaps, spec.generations_in_flight, TrialPlan.of(spec))
+    budget = (spec.evaluations, spec.overlaps, Flight.of(spec), TrialPlan.of(spec))
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run
     )
@@ -267,7 +274,7 @@ def plan_genomes(
     return RunPlan.of(
         spec,
         prepared,
-        lambda shape: Pipeline(search, shape, budget, "count", 2, TrialPlan.of(spec)),
+        lambda shape: Pipeline(search, shape, budget, "count", Flight(2), TrialPlan.of(spec)),
         prior,
         run,
     )

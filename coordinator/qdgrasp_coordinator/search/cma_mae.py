@@ -47,6 +47,9 @@ def check(spec: RunSpec) -> None:
     if spec.generations_in_flight != 1:
         expected = f"1 for {spec.method}, whose emitters adapt to the generation that they were asked last"
         raise ImpossibleValue("generations_in_flight", spec.generations_in_flight, expected)
+    if spec.in_flight is not None:
+        expected = f"left out for {spec.method}, which has one generation in flight"
+        raise ImpossibleValue("in_flight", spec.in_flight, expected)
 
 
 class CmaMae:

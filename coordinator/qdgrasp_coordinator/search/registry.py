@@ -41,6 +41,8 @@ class Method:
     summary: str
     generations_in_flight: int = 1
     """Generations asked before the first is told unless the spec says otherwise."""
+    in_flight: int | None = None
+    """Most genomes in flight of searches for value by position that redraw, unless the spec says how many."""
     aim_for: AimFor | None = None
     """Objective unless the spec says otherwise; None: the method has none."""
 
@@ -159,6 +161,7 @@ AIMED = Method(
     50,
     "The default, this project's own: cells that may gain most, with a neighbour's grasp.",
     generations_in_flight=2,
+    in_flight=1200,
     aim_for="hold",
 )
 METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
@@ -218,5 +221,8 @@ def check_spec(spec: RunSpec) -> None:
         raise ImpossibleValue(
             "first_weights", "a table", f"left out for {search_words(spec)}, which has no such models"
         )
+    if spec.in_flight is not None and spec.in_flight < spec.population:
+        expected = f"at least one generation, which are {spec.population} genomes"
+        raise ImpossibleValue("in_flight", spec.in_flight, expected)
     check_first_weights(spec)
     chosen.check(spec)

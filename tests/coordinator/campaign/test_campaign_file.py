@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -17,6 +18,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
     read_campaign,
     run_name,
 )
+from qdgrasp_coordinator.campaign.campaign_folder import defaults_left_out
 from qdgrasp_coordinator.campaign.object_library import LibraryRules
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.registry import prior_of
@@ -112,9 +114,80 @@ class TestCrossing:
         found = {name: spec.generations_in_flight for name, spec in make_campaign(source, "c").runs.items()}
         assert found == {"panda-mug-aimed-s0": 1, "panda-mug-aimed-s0-flight2": 2}
 
+    def test_a_new_campaign_has_more_genomes_in_flight_and_one_that_was_begun_what_its_folder_says(
+        self, tmp_path: Path
+    ) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
+        asked = make_campaign(source, "c.toml")
+        assert {name: spec.in_flight for name, spec in asked.runs.items()} == {"panda-mug-aimed-s0": 400}
+        file = tmp_path / "campaign.toml"
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+        elder = make_campaign(source, "c.toml", taken={"aim_for"})
+        assert {name: spec.in_flight for name, spec in elder.runs.items()} == {"panda-mug-aimed-s0": None}
+        file.write_text(elder.toml)
+        assert read_campaign(file, is_begun=True).runs == elder.runs
+        assert defaults_left_out(tmp_path) == {"in_flight"}
+        file.write_text(tomli_w.dumps(source))
+        assert (
+            read_campaign(file, without=defaults_left_out(tmp_path)).runs["panda-mug-aimed-s0"].aim_for
+            is None
+        )
+
+    @pytest.mark.parametrize(
+        "said",
+        [
+            {"population": 20},
+            {"generations_in_flight": 2},
+            {"aim_for": "touch"},
+            {"diversity": "posture"},
+            {"overlaps": "count"},
+        ],
+    )
+    def test_a_file_that_says_how_much_is_in_flight_gets_that(self, said: dict[str, Any]) -> None:
+        cross = {"gripper": "panda", "object": "mug"}
+        for source in ({"cross": [cross | said]}, {"defaults": said, "cross": [cross]}):
+            (spec,) = make_campaign(source, "c.toml").runs.values()
+            assert spec.in_flight is None
+        (spec,) = make_campaign({"cross": [cross | {"in_flight": 100}]}, "c.toml").runs.values()
+        assert spec.in_flight == 100
+
     def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
         runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
         assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
+
+
+FORTY = {"defaults": {"gripper": "panda", "object": "mug"}, "cross": [{"seed": list(range(40))}]}
+
+
+class TestShares:
+    """Campaigns of which several coordinators carry out a share each."""
+
+    def test_every_run_is_in_one_share_and_is_the_run_of_the_whole(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps(FORTY))
+        whole = read_campaign(file).runs
+        shares = [read_campaign(file, shard=f"{n}/3").runs for n in (1, 2, 3)]
+        assert sorted(name for share in shares for name in share) == sorted(whole)
+        assert all(whole[name] == spec for share in shares for name, spec in share.items())
+        assert min(map(len, shares)) > 5
+
+    def test_the_share_is_kept_in_the_folders_file(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps(FORTY))
+        asked = read_campaign(file, shard="2/3")
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+    @pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "1/0", "a/b", "-1/3", 2])
+    def test_a_share_that_is_none_is_refused(self, shard: Any) -> None:
+        with pytest.raises(ImpossibleValue, match="shard must be a share of so many, such as '2/4'"):
+            make_campaign(FORTY | {"shard": shard}, "c.toml")
+
+    def test_a_share_without_a_run_is_refused(self) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
+        with pytest.raises(InputError, match="none of its 1 run is in the share"):
+            [make_campaign(source | {"shard": f"{n}/3"}, "c.toml") for n in (1, 2, 3)]
 
 
 class TestObjectives:

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.campaign import warm_start
 from qdgrasp_coordinator.campaign.warm_start import WarmStart
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.search.success_model import LogisticRegression, pooled_weights
 from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
@@ -43,7 +43,7 @@ Record = Callable[..., RunFolder]
 
 
 def pipeline(search: ValueSearch, spec: RunSpec) -> Pipeline:
-    return Pipeline(search, shape(SPACE), spec.evaluations, "redraw", spec.generations_in_flight)
+    return Pipeline(search, shape(SPACE), spec.evaluations, "redraw", Flight.of(spec))
 
 
 def journal(spec: RunSpec) -> tuple[ValueSearch, Rows]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_protocol.rows import SHAKES, Genomes, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import Overlaps
@@ -79,6 +79,8 @@ class Plan:
     evaluations: int = 32
     overlaps: Overlaps = "count"
     in_flight: int = 1
+    most_in_flight: int = 0
+    """Generations, where there become more."""
     trials: int = 0
     """Of a success that was promoted to the last stage."""
     few: tuple[int, ...] = ()
@@ -102,7 +104,7 @@ class Plan:
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
         search = self.task.search(self.population, self.seed)
-        budget = (self.evaluations, self.overlaps, self.in_flight)
+        budget = (self.evaluations, self.overlaps, self.flight)
         return Pipeline(search, self.task.shape, *budget, self.trial_plan, self.goals)
 
     @property
@@ -110,6 +112,11 @@ class Plan:
         """What ends it besides its budget."""
         names = ("successes", "no_new_cell", "grasps", "saturation", "window")
         return StopCriteria(**{name: getattr(self, name) for name in names})
+
+    @property
+    def flight(self) -> Flight:
+        """Generations in flight."""
+        return Flight(self.in_flight, self.most_in_flight)
 
     @property
     def stages(self) -> tuple[int, ...]:
@@ -153,7 +160,9 @@ def reference(plan: Plan) -> bytes:
             rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = means
             rows["trial"][rows["outcome"] >= Outcome.DROPPED] = [len(each) for each in etas]
         search.tell(number, rows)
-        waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+        told, behind = number + 1, number + len(waiting)
+        in_flight = max(plan.in_flight, min(plan.most_in_flight, plan.in_flight + told // 8))
+        waiting.extend((g, search.ask(g)) for g in range(behind + 1, told + in_flight))
 
 
 class Race:

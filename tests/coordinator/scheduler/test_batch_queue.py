@@ -1,3 +1,5 @@
+import random
+
 import numpy as np
 import pytest
 from tests.fakes.messages import result_message
@@ -7,9 +9,14 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     FIRST_ROWS,
     LEAST_SECONDS,
     MOST_ROWS,
+    SCENE_SLACK,
+    Batch,
+    BatchQueue,
     BatchSizer,
+    RunRef,
     read_result,
 )
+from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
 from qdgrasp_protocol.messages import Failure, Result, deflated
 from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
@@ -163,6 +170,64 @@ def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
     )  # 0.25 s, less than half of the part of each of 10 workers
     assert sizer.next_size(500, 1000, runs=16) == 4
     assert sizer.next_size(500, 1000) == 1
+
+
+def generation(rows: int, number: int = 0) -> Generation:
+    indices = np.arange(rows, dtype=np.uint32)
+    return Generation(number, indices, np.zeros(rows, np.uint16), np.zeros((rows, 2), np.float32))
+
+
+@pytest.mark.parametrize(("runs", "sizes"), [(1, (5, 1)), (2, (5, 4))])
+def test_rows_of_later_generations_make_larger_batches_where_there_are_other_runs(runs, sizes) -> None:
+    queue, refs = BatchQueue(None), [RunRef(f"run-{n}", "scene", "prior") for n in range(runs)]
+    for ref in refs:
+        for number in range(16 // runs):
+            queue.submit(ref, generation(50, number))
+        queue.measure(Batch(b"", ref, generation(50)), 50 * 0.05)
+    few = len(queue.pop("run-0", 4))  # 0.25 s
+    assert (few, len(queue.pop("run-0", 100))) == sizes
+
+
+class ScannedQueue(BatchQueue):
+    """A queue that looks at all of its runs for the next one."""
+
+    def scanned(self, scenes: set[str], *, has_device: bool) -> str | None:
+        waiting = [rows for rows in self._runs.values() if rows and rows.run.needs_device <= has_device]
+        if any(rows.run.needs_device for rows in waiting):
+            waiting = [rows for rows in waiting if rows.run.needs_device]
+        if not waiting:
+            return None
+        least = min(waiting, key=lambda rows: rows.served)
+        held = [rows for rows in waiting if rows.run.scene in scenes]
+        nearest = min(held, key=lambda rows: rows.served, default=least)
+        return (nearest if nearest.served <= least.served + SCENE_SLACK else least).run.run
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_next_run_is_the_one_that_a_look_at_all_of_them_gives(seed: int) -> None:
+    chance, queue, leased, asked = random.Random(seed), ScannedQueue(None), [], 0  # noqa: S311 - dice
+    engines = (None, None, None, "mujoco-warp")
+    refs = [RunRef(f"run-{n}", f"scene-{n % 5}", "prior", engines[n % 4]) for n in range(12)]
+    for _ in range(1500):
+        ref, act = chance.choice(refs), chance.random()
+        if act < 0.15:
+            queue.submit(ref, generation(chance.randint(1, 30)))
+        elif act < 0.2 and leased:
+            batch = leased.pop(chance.randrange(len(leased)))
+            (queue.requeue if batch.run.run in queue._runs else queue.remove)(batch)
+        elif act < 0.22 and leased:
+            queue.remove(chance.choice(leased))
+        elif act < 0.24:
+            queue.withdraw(ref.run)
+        scenes, has_device = {f"scene-{chance.randrange(5)}" for _ in range(2)}, chance.random() < 0.5
+        found = queue.next_run(scenes, has_device)
+        assert found == queue.scanned(scenes, has_device=has_device)
+        if found is not None:
+            asked += 1
+            leased.append(queue.pop(found, 4, 8))
+            queue.measure(leased[-1], len(leased[-1]) * chance.choice([0.1, 1.0, 3.0]))
+        assert queue._rows == sum(map(len, queue._runs.values()))
+    assert asked > 300
 
 
 def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:

@@ -22,7 +22,7 @@ from tests.coordinator.scheduler.search_plans import (
 
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
@@ -36,6 +36,10 @@ PLANS = [
             *itertools.product((1, 7), (1, 14, 23), ("count", "redraw"), (1, 3), (3,)),
         )
     )
+]
+PLANS += [
+    Plan(population=p, evaluations=24, overlaps=overlaps, in_flight=first, most_in_flight=5, trials=trials)
+    for p, overlaps, first, trials in itertools.product((1, 2), ("count", "redraw"), (1, 2), (0, 3))
 ]
 PLANS += [
     Plan(population=p, in_flight=flight, trials=9, few=few, finalists=n, task=FEW_CELLS)
@@ -142,11 +146,30 @@ def test_counting_everything_asks_exactly_the_budget(in_flight: int, sizes: list
 
 def test_a_generation_is_asked_when_the_one_it_waits_for_is_told_even_if_nobody_fetches_it() -> None:
     spy = Spy(4)
-    pipeline = Pipeline(spy, SHAPE, 1000, "count", generations_in_flight=2)
+    pipeline = Pipeline(spy, SHAPE, 1000, "count", flight=Flight(2))
     first, second = pipeline.ask(), pipeline.ask()
     pipeline.settle(evaluate(rows_of(1, second.genomes)))
     pipeline.settle(evaluate(rows_of(0, first.genomes)))
     assert spy.calls == ["ask 0", "ask 1", "tell 0", "ask 2", "tell 1", "ask 3"]
+
+
+def test_generations_in_flight_become_more_with_every_eighth_that_is_told_up_to_the_most() -> None:
+    flight = Flight(2, 4)
+    assert [flight.after(told) for told in (0, 7, 8, 15, 16, 23, 24, 1000)] == [2, 2, 3, 3, 4, 4, 4, 4]
+    spy = Spy(4)
+    pipeline = Pipeline(spy, SHAPE, 10_000, "count", flight=flight)
+    waiting = [pipeline.ask(), pipeline.ask()]
+    while len(spy.calls) < 22:
+        number = waiting[0].number
+        pipeline.settle(evaluate(rows_of(number, waiting.pop(0).genomes)))
+        while (more := pipeline.ask()) is not None:
+            waiting.append(more)
+    assert spy.calls[14:22] == ["tell 6", "ask 8", "tell 7", "ask 9", "ask 10", "tell 8", "ask 11", "tell 9"]
+
+
+def test_a_most_below_the_first_changes_nothing() -> None:
+    spec = RunSpec(gripper="panda", object="mug", population=50, generations_in_flight=2, in_flight=60)
+    assert {Flight.of(spec).after(told) for told in range(100)} == {2}
 
 
 def test_the_generation_that_spends_the_budget_is_not_told() -> None:
@@ -171,12 +194,12 @@ class Barren(Spy):
 
 @pytest.mark.parametrize("fertile", [0, 5, BARREN - 1, BARREN])
 def test_a_run_ends_when_its_last_twenty_generations_counted_nothing(fertile: int) -> None:
-    pipeline = Pipeline(Barren(fertile), SHAPE, 100, "redraw", generations_in_flight=2)
+    pipeline = Pipeline(Barren(fertile), SHAPE, 100, "redraw", flight=Flight(2))
     found = rows_in(journal(pipeline, fertile))
     assert pipeline.finished == "the last 1000 genomes, 20 generations, counted no evaluation"
     last = BARREN - 1 if fertile >= BARREN else fertile + BARREN
     assert found["generation"][-1] == last
-    again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", generations_in_flight=2)
+    again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", flight=Flight(2))
     again.replay(found)
     assert (again.finished, again.ask()) == (pipeline.finished, None)
 

@@ -30,12 +30,34 @@ def test_without_a_method_a_run_has_the_default() -> None:
     assert full_spec(dict(ASKED)) == full_spec({**ASKED, "method": "aimed"})
 
 
+def test_more_genomes_in_flight_are_taken_for_granted_where_nothing_is_said_of_them() -> None:
+    """A recorded spec has all keys, and whoever says one of them gets what was there before the others."""
+    assert full_spec(dict(ASKED)).in_flight == METHODS["aimed"].in_flight
+    for said in ({"population": 50}, {"generations_in_flight": 2}, {"in_flight": None}):
+        assert full_spec(ASKED | said).in_flight is None
+    assert full_spec({**ASKED, "generations_in_flight": 2, "in_flight": 100}).in_flight == 100
+
+
+@pytest.mark.parametrize(
+    "other", [{"aim_for": "touch"}, {"diversity": "orientation"}, {"method": "me_scs"}, {"overlaps": "count"}]
+)
+def test_genomes_in_flight_stay_as_many_for_what_was_not_measured_with_more(other) -> None:
+    assert full_spec(ASKED | other).in_flight is None
+
+
+def test_fewer_genomes_in_flight_than_a_generation_are_refused() -> None:
+    with pytest.raises(ImpossibleValue, match=r"^in_flight must be at least one generation, .* 50 genomes"):
+        full_spec({**ASKED, "population": 50, "in_flight": 49})
+
+
 def test_what_is_asked_for_stays() -> None:
     spec = full_spec({**ASKED, "method": "cma_mae", "population": 60, "overlaps": "redraw"})
     assert (spec.population, spec.overlaps) == (60, "redraw")
 
 
-@pytest.mark.parametrize(("key", "value"), [("population", 500), ("generations_in_flight", 2)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("population", 500), ("generations_in_flight", 2), ("in_flight", 1080)]
+)
 def test_what_the_method_cannot_do_is_refused(key, value) -> None:
     with pytest.raises(ImpossibleValue, match=rf"^{key} must be .*cma_mae"):
         full_spec({**ASKED, "method": "contact_cma_mae", key: value})

@@ -17,7 +17,7 @@ from tests.coordinator.search.synthetic_scene import (
 )
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search import aimed
 from qdgrasp_coordinator.search.aimed import (
     CANDIDATES,
@@ -79,7 +79,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_journal(
 ) -> None:
     def pipeline() -> Pipeline:
         search, _ = build(spec(seed=3, **objective), POSTURE)
-        return Pipeline(search, shape(where), 700, "redraw", in_flight)
+        return Pipeline(search, shape(where), 700, "redraw", Flight(in_flight))
 
     def journal(running: Pipeline, last_first: bool = False) -> Rows:
         pieces = []

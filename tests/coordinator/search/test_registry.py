@@ -12,7 +12,7 @@ import pytest
 from tests.coordinator.search import synthetic_scene, test_aimed, test_cma_mae
 from tests.coordinator.search.synthetic_scene import plain
 
-from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.niche_search import NicheSearch
@@ -279,7 +279,7 @@ def test_given_poses_are_asked_once_each_in_their_order(n: int) -> None:
 
 def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
     poses = np.arange(25 * 7, dtype=np.float32).reshape(25, 7)
-    pipeline = Pipeline(FixedPoseSearch(poses, population=10), SHAPE, 25, "count", generations_in_flight=2)
+    pipeline = Pipeline(FixedPoseSearch(poses, population=10), SHAPE, 25, "count", flight=Flight(2))
     rows = []
     while (generation := pipeline.ask()) is not None:
         rows.append(pipeline.settle(_rows(SHAPE, generation)).rows)
