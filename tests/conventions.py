@@ -18,13 +18,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 257
-"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 5 for libraries."""
-MOST_LINES = 52_000
-MOST_TEST_FILES = 284
-MOST_TEST_LINES = 50_450
+MOST_MODULES = 265
+"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for libraries."""
+MOST_LINES = 56_400
+MOST_TEST_FILES = 298
+MOST_TEST_LINES = 55_100
 MOST_SCRIPTS = 24
-MOST_IN_FOLDER = 16
+MOST_IN_FOLDER = 17
 MOST_IN_MODULE = 500
 MOST_IN_FIRST_LINE = 90
 LEAST_OF_ONE_NEIGHBOUR = 100

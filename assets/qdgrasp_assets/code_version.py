@@ -1,6 +1,7 @@
-"""Versions of the code that checks meshes and builds shapes: digests of modules, versions of packages.
+"""Versions of the code that checks meshes and builds shapes.
 
-Nothing is imported for it, so that a process without arrays can say what its machine would build with.
+It is made of digests of modules and versions of packages. Nothing is imported for it, so that a process
+without arrays can say what its machine would build with.
 """
 
 import hashlib

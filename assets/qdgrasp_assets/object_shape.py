@@ -89,7 +89,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def warning(self) -> str:
-        """Why grasps may be lost on its convex parts, in words; empty where they fit."""
+        """Warning about its convex parts, in words; empty where they fit."""
         if self.collision_source not in (OWN_HULL, COACD):
             return f"its convex parts are not as fine as they should be ({self.collision_source})"
         if PartsFit(self.filled, self.bare).is_good:

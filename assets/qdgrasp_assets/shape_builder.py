@@ -41,7 +41,7 @@ class ShapeReport(Struct, frozen=True, kw_only=True):
 
 
 def build(task: ShapeTask, folder: Path, store: ShapeStore) -> ShapeReport:
-    """Return the shape of a task from the store, or built from the files in a folder and put there.
+    """Return the shape of a task: from the store, or built from files and put there.
 
     Errors are those of `build_shape`.
     """

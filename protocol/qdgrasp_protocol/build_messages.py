@@ -1,4 +1,4 @@
-"""Messages of builds: the shape of an object, which a worker builds from files by their content.
+"""Messages of builds: a worker builds the shape of an object from files by their content.
 
 A shape is an object's mesh, its convex parts and surface points, as scenes hold them (docs/bus.md).
 """
@@ -88,7 +88,10 @@ def split_payload(payload: bytes) -> tuple[bytes, ...]:
 
 
 def join_payload(pieces: Iterable[bytes], most: int) -> bytes:
-    """Return the payload in deflated pieces; a MessageError if it is damaged, or has over `most` bytes."""
+    """Return the payload in deflated pieces.
+
+    Raises MessageError if it is damaged, or has more bytes than `most`.
+    """
     inflater = zlib.decompressobj()
     try:
         payload = inflater.decompress(b"".join(pieces), most)
@@ -113,7 +116,7 @@ class Build(Message, frozen=True, kw_only=True):
 
 
 class Built(Message, frozen=True, kw_only=True):
-    """Worker to coordinator: the shape of an object, or the reason why there is none."""
+    """Worker to coordinator: the shape of an object, or the reason why it was not built."""
 
     wire_name = "built"
 

@@ -29,9 +29,9 @@ def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
 
 
 def answer_file_chunk(query: Query, path: Path) -> bytes:
-    """The chunk of a file that a query names by `i=<number>`; Refused if there is none, or no such file.
+    """The chunk of a file that a query names by `i=<number>`; Refused if there is none.
 
-    Whoever fetches it compares its sha256: the file may have changed.
+    The file may have changed: its sha256 is compared where it is fetched. Refused also without a file.
     """
     try:
         with path.open("rb") as file:

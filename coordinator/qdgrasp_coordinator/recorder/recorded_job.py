@@ -52,7 +52,10 @@ class LockedJobFolder(ExitStack):
             )
 
     def begin(self, first: "RunIdentity | None") -> None:
-        """Create the job's folder if it is missing, for this run alone or among others; None: no run yet."""
+        """Create the job's folder if it is missing, for this run alone or among others.
+
+        None: for a campaign of which no run is opened yet.
+        """
         if self.is_begun:
             return
         if first is not None and first.run == RUN:

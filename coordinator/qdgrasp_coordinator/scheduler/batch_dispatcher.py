@@ -160,7 +160,7 @@ class Dispatcher:
         return self._withdraw(self._batches.builds)
 
     def unbuildable(self) -> list[ShapeTask]:
-        """Take back the builds that wait, if workers are there and none of them has the code for one."""
+        """Take back the builds that wait, if there are workers and none has the code for one."""
         codes = {worker.join.builds for worker in self._workers}
         if not codes or any(build.task.code in codes for build in self._shapes):
             return []

@@ -234,7 +234,7 @@ class RecorderClient(RowSink):
         return opened
 
     def begin_epoch(self, wait: Callable[[], None]) -> Opened:
-        """Ask the recorder for an epoch before the first run of a campaign is opened; raises as `open`."""
+        """Ask for an epoch before the first run of a campaign is opened; raises as `open`."""
         return self._open([], 0, wait)
 
     def _open(self, runs: list[OpenRun], epoch: int, wait: Callable[[], None]) -> Opened:

@@ -354,9 +354,9 @@ class RunRegistry:
             raise RunsFailed(self._failures, self.extent.runs)
 
     def load(self, epoch: int, *, workers: int, is_wanted: bool) -> None:
-        """Have built shapes taken, more looked for, and a run opened if one is wanted; one at a time.
+        """Have built shapes taken, others looked for, and a run opened if one is wanted.
 
-        A run is opened too if none is active. Shapes are built, or lie ready, for as many runs as there are
+        One such request at a time; a run is opened too if none is active. Shapes are built, or lie ready, for as many runs as there are
         workers.
         """
         if self._is_loading:

@@ -1,4 +1,4 @@
-"""Builds: shapes of objects that workers are to build, before the runs that need them are opened.
+"""Builds: shapes of objects that workers build before the runs that need them are opened.
 
 A build is leased like a batch (docs/bus.md, rules 1 to 6), and a worker that holds one is leased nothing
 else.
@@ -62,7 +62,7 @@ class BuildLease:
 
 @dataclass(frozen=True)
 class BuildReply:
-    """The end of a build: its shape, or the reason why there is none."""
+    """The end of a build: its shape, or the reason why it cannot be built."""
 
     key: str
     """The task's."""
@@ -96,7 +96,7 @@ class ShapeQueue:
         self._waiting.extend(ShapeBuild(task) for task in tasks)
 
     def pop(self, code: str) -> ShapeBuild | None:
-        """Return the next build for a worker with this building code; None: there is none for it."""
+        """Return the next build for a worker with this building code; None: no such build."""
         for build in self._waiting:
             if code and build.task.code == code:
                 self._waiting.remove(build)

@@ -1,4 +1,4 @@
-"""Builds the shape of an object in a process of its own, one at a time, from files that come over the bus.
+"""Builds the shape of an object in a process of its own, from files that come over the bus.
 
 The process (`qdgrasp_assets.shape_builder`) looks into the store of this machine first, keeps to the task's
 limits, and may die of what it is at. A thread waits for it, and reports its end.
@@ -41,7 +41,7 @@ class BuilderReport(msgspec.Struct):
 
 @dataclass(frozen=True)
 class BuildEnded:
-    """A builder has ended: with a shape, or with a reason why there is none."""
+    """A builder has ended: with a shape, or with a reason why it has built none."""
 
     job: str
     build: Build
