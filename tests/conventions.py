@@ -19,7 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 265
-"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for libraries."""
+"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for
+libraries."""
 MOST_LINES = 56_400
 MOST_TEST_FILES = 298
 MOST_TEST_LINES = 55_100

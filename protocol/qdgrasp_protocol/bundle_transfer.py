@@ -29,7 +29,7 @@ def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
 
 
 def answer_file_chunk(query: Query, path: Path) -> bytes:
-    """The chunk of a file that a query names by `i=<number>`; Refused if there is none.
+    """The chunk of a file that a query names by `i=<number>`; Refused without one.
 
     The file may have changed: its sha256 is compared where it is fetched. Refused also without a file.
     """

@@ -85,6 +85,8 @@ def _value(kind: msgspec.inspect.Type, numbers: Iterator[int]) -> Any:
             return datetime(2026, 11, 22, 13, 2, next(numbers), tzinfo=UTC)
         case msgspec.inspect.ListType(item_type=item):
             return [_value(item, numbers), _value(item, numbers)]
+        case msgspec.inspect.VarTupleType(item_type=item):
+            return (_value(item, numbers), _value(item, numbers))
         case msgspec.inspect.DictType(value_type=item):
             return {name: _value(item, numbers) for name in ("one", "two")}
         case msgspec.inspect.UnionType(types=types):

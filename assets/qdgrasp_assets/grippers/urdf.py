@@ -250,7 +250,7 @@ def _mesh_bytes(path: Path) -> bytes:
 
 
 def mesh_places(robot: Urdf) -> tuple[Path, ...]:
-    """Return where the meshes of a robot lie, or may lie, those of visual shapes too."""
+    """Return the paths at which a robot's meshes lie, or may lie, visual ones too."""
     names = {mesh.get("filename", "") for mesh in robot.element.iter("mesh")}
     return tuple(place for name in sorted(names) for place in _mesh_places(robot.path, name))
 

@@ -85,6 +85,7 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
 
 DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
 """Numbers and names, which reasons are told apart without."""
+TASK_NAME = re.compile(r"'mesh\.\w+'")  # The name of a mesh where its shape is built
 SCENE_KEYS = (
     *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
     *("protocol", "base", "engine", "surface_seed"),
@@ -230,7 +231,9 @@ class CampaignRunQueue(RunQueue):
         """Keep a shape that was built, and have its runs made, or failed."""
         runs = self._waiting.pop(reply.key, [])
         if reply.reason:
-            reason = f"The shape of its object cannot be built: {reply.reason}"
+            file = Path(self._runs[runs[0]].object).name if runs else ""
+            said = TASK_NAME.sub(f"'{file}'", reply.reason)
+            reason = f"The shape of its object cannot be built: {said}"
             self._failed.extend(RunFailed(run, reason) for run in runs)
             return None
         self._ready.extend(runs)

@@ -356,8 +356,8 @@ class RunRegistry:
     def load(self, epoch: int, *, workers: int, is_wanted: bool) -> None:
         """Have built shapes taken, others looked for, and a run opened if one is wanted.
 
-        One such request at a time; a run is opened too if none is active. Shapes are built, or lie ready, for as many runs as there are
-        workers.
+        One such request at a time; a run is opened too if none is active. Shapes are built, or lie ready, for
+        as many runs as there are workers.
         """
         if self._is_loading:
             return

@@ -26,8 +26,8 @@ from qdgrasp_protocol.messages import MAX_REASON, shorten
 log = structlog.get_logger()
 
 BUILDER = [sys.executable, "-m", "qdgrasp_assets.shape_builder"]
-WALL_FACTOR, WALL_MARGIN = 2.0, 120.0
-"""A builder is ended after so many times the task's seconds, and so many more: it has its own limit."""
+WALL_FACTOR, WALL_MARGIN = 30.0, 600.0
+"""A builder is ended after so many times the task's CPU seconds, and so many more: it has its own limit."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
 
