@@ -112,11 +112,16 @@ def read_yaml(path: Path) -> Tree:
     except OSError as error:
         raise UnreadableGrasps(path, error.strerror or str(error)) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
+        problem = str(getattr(error, "problem", None) or error)
+        if "nesting depth" in problem:  # libyaml has a bound of its own
+            raise _nested_too_deep(path) from None
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark else ""
-        raise UnreadableGrasps(
-            path, f"it is not YAML ({where}{getattr(error, 'problem', None) or error})"
-        ) from None
+        raise UnreadableGrasps(path, f"it is not YAML ({where}{problem})") from None
+
+
+def _nested_too_deep(path: Path) -> UnreadableGrasps:
+    return UnreadableGrasps(path, f"it is nested more than {DEEPEST} levels deep")
 
 
 def _build_tree(path: Path, events: Iterator[Any]) -> Tree:
@@ -138,7 +143,7 @@ def _build_tree(path: Path, events: Iterator[Any]) -> Tree:
             _add_value(path, open_[-1], made, event)
             open_.append((made, []))
             if len(open_) > DEEPEST:
-                raise UnreadableGrasps(path, f"it is nested more than {DEEPEST} levels deep")
+                raise _nested_too_deep(path)
         elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
             open_.pop()
     if len(whole) != 1:

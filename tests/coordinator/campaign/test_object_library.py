@@ -246,7 +246,7 @@ def test_a_second_start_checks_no_mesh_again_unless_its_content_or_the_code_chan
     trimesh.creation.box((0.02, 0.02, 0.02)).export(library / "b" / "part.stl")
     read_library(manifest, SKIPPING)
     assert len(read) == 5
-    monkeypatch.setattr(mesh_check, "_code_version", lambda: "another")
+    monkeypatch.setattr(mesh_check, "checking_code", lambda: "another")
     read_library(manifest, SKIPPING)
     assert len(read) == 8
 

@@ -151,6 +151,13 @@ class TestOpening:
         recorder.commit("a")
         assert recorder.writers["a"].durable == 10
 
+    def test_an_epoch_may_begin_before_any_run_is_opened(self, tmp_path: Path) -> None:
+        with recording(tmp_path / "out") as recorder:
+            begun = recorder.open(ask())
+            assert (begun.epoch, begun.durable) == (1, [])
+            assert recorder.open(ask("a", epoch=1)).epoch == 1
+            assert recorder.open(ask()).epoch == 2
+
     def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, recorder) -> None:
         recorder.open(ask("a", "b"))
         recorder.add_rows(rows("a", 0, 10), 0.0)
@@ -160,7 +167,7 @@ class TestOpening:
     @pytest.mark.parametrize(
         ("asked", "words"),
         [
-            (ask(), "expected different runs"),
+            (ask(epoch=1), "expected runs to open in an epoch that has begun, got none"),
             (ask("b", "b"), "expected different runs"),
             (ask("b", "run"), "has no others beside it"),
             (ask("run"), "holds a campaign, the coordinator opens a run of its own"),
