@@ -9,6 +9,7 @@ from typing import Protocol
 
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
+from tests.fakes.messages import made_id
 from tests.fakes.recorder import JOB
 from tests.fakes.service_thread import ServiceThread
 from tests.fakes.worker import FakeWorker
@@ -163,7 +164,7 @@ class Job:
     def carry_out(self, workers: int = 2) -> None:
         with ExitStack() as stack:
             for number in range(workers):
-                stack.enter_context(FakeWorker(self.network.session(), f"{number:032x}").at_work())
+                stack.enter_context(FakeWorker(self.network.session(), made_id(number)).at_work())
             self.service.run(lambda now: self.open.append(self.service.status(now).runs_open))
 
     @contextmanager

@@ -24,15 +24,21 @@ KINDS = sorted(
 """All messages in the order of their encodings."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
 """What stands in fields that are text: the first that the field's pattern takes."""
-WORKER_KEYS = {
-    letter: next(
-        key for key in (number.to_bytes(32) for number in count()) if worker_id(key).startswith(letter)
-    )
-    for letter in "abef"
-}
-ANN, BOB, EVE, FAY = (worker_id(key) for key in WORKER_KEYS.values())
+KEYS_BY_ID: dict[str, bytes] = {}
+"""The keys of the workers that tests make, by the ids that are made of them."""
+
+
+def made_id(number: int) -> str:
+    """The id of a worker with the key of this number."""
+    key = number.to_bytes(32)
+    KEYS_BY_ID[worker_id(key)] = key
+    return worker_id(key)
+
+
+ANN, BOB, EVE, FAY = (
+    next(wid for wid in map(made_id, count()) if wid.startswith(letter)) for letter in "abef"
+)
 """Workers, in the order of their ids."""
-KEYS_BY_ID = {worker_id(key): key for key in WORKER_KEYS.values()}
 HERE = {"pybullet": "3.2.7"}
 """The platform of workers."""
 

@@ -132,9 +132,9 @@ def _never_forget(give_up: Real, workers: WorkerRegistry, worker: Worker, now: f
     return give_up(workers, worker, now)
 
 
-def _overlook_the_first(ordered: Real, workers: list[Worker]) -> Iterator[Worker]:
+def _overlook_the_first(ordered: Real, workers: list[Worker], now: float) -> Iterator[Worker]:
     rest = sorted(workers, key=lambda worker: (len(worker.batches), worker.progress, worker.order))[1:]
-    yield from ordered(rest)
+    yield from ordered(rest, now)
 
 
 def _withdraw_half(withdraw: Real, dispatcher: Dispatcher, run: str) -> Any:

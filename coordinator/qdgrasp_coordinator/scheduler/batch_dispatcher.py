@@ -186,7 +186,7 @@ class Dispatcher:
     def leases(self, now: float) -> list[Lease]:
         """Lease what is queued to workers with credit left; send them in this order."""
         leases: list[Lease] = []
-        for worker in self._workers.idle() if self._queue else ():
+        for worker in self._workers.idle(now) if self._queue else ():
             rows = worker.join.rows
             run = self._queue.next_run(worker.scenes, rows > 0)
             if run is None:
@@ -200,7 +200,7 @@ class Dispatcher:
     def build_leases(self, now: float) -> list[BuildLease]:
         """Lease builds that wait to workers that have the code for them; send them before batches."""
         leases: list[BuildLease] = []
-        for worker in self._workers.idle() if self._shapes else ():
+        for worker in self._workers.idle(now) if self._shapes else ():
             if (build := self._shapes.pop(worker.join.builds)) is not None:
                 attempt = self._lease(build, worker, now)
                 leases.append(BuildLease(worker.wid, worker.join.number, attempt, build))
@@ -300,8 +300,7 @@ class Dispatcher:
         kind = self._batches.classify(wid, result)
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
-            self._workers.progressed(wid, now)
-            self._workers.release(wid, result.batch)
+            self._workers.answered(wid, result.batch, now)
         state = self._batches.find(result.batch) if kind is Settlement.FRESH else None
         if state is not None:
             self._remove(state.batch)

@@ -74,6 +74,10 @@ JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
 
 A worker raises it by one each time it asks, at most 20 times a second (rule 2), answered or not.
 """
+ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
+"""Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
+BUILD_SECONDS = 5400.0  # The same for one that builds a shape, whose process has limits of its own
+PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
 SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
@@ -106,8 +110,14 @@ class Worker:
     """True: its token is not gone, but late."""
     is_stuck: bool = False
     """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
+    is_silent: bool = False
+    """It shows progress and does not answer; it gets no work until it does, unless no worker is well."""
     is_drained: bool = False
     """It is to leave: it gets no more work."""
+    answered: float = -inf
+    """When it answered last."""
+    owes_since: float = 0.0
+    """Since when it owes an answer: its last one, or when it was leased something while it held nothing."""
     rows: int = 0
     memory: int = 0
     restarts: int = 0
@@ -120,7 +130,7 @@ class Worker:
     @property
     def is_well(self) -> bool:
         """True if it is present, progressing and not leaving."""
-        return self.gone_at is None and not self.is_stuck and not self.is_drained
+        return self.gone_at is None and not (self.is_stuck or self.is_silent or self.is_drained)
 
     @property
     def is_building(self) -> bool:
@@ -140,7 +150,7 @@ class Worker:
             return "gone"
         if self.is_drained:
             return "leaving"
-        if self.is_stuck:
+        if self.is_stuck or self.is_silent:
             return "stuck"
         return "working" if self.batches else "idle"
 
@@ -153,12 +163,17 @@ class Worker:
         """Return when it is given up if nothing is heard of it; infinite: never."""
         if self.gone_at is not None:
             return self.gone_at + TOKEN_GRACE
-        return self.progress + limit if self.batches else inf
+        return min(self.progress + limit, self.answer_by(limit)) if self.batches else inf
+
+    def answer_by(self, limit: float) -> float:
+        """Return when it is given up without an answer, whatever progress it shows."""
+        longest = BUILD_SECONDS if self.is_building else max(ANSWER_SECONDS, ANSWER_LIMITS * limit)
+        return self.owes_since + longest
 
     def hold(self, batch_id: bytes, scene: str | None, now: float) -> None:
         """Add a batch of a scene to those it holds; None: a shape that it builds."""
         if not self.batches:
-            self.progress = now
+            self.progress = self.owes_since = now
         self.batches[batch_id] = scene is None
         if scene is None:
             return
@@ -184,18 +199,24 @@ class Worker:
         )
 
 
-def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
+def fewest_batches_first(workers: list[Worker], now: float) -> Iterator[Worker]:
     """Yield the worker to lease to next, while one has credit left and took what it was offered.
 
-    Among equals the one that was quiet for longest comes first, so that every stuck worker is tried.
+    Among equals those that answered lately come first: what a silent worker held is not given to the next
+    silent one. Then comes the one that was quiet for longest, so that every stuck worker is tried.
     """
-    heap = [(len(worker.batches), worker.progress, worker.order, worker) for worker in workers]
+
+    def place(worker: Worker) -> tuple[int, bool, float, int]:
+        is_proven = worker.answered >= now - PROVEN_SECONDS
+        return len(worker.batches), not is_proven, worker.progress, worker.order
+
+    heap = [(place(worker), worker) for worker in workers]
     heapify(heap)
     while heap:
         yield heap[0][-1]
-        count, _, order, worker = heappop(heap)
+        (count, *_), worker = heappop(heap)
         if worker.has_credit and len(worker.batches) > count:
-            heappush(heap, (len(worker.batches), worker.progress, order, worker))
+            heappush(heap, (place(worker), worker))
 
 
 @dataclass(frozen=True)
@@ -302,7 +323,7 @@ class WorkerRegistry:
         """Record a change of the coordinator's own link; while it is down no deadline passes."""
         if is_up and not self._link_is_up:
             for worker in self:
-                worker.progress = now
+                worker.progress = worker.owes_since = now
                 worker.gone_at = None if worker.gone_at is None else now
             self._update_deadline()
         self._link_is_up = is_up
@@ -325,6 +346,14 @@ class WorkerRegistry:
             worker.batches.pop(batch_id, None)
             self._update(worker)
 
+    def answered(self, wid: str, batch_id: bytes, now: float) -> None:
+        """Record that a worker has answered a batch, and holds it no more."""
+        if (worker := self._workers.get(wid)) is not None:
+            worker.answered = worker.owes_since = now
+            worker.is_silent = False
+        self.progressed(wid, now)
+        self.release(wid, batch_id)
+
     def progressed(self, wid: str, now: float) -> None:
         """Record that a worker makes progress, on any job."""
         if (worker := self._workers.get(wid)) is not None:
@@ -345,10 +374,10 @@ class WorkerRegistry:
             worker.rows += rows
             worker.speed.count(rows, now)
 
-    def idle(self) -> Iterator[Worker]:
-        """Yield the worker to lease to next; stuck ones only if no worker is well."""
+    def idle(self, now: float) -> Iterator[Worker]:
+        """Yield the worker to lease to next; stuck and silent ones only if no worker is well."""
         return fewest_batches_first(
-            [worker for worker in self._free.values() if not (worker.is_stuck and self._well)]
+            [worker for worker in self._free.values() if worker.is_well or not self._well], now
         )
 
     def next_deadline(self) -> float:
@@ -368,11 +397,14 @@ class WorkerRegistry:
         return lost
 
     def _give_up(self, worker: Worker, now: float) -> LostWorker:
+        is_silent = now >= worker.answer_by(self._limit)
         batches, worker.batches = list(worker.batches), {}
         if worker.gone_at is None:
-            worker.is_stuck = True
+            worker.is_silent |= is_silent
+            worker.is_stuck |= not is_silent
             self._update(worker)
-            reason = f"no sign of progress for {self._limit:.0f} seconds"
+            seconds = now - worker.owes_since if is_silent else self._limit
+            reason = f"no {'answer' if is_silent else 'sign of progress'} for {seconds:.0f} seconds"
             return LostWorker(worker, reason, batches, is_there=True)
         del self._workers[worker.wid]
         self._well.discard(worker.wid)

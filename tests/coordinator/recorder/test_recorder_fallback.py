@@ -7,6 +7,7 @@ import numpy as np
 from tests.common import wait_for
 from tests.coordinator.scheduler.search_plans import Plan, reference
 from tests.fakes.job import Job, job_view, send_command
+from tests.fakes.messages import ANN, BOB
 from tests.fakes.recorder import recording
 from tests.fakes.worker import FakeWorker
 
@@ -47,7 +48,7 @@ def go_on(bus, rows: int) -> None:
 
 def test_only_the_run_whose_records_are_fewer_is_gone_on_with_from_what_is_left(tmp_path: Path) -> None:
     job, path, copy = Job(dict(PLANS), recorded=True), tmp_path / "job", tmp_path / "copy"
-    ann, bob = (FakeWorker(job.network.session(), letter * 32) for letter in "ab")
+    ann, bob = (FakeWorker(job.network.session(), wid) for wid in (ANN, BOB))
     with job.serving() as service, job.network.session() as bus:
         with recording(job.network, path), ann.at_work():
             wait_for(lambda: len(durable(bus)) == 2 and min(durable(bus).values()) > 100)

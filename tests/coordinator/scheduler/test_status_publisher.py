@@ -10,7 +10,7 @@ import pytest
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan
 from tests.fakes.job import PLANS, IdentifiedSink, Job
-from tests.fakes.messages import ANN, FAY, join_message
+from tests.fakes.messages import ANN, FAY, join_message, made_id
 from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
@@ -196,7 +196,7 @@ def test_what_happens_is_told_when_it_does() -> None:
         "Run 'run-1' begins.",
         "Run 'run-1' is finished: the budget of 40 evaluations is spent.",
     ]
-    assert heard.words("worker")[0] == "Worker 00000000 on here (process 1) joined."
+    assert heard.words("worker")[0] == f"Worker {made_id(0)[:8]} on here (process 1) joined."
     assert heard.words("error")[0] == "Run 'bad' cannot be carried out: Its mesh is no mesh."
     given_up = [words for words in heard.words("error") if "given up after 3 tries: poison" in words]
     poison = int((job.records["run-1"].rows["outcome"] == Outcome.ERROR).sum())

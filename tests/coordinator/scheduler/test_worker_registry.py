@@ -42,6 +42,7 @@ class Turmoil:
                 self._release,
                 lambda _: self._pass(),
                 lambda wid: self.workers.progressed(wid, self.now),
+                lambda wid: self.workers.answered(wid, bytes(16), self.now),
                 lambda wid: self.workers.on_token(wid, False, self.now),
                 self._join,
                 lambda wid: self.workers.on_token(wid, True, self.now),
@@ -56,7 +57,7 @@ class Turmoil:
         self.workers.join(join_message(wid, worker.join.number + 1 if worker else 1, CREDIT), self.now)
 
     def _lease(self, _: str) -> None:
-        worker = next(self.workers.idle(), None)
+        worker = next(self.workers.idle(self.now), None)
         if worker is not None:
             self._batches += 1
             self.workers.hold(worker, self._batches.to_bytes(16), SCENE, self.now)
@@ -67,7 +68,7 @@ class Turmoil:
             self.workers.release(wid, batch)
 
     def _pass(self) -> None:
-        self.now += self._chance.choice([0.1, 1.0, 7.0])
+        self.now += self._chance.choice([0.1, 1.0, 7.0, 300.0])
 
     def _link(self) -> None:
         self._link_is_up = not self._link_is_up
@@ -91,14 +92,14 @@ class Turmoil:
     @property
     def free(self) -> set[str]:
         well = any(worker.is_well for worker in self.workers)
-        return {worker.wid for worker in self.workers if worker.has_credit and not (worker.is_stuck and well)}
+        return {worker.wid for worker in self.workers if worker.has_credit and (worker.is_well or not well)}
 
 
 def leased(workers: WorkerRegistry) -> set[str]:
     """Workers that would be leased batches if there were work enough."""
     workers = copy.deepcopy(workers)
     found = set()
-    for number, worker in enumerate(workers.idle()):
+    for number, worker in enumerate(workers.idle(0.0)):
         workers.hold(worker, b"%16d" % number, SCENE, 0.0)
         found.add(worker.wid)
     return found
