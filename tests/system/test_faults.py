@@ -136,7 +136,11 @@ def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, l
 def test_the_processes_of_a_run_are_known_by_name_and_it_is_not_resumed_beside_them(qdgrasp):
     process, _ = start(qdgrasp, 1)
     names = ["qdgrasp-coordinator", "qdgrasp-recorder", "qdgrasp-worker", "qdgrasp-worker"]
-    wait_for(lambda: sorted(name.rsplit("-", 1)[0] for name in processes_of(process.pid)) == names, "names")
+
+    def roles() -> list[str]:
+        return sorted("-".join(name.split("-")[:2]) for name in processes_of(process.pid))
+
+    wait_for(lambda: roles() == names, "names")
     with held(*pids(process, "worker")):
         done = qdgrasp("resume", "run")
         assert done.code == 2

@@ -7,7 +7,7 @@ else.
 import secrets
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_protocol.build_messages import Build, Built, ShapeTask
@@ -27,19 +27,15 @@ class WantedShape:
         return {mesh.sha256: self.mesh} | {file.sha256: self.mesh.parent / file.name for file in others}
 
 
-def _new_id() -> bytes:
-    return secrets.token_bytes(16)
-
-
 @dataclass(frozen=True, eq=False)
 class ShapeBuild:
     """A shape that one worker is to build."""
 
+    id: bytes
+    """16 bytes: random ones of the epoch and a counter, not used again in the job."""
     task: ShapeTask
     failed: int = 0
     """Builds of it that failed."""
-    id: bytes = field(default_factory=_new_id)
-    """16 random bytes."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +79,8 @@ class ShapeQueue:
     """Builds that wait for a worker, in the order in which their runs come."""
 
     def __init__(self) -> None:
+        self._prefix = secrets.token_bytes(8)
+        self._count = 0
         self._waiting: deque[ShapeBuild] = deque()
 
     def __iter__(self) -> Iterator[ShapeBuild]:
@@ -93,7 +91,7 @@ class ShapeQueue:
 
     def submit(self, tasks: Iterable[ShapeTask]) -> None:
         """Take shapes that were never leased."""
-        self._waiting.extend(ShapeBuild(task) for task in tasks)
+        self._waiting.extend(ShapeBuild(self._new_id(), task) for task in tasks)
 
     def pop(self, code: str) -> ShapeBuild | None:
         """Return the next build for a worker with this building code; None: no such build."""
@@ -109,12 +107,16 @@ class ShapeQueue:
 
     def requeue_failed(self, build: ShapeBuild) -> None:
         """Have a build that failed tried again, as another one."""
-        self.requeue(replace(build, failed=build.failed + 1, id=_new_id()))
+        self.requeue(replace(build, failed=build.failed + 1, id=self._new_id()))
 
     def remove(self, build: ShapeBuild) -> None:
         """Forget a build that was queued again, if it still waits."""
         if build in self._waiting:
             self._waiting.remove(build)
+
+    def _new_id(self) -> bytes:
+        self._count += 1
+        return self._prefix + self._count.to_bytes(8)
 
     def clear(self) -> list[ShapeBuild]:
         """Forget all builds that wait, and return them."""
