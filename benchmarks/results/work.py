@@ -222,4 +222,4 @@ def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
         if one.name not in runs or runs[one.name].evaluations < one.spec.evaluations:
             runs[one.name] = one.spec
     source = {"cross": [to_values(spec) for spec in runs.values()]}
-    return make_campaign(source, str(place / CAMPAIGN), is_begun=True)
+    return make_campaign(source, str(place / CAMPAIGN), taken=())
