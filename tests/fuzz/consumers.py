@@ -24,6 +24,7 @@ from qdgrasp_coordinator.scheduler.batch_queue import read_result
 from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import Build, MeshFile, MeshPreparation, ShapeTask
 from qdgrasp_protocol.messages import Heartbeat, Message, deflated
 from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -100,6 +101,15 @@ CONSUMERS: dict[str, Consumer] = {
 """By the kind of message."""
 
 
+SHAPE_TASK = ShapeTask(
+    files=(MeshFile(name="mesh.stl", sha256="0" * 64, size=84),),
+    mesh=MeshPreparation(simplify=100),
+    seconds=120.0,
+    memory=1 << 30,
+    code="1" * 64,
+)
+
+
 def seeds() -> dict[str, bytes]:
     """One good message of each kind."""
     rows = SHAPE.empty(ROWS)
@@ -117,8 +127,9 @@ def seeds() -> dict[str, bytes]:
         messages.Recordable: {"columns": deflated(pack(rows, COLUMNS))} | sizes | genes | failed,
         messages.SuccessPage: {"n": ROWS, "columns": found.success_columns(drawn)} | widths,
         messages.Open: {"runs": [open_run(spec=SPEC)]},
+        Build: {"task": SHAPE_TASK},
     }
-    batch = {"batch": BATCH, "held": [BATCH], "drop": [BATCH]}
+    batch = {"batch": BATCH, "held": [BATCH], "drop": [BATCH], "key": bytes(32)}
     made = {}
     for kind in KINDS:
         values = {name: value for name, value in batch.items() if name in kind.__struct_fields__}

@@ -210,7 +210,7 @@ def test_the_command_begins_a_run_with_weights_and_notes_their_origin(
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.run_commands.run_job", lambda folder, *_: begun.append(folder)
     )
-    monkeypatch.setattr("qdgrasp_coordinator.cli.run_commands.print_result", lambda *_: None)
+    monkeypatch.setattr("qdgrasp_coordinator.cli.run_commands.print_result", lambda *_, **__: None)
     words = ["run", "--gripper", "jaw", "--object", "thing", "--protocol", "paper", "--out"]
     run = CliRunner().invoke(app, [*words, str(tmp_path / "new"), "--warm-start", str(source.path)])
     assert run.exit_code == 0, run.output

@@ -135,7 +135,7 @@ EVIL = "\x1b[2J"
 @contextmanager
 def session(*_: object) -> Iterator[SimpleNamespace]:
     """A session at a coordinator whose words are no good ones."""
-    yield SimpleNamespace(ask=lambda *_: messages.encode(OrderReply(words=f"Done. {EVIL}")))
+    yield SimpleNamespace(ask=lambda *_, **__: messages.encode(OrderReply(words=f"Done. {EVIL}")))
 
 
 def test_what_a_coordinator_says_of_its_job_is_escaped(
@@ -143,7 +143,7 @@ def test_what_a_coordinator_says_of_its_job_is_escaped(
 ) -> None:
     monkeypatch.setattr(job_commands, "open_session", session)
     monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values(trouble=EVIL)))
-    job_commands.jobs("tcp/127.0.0.1:1", None)
+    job_commands.jobs(connect="tcp/127.0.0.1:1")
     said = capsys.readouterr().out
     assert r"paused: \x1b[2J" in said
     assert EVIL not in said

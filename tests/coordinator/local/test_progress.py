@@ -111,9 +111,9 @@ PATIENCE = 60.0
 def test_the_latest_sentence_is_said_again_and_again_until_the_end() -> None:
     said: SimpleQueue[str] = SimpleQueue()
     with repeat_latest(said.put, 0.001) as tell:
-        tell("reading\nmugs.yaml")
+        tell("reading mugs.yaml")
         lines = {said.get(timeout=PATIENCE) for _ in range(3)}
-        assert lines <= {"starting, 0 s", "reading\\nmugs.yaml, 0 s"}
+        assert lines <= {"starting, 0 s", "reading mugs.yaml, 0 s"}
         tell("writing")
         while not said.get(timeout=PATIENCE).startswith("writing, "):
             pass

@@ -86,7 +86,10 @@ class BuilderClient:
     def start(self, job: str, build: Build) -> None:
         """Start to build; none may be under way."""
         self._attempt = attempt = _Attempt(job, build)
-        run = lambda: self._report(attempt.run(self._bus, self._nice))  # noqa: E731
+
+        def run() -> None:
+            self._report(attempt.run(self._bus, self._nice))
+
         threading.Thread(target=run, name="builder", daemon=True).start()
 
     def on_ended(self, ended: BuildEnded) -> bool:
