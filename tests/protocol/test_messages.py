@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.fakes.messages import KINDS
 
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import SAFE_NAME
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Joined, Message, Recordable, Recorded, Result, shorten
 from qdgrasp_protocol.rows import Gene, Layout
@@ -25,8 +26,16 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return values(kind.type)
         case msgspec.inspect.IntType():
             return st.integers(kind.ge or 0, kind.le)
+        case msgspec.inspect.FloatType(gt=float() | int()):
+            return st.floats(kind.gt, kind.le, exclude_min=True)
         case msgspec.inspect.FloatType():
             return st.floats(kind.ge, kind.le, allow_nan=False)  # it is equal to nothing
+        case msgspec.inspect.NoneType():
+            return st.none()
+        case msgspec.inspect.UnionType():
+            return st.one_of([values(one) for one in kind.types])
+        case msgspec.inspect.StrType(pattern=str(pattern)) if pattern == SAFE_NAME:
+            return st.sampled_from(["mesh.stl", "parts/buffer 1.bin", "..a"])
         case msgspec.inspect.StrType(pattern=str(pattern)):
             return st.from_regex(pattern.replace(r"\A", "^").replace(r"\Z", "$"), fullmatch=True)
         case msgspec.inspect.StrType(max_length=int(most)):
@@ -41,6 +50,9 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.booleans()
         case msgspec.inspect.ListType():
             return st.lists(values(kind.item_type), max_size=5)
+        case msgspec.inspect.VarTupleType():
+            most = min(5, 5 if kind.max_length is None else kind.max_length)
+            return st.lists(values(kind.item_type), min_size=kind.min_length or 0, max_size=most).map(tuple)
         case msgspec.inspect.DictType():
             return st.dictionaries(values(kind.key_type), values(kind.value_type), max_size=5)
         case msgspec.inspect.StructType():
@@ -218,6 +230,7 @@ def test_a_scene_that_unfolds_without_end_is_refused(payload: bytes) -> None:
 @pytest.mark.parametrize("host", ["", "\x1b[2J", "two words", "line\n", 256 * "x"])
 def test_a_worker_names_its_host_in_one_plain_word(host: str) -> None:
     join = {"versions": [1], "wid": 32 * "0", "number": 1, "credit": 1, "held": [], "pid": 1, "platform": {}}
+    join["key"] = bytes(32)
     assert messages.decode(msgpack.packb(join | {"host": "node-7.lab"}), Join).host == "node-7.lab"
     with pytest.raises(MessageError, match="host"):
         messages.decode(msgpack.packb(join | {"host": host}), Join)
