@@ -22,8 +22,8 @@ MOST_MODULES = 265
 """5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for
 libraries."""
 MOST_LINES = 56_400
-MOST_TEST_FILES = 298
-MOST_TEST_LINES = 55_100
+MOST_TEST_FILES = 300
+MOST_TEST_LINES = 55_250
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 17
 MOST_IN_MODULE = 500
