@@ -55,7 +55,7 @@ def _token(key: str, holder: Role, watchers: Set[Role]) -> Traffic:
 TRAFFIC = (
     _put(JOBS.work("*"), {COORDINATOR}, {WORKER}, 4 * MIB),
     _put(JOBS.ctl("*"), {COORDINATOR}, {WORKER}, 256 * KIB),
-    _put(JOBS.result(), {WORKER}, {COORDINATOR}, 4 * MIB),
+    _put(JOBS.result(), {WORKER}, {COORDINATOR}, MAX_PAYLOAD),
     _put(JOBS.outcome(), {COORDINATOR}, {RECORDER}, 8 * MIB),
     _put(JOBS.recorded, {RECORDER}, {COORDINATOR}, 4 * KIB),
     _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
