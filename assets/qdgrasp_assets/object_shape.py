@@ -206,6 +206,7 @@ def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | Non
     )
 
 
+MOST_NAME_BYTES = 200  # Longest name of a file that travels
 FLEET_LIMITS = ProcessLimits(120.0, 4_000_000_000)
 """Limits of a shape that one of many workers builds."""
 OWN_LIMITS = ProcessLimits(TIME_LIMIT, 1 << 40)
@@ -223,7 +224,7 @@ def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask
     path = named_path(spec.object)
     check_header(path, spec.mesh)
     mesh, links = f"mesh{path.suffix.lower()}", {name: path.parent / name for name in linked_names(path)}
-    if mesh in links:
+    if mesh in links or any(len(name.encode()) > MOST_NAME_BYTES for name in links):
         return None
     try:
         files = [

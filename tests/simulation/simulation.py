@@ -319,8 +319,8 @@ class DispatchChecker:
         self.builds.clear()
         return self._real_withdraw_builds()
 
-    def _unbuildable(self) -> list[ShapeTask]:
-        tasks = self._real_unbuildable()
+    def _unbuildable(self, now: float) -> list[ShapeTask]:
+        tasks = self._real_unbuildable(now)
         self.builds -= {task.key for task in tasks}
         return tasks
 
@@ -357,6 +357,7 @@ class DispatchChecker:
                 places += _keys(run, rows)
         held: dict[str, set[bytes]] = {wid: set() for wid in workers}
         builds = [build.task.key for build in self._dispatch._shapes]
+        builds += [task.key for task in self._dispatch._unanswered]
         for state in self._dispatch._batches._open.values():
             if state.holder is None:
                 continue

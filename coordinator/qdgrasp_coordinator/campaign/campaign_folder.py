@@ -221,8 +221,9 @@ class CampaignRunQueue(RunQueue):
         return len(self._ready)
 
     def wanted_shapes(self, most: int) -> WantedShapes:
-        """Return the shapes that the next runs need, until so many are wanted, or runs ready."""
-        while self._left and len(self._wanted) < most and len(self._ready) < most:
+        """Return the shapes that the next runs need; so many of these are wanted, or runs more ready."""
+        ready = len(self._ready)
+        while self._left and len(self._wanted) + len(self._ready) - ready < most:
             self._look_at_next()
         shapes = tuple(self._wanted.popleft() for _ in range(min(most, len(self._wanted))))
         return WantedShapes(shapes, is_last=not (self._left or self._wanted))
@@ -247,6 +248,9 @@ class CampaignRunQueue(RunQueue):
             words = f"A worker's shape of '{Path(name).name}' is left aside: {error}."
             return ShapeWarning(name, words)
         self._shapes.put(reply.key, payload)
+        if reply.key not in self._shapes:
+            words = f"The shape of '{Path(name).name}' cannot be kept in the cache: it is built again."
+            return ShapeWarning(name, words)
         return ShapeWarning(name, f"'{Path(name).name}': {shape.warning}.") if shape.warning else None
 
     def _look_at_next(self) -> None:
@@ -261,7 +265,7 @@ class CampaignRunQueue(RunQueue):
         except InputError as error:
             self._failed.append(RunFailed(name, str(error)))
             return
-        if task is None or any(file.size > MAX_BUNDLE for file in task.files):
+        if task is None or sum(file.size for file in task.files) > MAX_BUNDLE:
             self._ready.append(name)
             return
         self._keys[name] = task.key
@@ -283,7 +287,7 @@ class CampaignRunQueue(RunQueue):
         return plan_run(spec, prepared, name)
 
     def _scene_of(self, run: str, spec: RunSpec) -> PreparedScene:
-        key, known = self._keys.pop(run, ""), self._scene
+        key, known = self._keys.get(run, ""), self._scene
         if known is None or any(getattr(known[0], name) != getattr(spec, name) for name in SCENE_KEYS):
             shape = self._shapes.get(key) if key else None
             self._scene = known = spec, prepare_scene(spec, shape)

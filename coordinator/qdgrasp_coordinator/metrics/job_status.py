@@ -287,8 +287,8 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     workers: Annotated[int, "Workers that are there, and make progress."]
     wanted_workers: Annotated[
         int,
-        "Workers that the rows which are queued or leased now could keep busy, one for each batch of a "
-        "quarter of a second; 0 when none is queued or leased. Those queued do not count while paused.",
+        "Workers that the rows and builds which are queued or leased now could keep busy, one for each "
+        "batch of a quarter of a second; 0 when none is. Those queued do not count while paused.",
     ] = 0
     seconds: Annotated[float, "Since the coordinator started [s]."]
     rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]

@@ -5,9 +5,10 @@ evaluated again, and the first result of a batch is as good as any other. Time i
 any steady clock.
 """
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from math import inf
 
 import numpy as np
 
@@ -114,6 +115,8 @@ def _check_result(batch: Batch | ShapeBuild, result: Result | Built) -> None:
             raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")
 
 
+MOST_BUILD_LEASES = 5  # Leases of a build without an answer after which it is not leased again
+BUILDER_SECONDS = 30.0  # Seconds for which a worker that has the code for a build is waited for
 STRIKES = 3  # Failures of the simulator after which a row is settled as an error
 _COUNTED = ("leased", "requeued", "failures", "errors")
 
@@ -130,6 +133,8 @@ class Dispatcher:
         self._workers = workers
         self._queue = BatchQueue(batch_size)
         self._shapes = ShapeQueue()
+        self._unanswered: deque[ShapeTask] = deque()  # Builds that were leased too often without an answer
+        self._lacks_builder_since = inf
         self._batches = BatchTable(epoch)
 
     def submit(self, run: RunRef, generation: Generation) -> None:
@@ -157,17 +162,39 @@ class Dispatcher:
     def withdraw_builds(self) -> dict[str, list[bytes]]:
         """Forget all builds; gives those that workers may drop, by worker."""
         self._shapes.clear()
+        self._unanswered.clear()
         return self._withdraw(self._batches.builds)
 
-    def unbuildable(self) -> list[ShapeTask]:
-        """Take back the builds that wait, if there are workers and none has the code for one."""
-        codes = {worker.join.builds for worker in self._workers}
-        if not codes or any(build.task.code in codes for build in self._shapes):
+    def unbuildable(self, now: float) -> list[ShapeTask]:
+        """Take back at most one build that waits and that no worker here is likely to do.
+
+        It was leased often without an answer, failed on all workers with the code for it, or there has been
+        no such worker that is well for `BUILDER_SECONDS`, while there were others.
+        """
+        if self._unanswered:
+            return [self._unanswered.popleft()]
+        if not self._shapes:
+            self._lacks_builder_since = inf
             return []
-        builds = self._shapes.clear()
-        for state in filter(None, (self._batches.find(build.id) for build in builds)):
+        workers = [worker for worker in self._workers if worker.is_well]
+        codes = {worker.join.builds for worker in workers}
+        build = next((build for build in self._shapes if self._has_failed_everywhere(build, workers)), None)
+        if build is None and workers and all(build.task.code not in codes for build in self._shapes):
+            self._lacks_builder_since = min(self._lacks_builder_since, now)
+            is_late = now >= self._lacks_builder_since + BUILDER_SECONDS
+            build = next(iter(self._shapes)) if is_late else None
+        elif build is None:
+            self._lacks_builder_since = inf
+        if build is None:
+            return []
+        self._shapes.remove(build)
+        if (state := self._batches.find(build.id)) is not None:
             self._batches.close(state)
-        return [build.task for build in builds]
+        return [build.task]
+
+    def _has_failed_everywhere(self, build: ShapeBuild, workers: Iterable[Worker]) -> bool:
+        able = {worker.wid for worker in workers if worker.join.builds == build.task.code}
+        return bool(able) and able <= build.failed_by
 
     @property
     def queued_seconds(self) -> float:
@@ -175,8 +202,8 @@ class Dispatcher:
         return self._queue.seconds
 
     def wanted_workers(self, *, is_leasing: bool) -> int:
-        """Return how many workers leased batches, and rows to be leased, could keep busy."""
-        return self._batches.leased + (self._queue.batches if is_leasing else 0)
+        """Return how many workers leased batches, and rows and builds to be leased, could keep busy."""
+        return self._batches.leased + (self._queue.batches + len(self._shapes) if is_leasing else 0)
 
     @property
     def strays(self) -> int:
@@ -201,7 +228,7 @@ class Dispatcher:
         """Lease builds that wait to workers that have the code for them; send them before batches."""
         leases: list[BuildLease] = []
         for worker in self._workers.idle(now) if self._shapes else ():
-            if (build := self._shapes.pop(worker.join.builds)) is not None:
+            if (build := self._shapes.pop(worker.wid, worker.join.builds)) is not None:
                 attempt = self._lease(build, worker, now)
                 leases.append(BuildLease(worker.wid, worker.join.number, attempt, build))
         return leases
@@ -239,7 +266,11 @@ class Dispatcher:
         states = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
         for state in states:
             state.holder = None
-            self._requeue(state.batch)
+            if isinstance(state.batch, ShapeBuild) and state.attempts >= MOST_BUILD_LEASES:
+                self._batches.close(state)
+                self._unanswered.append(state.batch.task)
+            else:
+                self._requeue(state.batch)
         self.counters["requeued"] += len(states)
         return len(states)
 
@@ -286,14 +317,23 @@ class Dispatcher:
 
         A build that failed is tried again until it failed too often. Raises MessageError as `settle`.
         """
+        if self._is_at_another(wid, built):
+            self._workers.answered(wid, built.batch, now)
+            return None
         _, state = self._close(wid, built, now)
         if state is None or not isinstance(state.batch, ShapeBuild):
             return None
         superseded = self._release_other(state, wid)
-        if built.reason and not built.is_final and state.batch.failed + 1 < STRIKES:
-            self._shapes.requeue_failed(state.batch)
+        if built.reason and not built.is_final and len(state.batch.failed_by) + 1 < STRIKES:
+            self._shapes.requeue_failed(state.batch, wid)
             return None
         return BuildReply.of(state.batch, built, superseded)
+
+    def _is_at_another(self, wid: str, built: Built) -> bool:
+        """Return whether a build failed on a worker while another one, which has it now, goes on with it."""
+        is_fresh = self._batches.classify(wid, built) is Settlement.FRESH
+        state = self._batches.find(built.batch) if is_fresh and built.reason and not built.is_final else None
+        return state is not None and state.holder not in (None, wid)
 
     def _close(self, wid: str, result: Result | Built, now: float) -> tuple[Settlement, BatchState | None]:
         """Settle a batch or build by its first result; gives its state if this is that one."""

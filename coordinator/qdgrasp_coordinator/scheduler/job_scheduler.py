@@ -362,7 +362,7 @@ class JobScheduler:
 
     def _lease(self, now: float) -> None:
         """Lease builds, then batches; a build that no worker here can do is left to the loader."""
-        for task in self.dispatcher.unbuildable():
+        for task in [] if self.runs.is_loading else self.dispatcher.unbuildable(now):
             self.runs.shapes.end(BuildReply(task.key))
         for build in self.dispatcher.build_leases(now):
             self._put(self._keys.work(build.wid), build.message(self.epoch), Channel.DATA)

@@ -317,7 +317,7 @@ class RunRegistry:
         self.extent = queue.extent  # Amount of work when the job began
         self._queue = queue
         self._loader = loader
-        self._is_loading = False
+        self.is_loading = False  # The loader is at work
         self._all_opened = False
         self._runs_wait = False  # every run that is left, for shapes
         self._was_put_back = False  # since the loader began
@@ -359,7 +359,7 @@ class RunRegistry:
         One such request at a time; a run is opened too if none is active. Shapes are built, or lie ready, for
         as many runs as there are workers.
         """
-        if self._is_loading:
+        if self.is_loading:
             return
         built = self.shapes.take_ended()
         self._runs_wait &= not built
@@ -367,17 +367,17 @@ class RunRegistry:
         opens &= len(self._open) < min(max(MOST_RUNS, workers), MOST_RUNS_OF_MANY)
         shapes = self.shapes.room(max(1, workers) - self._queue.ready_runs) if epoch else 0
         if opens or shapes or built:
-            self._is_loading, self._was_put_back = True, False
+            self.is_loading, self._was_put_back = True, False
             self._loader.begin(LoadRequest(epoch, opens=opens, shapes=shapes, built=built))
 
     def rested(self, event: NoRunOpened) -> None:
         """Note that the loader has opened no run."""
-        self._is_loading = False
+        self.is_loading = False
         self._runs_wait = event.runs_wait and not self._was_put_back
 
     def add(self, run: ActiveRun) -> None:
         """Add an opened run."""
-        self._is_loading = False
+        self.is_loading = False
         self._open[run.name] = run
         self._budgets.setdefault(run.name, run.tally.budget)  # of a queue that grows
         self._replayed += run.replayed
@@ -385,13 +385,13 @@ class RunRegistry:
 
     def add_failure(self, failure: RunFailed) -> None:
         """Count a run that cannot be carried out as failed."""
-        self._is_loading = False
+        self.is_loading = False
         self._failures.append(failure)
         self._budgets.pop(failure.run, None)
 
     def no_run_left(self) -> None:
         """Note that no run is left to open, unless one was put back meanwhile."""
-        self._is_loading = False
+        self.is_loading = False
         self._all_opened = not self._was_put_back
 
     def remove(self, run: ActiveRun) -> None:
@@ -421,9 +421,9 @@ class RunRegistry:
 
     def status(self, job: str, workers: int, now: float) -> JobStatus:
         """Return the job's figures, as far as they are those of its runs."""
-        opening = [self._loader.run] if self._is_loading and self._loader.run else []
+        opening = [self._loader.run] if self.is_loading and self._loader.run else []
         runs = [*self._open.values(), *opening]
-        troubles = [self._loader.trouble if self._is_loading else "", *(run.sink.trouble for run in runs)]
+        troubles = [self._loader.trouble if self.is_loading else "", *(run.sink.trouble for run in runs)]
         found = sum((run.tally.totals for run in runs), self._found)
         replayed = self._replayed + sum(run.replayed for run in opening)
         spent = sum(run.tally.budget - run.remaining for run in runs)

@@ -34,8 +34,8 @@ class ShapeBuild:
     id: bytes
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""
     task: ShapeTask
-    failed: int = 0
-    """Builds of it that failed."""
+    failed_by: frozenset[str] = frozenset()
+    """Workers on which it failed."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,10 @@ class ShapeQueue:
         """Take shapes that were never leased."""
         self._waiting.extend(ShapeBuild(self._new_id(), task) for task in tasks)
 
-    def pop(self, code: str) -> ShapeBuild | None:
+    def pop(self, wid: str, code: str) -> ShapeBuild | None:
         """Return the next build for a worker with this building code; None: no such build."""
         for build in self._waiting:
-            if code and build.task.code == code:
+            if code and build.task.code == code and wid not in build.failed_by:
                 self._waiting.remove(build)
                 return build
         return None
@@ -105,9 +105,9 @@ class ShapeQueue:
         """Have a build leased again, before any other."""
         self._waiting.appendleft(build)
 
-    def requeue_failed(self, build: ShapeBuild) -> None:
-        """Have a build that failed tried again, as another one."""
-        self.requeue(replace(build, failed=build.failed + 1, id=self._new_id()))
+    def requeue_failed(self, build: ShapeBuild, wid: str) -> None:
+        """Have a build that failed on a worker tried on another one, as another build."""
+        self.requeue(replace(build, failed_by=build.failed_by | {wid}, id=self._new_id()))
 
     def remove(self, build: ShapeBuild) -> None:
         """Forget a build that was queued again, if it still waits."""

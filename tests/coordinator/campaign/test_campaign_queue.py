@@ -92,6 +92,14 @@ def test_no_more_shapes_are_looked_for_than_are_asked_for(runs: dict[str, RunSpe
     assert len(queue.wanted_shapes(1).shapes) == 1
 
 
+def test_more_shapes_are_looked_for_however_many_runs_lie_ready(runs: dict[str, RunSpec]) -> None:
+    first = dict(reversed(runs.items()))  # the run that needs no shape, then those that do
+    queue = CampaignRunQueue(None, first)
+    assert not queue.wanted_shapes(1).shapes
+    assert queue.ready_runs == 1
+    assert len(queue.wanted_shapes(1).shapes) == 1
+
+
 def test_a_shape_that_lies_in_the_store_is_not_wanted_again(runs: dict[str, RunSpec], tmp_path: Path) -> None:
     before = CampaignRunQueue(None, runs)
     for wanted in before.wanted_shapes(10).shapes:

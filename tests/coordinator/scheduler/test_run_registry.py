@@ -128,6 +128,6 @@ def test_as_many_runs_are_open_at_once_as_there_are_workers_between_two_bounds(m
     for workers, most in ((0, 1), (1, 1), (2, 2), (9, 3)):
         for _ in range(4):
             coming.runs.load(1, is_wanted=True, workers=workers)
-            if coming.runs._is_loading:
+            if coming.runs.is_loading:
                 coming.runs.add(coming._news.get(timeout=PATIENCE).run)
         assert len(list(coming.runs)) == most

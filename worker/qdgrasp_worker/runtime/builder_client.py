@@ -134,6 +134,9 @@ class _Attempt:
             return BuildEnded(self.job, self.build, reason=str(error), is_final=True)
         except (BusError, MessageError, Refused) as error:
             return BuildEnded(self.job, self.build, reason=f"its files cannot be fetched: {error}")
+        except (RuntimeError, MemoryError) as error:  # no thread, or no room for one
+            self.kill()
+            return BuildEnded(self.job, self.build, reason=f"it cannot be built here: {error}")
         except msgspec.MsgspecError as error:
             return BuildEnded(self.job, self.build, reason=f"its builder's report cannot be read: {error}")
         except OSError as error:
