@@ -221,7 +221,7 @@ class CampaignRunQueue(RunQueue):
         return len(self._ready)
 
     def wanted_shapes(self, most: int) -> WantedShapes:
-        """Return the shapes that the next runs need; so many of these are wanted, or runs more ready."""
+        """Return shapes that the next runs need, until so many of them or of ready runs are found."""
         ready = len(self._ready)
         while self._left and len(self._wanted) + len(self._ready) - ready < most:
             self._look_at_next()

@@ -330,7 +330,7 @@ class Dispatcher:
         return BuildReply.of(state.batch, built, superseded)
 
     def _is_at_another(self, wid: str, built: Built) -> bool:
-        """Return whether a build failed on a worker while another one, which has it now, goes on with it."""
+        """Return whether a build failed on a worker while another one goes on with it."""
         is_fresh = self._batches.classify(wid, built) is Settlement.FRESH
         state = self._batches.find(built.batch) if is_fresh and built.reason and not built.is_final else None
         return state is not None and state.holder not in (None, wid)
