@@ -58,7 +58,10 @@ def build(task: ShapeTask, folder: Path, store: ShapeStore) -> ShapeReport:
 
 
 def _own_peak() -> int:
-    """Return the most memory that this process had [bytes]; getrusage counts what forked it as well."""
+    """Return the most memory that this process had [bytes].
+
+    `getrusage` counts that of the process that forked it too.
+    """
     lines = Path("/proc/self/status").read_text().splitlines()
     return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM:")), 0)
 
