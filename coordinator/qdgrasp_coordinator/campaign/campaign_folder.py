@@ -101,12 +101,6 @@ class RunProgress(NamedTuple):
     """Why it is finished, in words; empty while it is not."""
 
 
-def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
-    """Count the run that `spec` asks for; None: its folder does not hold all of it."""
-    listing = run_listing(path, spec)
-    return listing if listing is not None and listing.finished else None
-
-
 def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
     """Return the counts of the run that `spec` asks for.
 

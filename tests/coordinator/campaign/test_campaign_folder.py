@@ -19,8 +19,8 @@ from qdgrasp_coordinator.campaign.campaign_folder import (
     begin_campaign,
     campaign_summary,
     extend_run,
-    finished_listing,
     open_campaign,
+    run_listing,
 )
 from qdgrasp_coordinator.campaign.merge_prune import prune_run
 from qdgrasp_coordinator.metrics.job_status import RunListing
@@ -35,6 +35,13 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import EndsTooSoon, FolderError, ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
+
+
+def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
+    """The counts of a run; None unless its folder holds all of it."""
+    listing = run_listing(path, spec)
+    return listing if listing is not None and listing.finished else None
+
 
 SHAPE = RowShape(genes=7, joints=2)
 
