@@ -37,6 +37,7 @@ from qdgrasp_assets.asset_paths import cache_folder, path_problem
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
 from qdgrasp_assets.geometry.primitives import heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
+from qdgrasp_assets.geometry.remesh import simplify_mesh
 from qdgrasp_assets.geometry.surface_points import sample_surface
 from qdgrasp_assets.process_limits import limit_memory
 from qdgrasp_protocol.errors import AssetError
@@ -116,6 +117,8 @@ CORNER_TOLERANCE = 5e-4  # A corner that is not farther outside the hull of othe
 MOST_CORNERS = 128  # Most corners of a part
 COACD_ITERATIONS = 50
 """Iterations of CoACD's search per cut; its own 150 take half as long again, parts no fewer."""
+COACD_TRIANGLES = 30_000
+"""Most triangles that CoACD is given: a denser mesh, which takes it minutes, is simplified for it."""
 CORNERS_AT_ONCE = 1 << 17
 """Corners compared at once: their distances from `CORNERS` and their faces fill 300 MB."""
 OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
@@ -170,6 +173,8 @@ def decompose(
     `DecompositionTimeout` after `time_limit` [s] by the clock, or past the limit of CPU time, and
     `AssetError` if CoACD fails.
     """
+    if _is_dense(mesh):
+        mesh = simplify_mesh(mesh, COACD_TRIANGLES)
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as folder:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
@@ -340,6 +345,10 @@ def _parts_in_space(
     return COACD, found
 
 
+def _is_dense(mesh: Mesh) -> bool:
+    return len(mesh.faces) > COACD_TRIANGLES
+
+
 def _reason(error: AssetError, limits: ProcessLimits) -> str:
     """Return why CoACD found no parts, as the end of a sentence."""
     if isinstance(error, DecompositionTimeout):
@@ -434,7 +443,8 @@ def _cache_file(mesh: Mesh) -> Path:
 def _cache_key(mesh: Mesh) -> str:
     """Return the cache key of a decomposition: of this mesh, by this version, with this rule."""
     decomposition = COACD_THRESHOLDS, COACD_ITERATIONS, CORNER_TOLERANCE, MOST_CORNERS
-    rule = (*decomposition, CLEARANCE_POINTS, AHEAD, OFF, MOST)
+    simplified = (COACD_TRIANGLES,) if _is_dense(mesh) else ()
+    rule = (*decomposition, CLEARANCE_POINTS, AHEAD, OFF, MOST, *simplified)
     geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
     return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
 

@@ -329,6 +329,23 @@ def test_what_says_more_than_a_pipe_holds_comes_to_its_end(tmp_path, monkeypatch
         decompose(box((0.1, 0.1, 0.1)), "mug", 0.1, time_limit=60.0)
 
 
+def test_coacd_is_given_a_dense_mesh_simplified(tmp_path, monkeypatch) -> None:
+    (tmp_path / "counting.py").write_text(
+        "import sys, numpy\nsys.exit(str(len(numpy.load(sys.argv[1])['faces'])))"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(module.__spec__, "name", "counting")
+    given = {}
+    for subdivisions in (30, 60):
+        ball = geodesic(0.05, subdivisions)
+        with pytest.raises(AssetError, match=r"exit code 1\): \d+") as failed:
+            decompose(ball, "ball", 0.1, time_limit=60.0)
+        given[len(ball.faces)] = int(str(failed.value).rpartition(" ")[2].rstrip("."))
+    (few, kept), (many, simplified) = given.items()
+    assert kept == few < module.COACD_TRIANGLES < many
+    assert 0.95 * module.COACD_TRIANGLES < simplified <= module.COACD_TRIANGLES
+
+
 SLIT, WIDE = 0.004, 0.03
 
 
