@@ -1,6 +1,8 @@
 """Evaluations: what a row says, and that a row that fails disturbs no other."""
 
+import weakref
 from collections import defaultdict
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import msgspec
@@ -197,6 +199,24 @@ def test_of_those_that_take_a_device_fewer_are_kept(get, loaded):
     for name in ("light", "first", "second", "third"):
         get(worlds, name)
     assert [name for name, stub in loaded.items() if not stub.close.called] == ["second", "third"]
+
+
+def test_what_is_closed_is_freed_before_the_next_is_loaded_also_if_it_refers_to_itself():
+    class Cyclic(SimpleNamespace):
+        """An evaluator that only a search for cycles frees."""
+
+    def load(number):
+        if number >= MAX_EVALUATORS:
+            assert made[number - MAX_EVALUATORS]() is None
+        one = Cyclic(weight=1, close=lambda: None)
+        one.itself = one
+        made.append(weakref.ref(one))
+        return one
+
+    worlds, made = EvaluatorCache(), []
+    for number in range(2 * MAX_EVALUATORS):
+        worlds.get(str(number), lambda number=number: load(number))
+    assert len(made) == 2 * MAX_EVALUATORS
 
 
 def test_a_scene_that_cannot_be_loaded_leaves_no_trace(get):

@@ -3,6 +3,7 @@
 A worker keeps one evaluator for each scene that it lately served.
 """
 
+import gc
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -368,10 +369,14 @@ class EvaluatorCache:
 
     def _drop_oldest(self, weight: int) -> None:
         """Close evaluators until they are of a weight at most."""
+        before = len(self)
         while sum(each.weight for each in self._evaluators.values()) > weight:
             self._evaluators.popitem(last=False)[1].close()
+        if len(self) < before:
+            gc.collect()  # worlds hold one another: dozens would lie in memory until Python looks for them
 
     def close(self) -> None:
         """Close all evaluators; closing twice is allowed."""
         while self._evaluators:
             self._evaluators.popitem()[1].close()
+        gc.collect()

@@ -70,7 +70,13 @@ class SimulatorMain:
             with process_limits.time_limit(self._row_seconds):
                 return self._load(request.bundle or b"")
 
-        evaluator = self._evaluators.get(request.scene, load)
+        try:
+            evaluator = self._evaluators.get(request.scene, load)
+        except (InputError, MemoryError):
+            if not len(self._evaluators):
+                raise
+            self._evaluators.close()  # memory may have been short, which engines report in other words
+            evaluator = self._evaluators.get(request.scene, load)
         if request.bundle is not None:
             self._socket.send(SceneLoaded())
         return evaluator
