@@ -22,7 +22,7 @@ from tests.fakes.messages import join_message, result_message
 
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
@@ -227,7 +227,9 @@ class FleetSimulation:
 
     def _step(self) -> None:
         for lost in self._workers.overdue(self.now):
-            self._dispatcher.requeue(lost.batches)
+            self._dispatcher.requeue(lost.worker.wid, lost.batches)
+        for result in self._dispatcher.take_released(self.now):
+            self._take_rows(result.run.run, result.rows, result.reply.cpu_seconds)
         self._ask()
         for lease in self._dispatcher.leases(self.now):
             self._at(self.now + LATENCY, lambda lease=lease: self._take(lease))  # type: ignore[misc]
@@ -258,15 +260,20 @@ class FleetSimulation:
         result = result_message(**named, **more)
         settled = self._dispatcher.settle(worker.wid, result, rows, self.now)
         self._rows += len(batch)
-        if settled.rows is not None:
-            pipeline = self._pipelines[batch.run.run]
-            pipeline.settle(settled.rows, seconds)
-            self._told.add(batch.run.run)
+        if settled.kind is Settlement.FRESH and batch.check is None:
             self._useful.append((self.now, seconds, len(batch)))
-            if pipeline.finished is not None:
-                self._end_run(batch.run.run)
-        if settled.superseded is not None and settled.superseded in self._simulated:
-            self._simulated[settled.superseded].pending.pop(batch.id, None)
+        if settled.rows is not None:
+            self._take_rows(batch.run.run, settled.rows, seconds)
+        for other in self._simulated.keys() & settled.superseded:
+            self._simulated[other].pending.pop(batch.id, None)
+
+    def _take_rows(self, run: str, rows: Rows, seconds: float) -> None:
+        if (pipeline := self._pipelines.get(run)) is None:
+            return
+        pipeline.settle(rows, seconds)
+        self._told.add(run)
+        if pipeline.finished is not None:
+            self._end_run(run)
 
     # The workers.
 

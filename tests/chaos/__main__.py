@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.chaos.plan import blows, course
+from tests.chaos.plan import bad_workers, blows, course
 from tests.chaos.play import agreeing_rows, disturb, undisturbed_digest
 
 LONG, SHORT = 20_000, 5_000
@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--evaluations", type=int, help="in a run (default: 20000 of seed 0, 5000 of others)")
     parser.add_argument("--workers", type=int, default=4, help="how many (default: 4)")
+    parser.add_argument("--bad", type=int, default=2, help="kinds of bad workers besides (default: 2)")
     parser.add_argument("--together", type=int, default=3, help="seeds at a time (default: 3)")
     parser.add_argument("--minutes", type=float, default=30.0, help="that one run may take (default: 30)")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
@@ -76,7 +77,12 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     home = out / f"seed-{seed}"
     shutil.rmtree(home, ignore_errors=True)
     plan = blows(seed, asked.workers)
-    terms = {"workers": asked.workers, "pace": kind.pace, "limit": 60 * asked.minutes}
+    terms = {
+        "workers": asked.workers,
+        "pace": kind.pace,
+        "limit": 60 * asked.minutes,
+        "bad": bad_workers(seed, asked.bad),
+    }
     story = disturb(home, spec, plan, **terms, say=Log(seed, home))
     is_same = story.digest == expected
     verdict = "the same" if is_same else "that of a part" if story.is_given_up else "ANOTHER ONE"

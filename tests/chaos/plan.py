@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import count
 
+from tests.chaos.simulator import BAD
+
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_protocol.spec import RunSpec
 
@@ -76,6 +78,11 @@ COURSES = (
 def course(seed: int) -> Course:
     """What kind of run a seed disturbs."""
     return COURSES[seed % len(COURSES)]
+
+
+def bad_workers(seed: int, number: int) -> list[str]:
+    """Which kinds of bad workers join the run of a seed: so many."""
+    return random.Random(seed).sample(sorted(BAD), number)  # noqa: S311
 
 
 def blows(seed: int, workers: int, gaps: tuple[float, float] = GAPS) -> Iterator[Blow]:

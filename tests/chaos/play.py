@@ -4,15 +4,19 @@ import hashlib
 import heapq
 import shutil
 import signal
+import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 
 from tests.chaos.plan import Blow, Deed
 from tests.chaos.processes import ROOT, JobProcesses, Process
+from tests.common import HOST
+from tests.fakes.slow_link import SlowLink, slow_link
 from tests.system.commands import digest_of
 
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -67,6 +71,8 @@ def package_files(root: Path) -> list[Path]:
     return sorted(file for file in found if "__pycache__" not in file.parts)
 
 
+ROUND_TRIP, LOSS = 0.3, 0.02  # Of the link of the worker that is far away [s]
+CUT_EVERY = 15.0  # Seconds between two cuts of it
 LOOK = 0.05  # seconds between two looks at the processes
 COUNT = 1.0  # seconds between two looks at the records
 STANDSTILL = 180.0  # seconds without a new row after which a run is given up
@@ -102,8 +108,15 @@ class Play:
     """
 
     def __init__(
-        self, household: JobProcesses, plan: Iterator[Blow], limit: float, say: Callable[[str], None]
+        self,
+        household: JobProcesses,
+        plan: Iterator[Blow],
+        limit: float,
+        say: Callable[[str], None],
+        late: Sequence[Process] = (),
     ) -> None:
+        self._late = late
+        """Processes that are started once rows are recorded."""
         self._household = household
         self._plan = plan
         self._limit = limit
@@ -119,7 +132,6 @@ class Play:
 
     def carry_out(self) -> Story:
         """Disturb the run until its coordinator has ended well, or it is given up."""
-        self._household.start()
         while not self._is_over():
             now = time.monotonic()
             self._mend(now)
@@ -145,7 +157,7 @@ class Play:
 
     def _look_at(self, member: Process, now: float) -> None:
         """Start a process again that ended by itself, as services are: there may have been no router."""
-        code = member.exit_code
+        code = member.exit_code if member.has_started else None
         if code is None or self._is_awaited(member.name) or (member.name == "coordinator" and code == 0):
             return
         self._story.ended[member.name] += 1
@@ -179,6 +191,9 @@ class Play:
             self._rows, self._rows_at = rows, now
             if not self._has_begun:
                 self._has_begun = True
+                for member in self._late:
+                    member.start()
+                    self._say(f"{member.name} is started, pid {member.pid}")
                 self._plan_blow(now)
 
     def _plan_blow(self, now: float) -> None:
@@ -228,7 +243,38 @@ def disturb(
     pace: float,
     limit: float,
     say: Callable[[str], None],
+    bad: Sequence[str] = (),
 ) -> Story:
-    """Carry a run out in a new folder while it is disturbed; see `JobProcesses` and `Play`."""
-    with JobProcesses(home, spec, workers=workers, pace=pace) as household:
-        return Play(household, plan, limit, say).carry_out()
+    """Carry a run out in a new folder while it is disturbed; see `JobProcesses` and `Play`.
+
+    Bad workers join once rows are recorded, and one that is good and far away: its link takes 0.3 s there and
+    back, loses 2 % of what it carries, and is cut now and then.
+    """
+    with JobProcesses(home, spec, workers=workers, pace=pace) as household, ExitStack() as stack:
+        household.start()
+        late = [household.add_worker(f"{kind}-0", household.endpoint, CHAOS_BAD=kind) for kind in bad]
+        if bad:
+            link = stack.enter_context(
+                slow_link(int(household.endpoint.rpartition(":")[2]), ROUND_TRIP, LOSS)
+            )
+            stack.enter_context(cutting(link))
+            late.append(household.add_worker("far-0", f"tcp/{HOST}:{link.port}"))
+        return Play(household, plan, limit, say, late).carry_out()
+
+
+@contextmanager
+def cutting(link: SlowLink) -> Iterator[None]:
+    """Cut a link again and again in this context."""
+    is_over = threading.Event()
+
+    def cut() -> None:
+        while not is_over.wait(CUT_EVERY):
+            link.cut()
+
+    thread = threading.Thread(target=cut, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()

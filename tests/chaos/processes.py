@@ -41,6 +41,11 @@ class Process:
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
+    def has_started(self) -> bool:
+        """It was started at least once."""
+        return self._process is not None
+
+    @property
     def pid(self) -> int:
         """Of the process that is there, or was last."""
         assert self._process is not None
@@ -141,13 +146,19 @@ class JobProcesses:
         self.add("coordinator", COORDINATOR, self.run, *there)
         self.add("recorder", RECORDER, "--job", JOB, "--out", self.run, *there)
         for number in range(workers):
-            self.add(f"worker-{number}", "tests.chaos.worker", "--job", JOB, *there, *options)
+            self.add_worker(f"worker-{number}", self.endpoint, *options)
 
-    def add(self, name: str, module: str, *arguments: object) -> Process:
+    def add(self, name: str, module: str, *arguments: object, **environment: str) -> Process:
         """Take another process in; it is not started yet."""
         log = self.home / "logs" / f"{name}.log"
-        member = self._members[name] = Process(name, module, arguments, log, **self._environment)
+        member = Process(name, module, arguments, log, **self._environment, **environment)
+        self._members[name] = member
         return member
+
+    def add_worker(self, name: str, endpoint: str, *options: object, **environment: str) -> Process:
+        """Take another worker in that connects there; it is not started yet."""
+        there = ["--job", JOB, "--connect", endpoint]
+        return self.add(name, "tests.chaos.worker", *there, *options, **environment)
 
     def another(self, name: str) -> Process:
         """Take another process in with the command of one that is here; it is called `name-2`."""

@@ -1,7 +1,7 @@
 """A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes.
 
-Where CHAOS_DEEDS names a folder it also fails in every way, once in each and never twice on the same row.
-The way is decided by the genome, and noted in that folder.
+Where CHAOS_BAD names a kind of bad worker, it is one. Where CHAOS_DEEDS names a folder it also fails in every
+way, once in each and never twice on the same row. The way is decided by the genome, and noted in that folder.
 """
 
 import hashlib
@@ -91,6 +91,42 @@ def fail_once(genome: bytes) -> None:
     WAYS[name]()
 
 
+class Lying(Slow):
+    """An evaluator that reports other places than it found."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        found = super().evaluate(prior, genomes, trials)
+        found.rows["descriptor"] *= np.float32(0.5)
+        return found
+
+
+class Sick(Slow):
+    """An evaluator that fails on every row."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        raise RuntimeError("the node is sick")
+
+
+class Straggling(Slow):
+    """An evaluator that takes a second for a row."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        time.sleep(len(genomes))
+        return super().evaluate(prior, genomes, trials)
+
+
+class Silent(Slow):
+    """An evaluator that never answers."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        time.sleep(3600.0)
+        return super().evaluate(prior, genomes, trials)
+
+
+BAD = {"lying": Lying, "sick": Sick, "straggling": Straggling, "silent": Silent}
+"""Evaluators of bad workers, by the name that stands in CHAOS_BAD."""
+
+
 if __name__ == "__main__":
-    kind = Failing if DEEDS in os.environ else Slow
+    kind = BAD.get(os.environ.get("CHAOS_BAD", ""), Failing if DEEDS in os.environ else Slow)
     main(load=lambda bundle: kind(load_scene(bundle), float(os.environ[PACE])))

@@ -164,6 +164,7 @@ class Coordinator(Process):
         plan: Callable[[str], RunPlan],
         batch_size: int | None,
         *,
+        checked: float,
         on_epoch: Callable[["Coordinator"], None],
         opening: float = 0.2,
         built: set[str] | None = None,
@@ -175,6 +176,7 @@ class Coordinator(Process):
             RunRegistry(loader, loader),  # type: ignore[arg-type]
             lambda key, message, channel: put(self.bus, key, message, channel),
             batch_size=batch_size,
+            checked=checked,
             events=EventLog(self._show),
             on_epoch=self._open_to_workers,
             on_finished=lambda run, _now: self.note(f"{run.name} is done"),

@@ -12,7 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.plan import wild
+from tests.simulation.plan import History, wild, with_bad_workers
 from tests.simulation.play import play
 
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
@@ -22,6 +22,7 @@ from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
 from qdgrasp_coordinator.scheduler.batch_dispatcher import BatchTable, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
+from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict, CrossChecks
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
@@ -47,10 +48,14 @@ class Mutation:
     invariant: str
     """The one that is to notice; others do not count, for any fault may break anything."""
     patches: tuple[Any, ...]
+    histories: Callable[[int], History] = wild
+    """Makes the histories of numbers in which it is to be noticed."""
 
 
-def mutation(name: str, rule: str, invariant: str, *patches: Any) -> Mutation:
-    return Mutation(name, rule, invariant, patches)
+def mutation(
+    name: str, rule: str, invariant: str, *patches: Any, histories: Callable[[int], History] = wild
+) -> Mutation:
+    return Mutation(name, rule, invariant, patches, histories)
 
 
 def around(owner: object, name: str, act: Callable[..., Any]) -> Any:
@@ -110,13 +115,22 @@ def _accept_any_worker(classify: Real, batches: BatchTable, wid: str, result: An
     return classify(batches, wid, result)
 
 
-def _forget_requeued(requeue: Real, dispatcher: Dispatcher, batch_ids: Any) -> int:
+def _forget_requeued(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids: Any) -> int:
     with patch.object(BatchQueue, "requeue"):
-        return requeue(dispatcher, batch_ids)
+        return requeue(dispatcher, wid, batch_ids)
+
+
+def _requeue_held(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids: Any) -> int:
+    ids = list(batch_ids)
+    held = [state for one in ids if (state := dispatcher._batches.find(one)) and len(state.holders) > 1]
+    count: int = requeue(dispatcher, wid, ids)
+    for state in held:
+        dispatcher._requeue(state.batch)
+    return count
 
 
 def _join_without_requeue(join: Real, dispatcher: Dispatcher, *arguments: Any) -> list[bytes]:
-    with patch.object(Dispatcher, "requeue", lambda self, ids: len(list(ids))):
+    with patch.object(Dispatcher, "requeue", lambda self, _, ids: len(list(ids))):
         return join(dispatcher, *arguments)
 
 
@@ -188,6 +202,19 @@ def _take_past_gaps(add: Real, writer: RunWriter, part: JournalSlice, epoch: int
 
 def _no(_worker: Worker) -> bool:
     return False
+
+
+# Checks and bad workers.
+
+
+def _believe_the_odd_one(decide: Real, checks: CrossChecks, name: bytes, right: Any) -> CheckVerdict:
+    others = tuple(worker for worker in checks.find(name).answers if worker not in right)  # type: ignore[union-attr]
+    return decide(checks, name, others or right)
+
+
+def _confirm_all(must_wait: Real, checks: CrossChecks, worker: Any) -> bool:
+    checks._confirmed.add(worker.wid)
+    return must_wait(checks, worker)
 
 
 MUTATIONS = [
@@ -293,6 +320,59 @@ MUTATIONS = [
     mutation("keep work of an older epoch", "3", "fenced", around(JobSession, "on_answer", _keep_held)),
     mutation("a worker that builds gets batches", "13", "bounded work", value(Worker, "is_building", _no)),
     mutation("queue no build again", "13", "nothing is lost", patch.object(ShapeQueue, "requeue")),
+    mutation(
+        "a worker's first results count unchecked",
+        "14",
+        "settled once",
+        around(CrossChecks, "must_wait", _confirm_all),
+        histories=with_bad_workers,
+    ),
+    mutation(
+        "the odd one is believed",
+        "14",
+        "settled once",
+        around(CrossChecks, "decide", _believe_the_odd_one),
+        histories=with_bad_workers,
+    ),
+    mutation(
+        "results of an excluded worker are kept",
+        "14",
+        "progress",
+        patch.object(CrossChecks, "take_excluded", lambda _: []),
+        histories=with_bad_workers,
+    ),
+    mutation(
+        "a check waits for a worker that never comes",
+        "14",
+        "progress",
+        patch.object(CrossChecks, "end_hopeless", lambda *_: iter(())),
+    ),
+    mutation(
+        "one worker's failures make an error",
+        "6",
+        "settled once",
+        patch.object(WorkerRegistry, "may_have", lambda *_: True),
+        patch.object(Dispatcher, "_is_given_up", lambda _, tried, __: len(tried) >= dispatching.STRIKES),
+        histories=with_bad_workers,
+    ),
+    mutation(
+        "a failed row is lost",
+        "6",
+        "nothing is lost",
+        patch.object(BatchQueue, "requeue_row", lambda *_: None),
+    ),
+    mutation(
+        "no second worker is freed of what the first has answered",
+        "4",
+        "nothing is lost",
+        patch.object(Dispatcher, "_release_others", lambda *_: ()),
+    ),
+    mutation(
+        "a batch is queued again that another worker holds",
+        "4",
+        "nothing is lost",
+        around(Dispatcher, "requeue", _requeue_held),
+    ),
     mutation("ask once to join", "2", "progress", off(JobSession, "join_later")),
 ]
 
@@ -303,7 +383,7 @@ def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> int | None:
         for one in mutation.patches:
             stack.enter_context(one)
         for count, number in enumerate(range(first, first + most), 1):
-            violated = play(wild(number)).violated
+            violated = play(mutation.histories(number)).violated
             if violated is not None and violated.invariant == mutation.invariant:
                 return count
     return None

@@ -32,6 +32,20 @@ FAULTS = {
 """Faults, and their greatest rates [1/s]."""
 
 
+BAD = {
+    "lies": "it answers with other results than its simulator's",
+    "sick": "its simulator fails on every row",
+    "silent": "it shows progress, and takes a minute for a row",
+    "slow": "it takes forty times as long as others",
+}
+"""Kinds of bad workers."""
+HARMLESS = (
+    *("a worker joins", "the recorder is killed", "the recorder is frozen", "another recorder is started"),
+    *("the disk is full", "results are forged", "old messages are repeated"),
+)
+"""Faults that leave other workers than the bad ones there, without whom nobody notices these."""
+
+
 @dataclass(frozen=True)
 class History:
     """A history in brief."""
@@ -58,6 +72,10 @@ class History:
     """True if each run waits for a shape that a worker builds."""
     builders: float = 1.0
     """Share of the workers that build shapes."""
+    checked: float = 0.0
+    """Share of the rows that a second worker evaluates."""
+    bad: tuple[str, ...] = ()
+    """Kinds of bad workers that join when others are there: of `BAD`."""
 
     @property
     def rows(self) -> int:
@@ -85,6 +103,7 @@ def draw(number: int) -> History:
         faults=_faults(chance),
         has_shapes=chance.random() < 0.5,
         builders=chance.choice([1.0, 1.0, 0.5, 0.0]),
+        checked=chance.choice([0.0, 0.01, 0.3]),
     )
     more = range(runs, 3 if history.has_shapes else runs)  # others are evaluated while shapes are built
     return replace(
@@ -95,6 +114,28 @@ def draw(number: int) -> History:
 def wild(number: int) -> History:
     """The history of a number, with every fault there is, and often."""
     return replace(draw(number), faults={name: 2 * rate for name, rate in FAULTS.items()})
+
+
+def some_history(number: int) -> History:
+    """The history of a number; every eighth has bad workers."""
+    return with_bad_workers(number) if number % 8 == 7 else draw(number)
+
+
+def with_bad_workers(number: int) -> History:
+    """The history of a number, with bad workers among at least two good ones, and faults that spare these."""
+    history = wild(number)
+    chance = random.Random(number)  # noqa: S311 - dice, not secrets
+    return replace(
+        history,
+        workers=max(2, history.workers),
+        runs=tuple(replace(run, evaluations=120, successes=None, no_new_cell=None) for run in history.runs),
+        terms=Terms(delay=history.terms.delay),
+        faults={name: rate for name, rate in history.faults.items() if name in HARMLESS},
+        has_shapes=False,
+        hiccup=0.0,
+        checked=chance.choice([0.01, 0.1]),
+        bad=tuple(chance.sample(sorted(BAD), chance.choice([1, 1, 2]))),
+    )
 
 
 def _run(chance: random.Random, seed: int, many: bool) -> Plan:

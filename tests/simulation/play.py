@@ -11,7 +11,7 @@ from unittest.mock import patch
 import structlog
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.invariants import InvariantViolated
-from tests.simulation.plan import History, draw
+from tests.simulation.plan import History, some_history
 from tests.simulation.process import Process
 from tests.simulation.recorder import SimulatedRecorder
 from tests.simulation.simulation import P, Simulation, SimulationChecker
@@ -179,7 +179,7 @@ def small_and_quiet() -> Iterator[None]:
 def play(history: History | int, *, trace: bool = False) -> Verdict:
     """Play a history to its end, or to the first violation."""
     if isinstance(history, int):
-        history = draw(history)
+        history = some_history(history)
     with small_and_quiet():
         return _play(history, trace)
 

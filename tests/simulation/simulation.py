@@ -21,7 +21,8 @@ from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
 from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
-from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply, asked_rows
+from qdgrasp_coordinator.scheduler.cross_checks import HeldResult
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan
@@ -86,6 +87,8 @@ class Simulation:
             *[self.start_worker] * self.history.workers,
         ]:
             self.world.later(self.world.chance.uniform(0, 2), start)
+        for kind in self.history.bad:
+            self.world.later(self.world.chance.uniform(4, 8), lambda kind=kind: self._start_bad(kind))
         self.world.later(2.0, self._keep)
 
     # How far it is.
@@ -129,7 +132,15 @@ class Simulation:
         """Start a process that forges results."""
         self.processes.append(Forger(self.world, self.network, f"{self._next():032x}"))
 
-    def start_worker(self) -> None:
+    def _start_bad(self, kind: str) -> None:
+        """Start a bad worker once two good ones have joined."""
+        coordinator = self.some(Coordinator)
+        if coordinator is None or len(coordinator.scheduler.workers) < 2:
+            self.world.later(LOOK, lambda: self._start_bad(kind))
+        else:
+            self.start_worker(kind)
+
+    def start_worker(self, bad: str = "") -> None:
         """Start a worker on a machine that may be slow."""
         history, wid = self.history, f"{self._next():032x}"
         slowness = history.spread ** self.world.chance.random()
@@ -138,7 +149,7 @@ class Simulation:
         )
         builds = int(wid, 16) % 10 < 10 * history.builders
         self.processes.append(
-            Worker(self.world, self.network, wid, self.task, self.mishaps, speed, builds=builds)
+            Worker(self.world, self.network, wid, self.task, self.mishaps, speed, builds=builds, bad=bad)
         )
 
     def start_recorder(self) -> None:
@@ -169,6 +180,7 @@ class Simulation:
             list(self.plans),
             self._plan,
             self.history.batch_size,
+            checked=self.history.checked,
             on_epoch=self.watch.began,
             built=self.built,
         )
@@ -228,7 +240,7 @@ class DispatchChecker:
         self._dispatch, self._workers = host.scheduler.dispatcher, host.scheduler.workers
         self.builds: set[str] = set()
         """Keys of shapes that were asked for and are not settled."""
-        for name in ("submit", "withdraw", "leases", "settle"):
+        for name in ("submit", "withdraw", "leases", "settle", "take_released"):
             self._wrap(self._dispatch, name)
         for name in ("build", "build_leases", "settle_build", "withdraw_builds", "unbuildable"):
             self._wrap(self._dispatch, name)
@@ -269,22 +281,30 @@ class DispatchChecker:
         is_any_well = any(worker.is_well for worker in workers)
         free = [worker.wid for worker in workers if worker.has_credit and (worker.is_well or not is_any_well)]
         require(not (waits and free), "work is handed out", "nothing is leased to", free)
+        for batch in self._dispatch._queue._again.values():
+            may = [w.wid for w in workers if w.wid in free and self._dispatch._may_have(w, batch)]
+            require(not may, "work is handed out", "no check or failed row is leased to", may)
         return leases
 
     def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         settled = self._real_settle(wid, result, rows, now)
         self._host.note(f"hears {result.batch.hex()[-4:]} of worker {int(wid, 16)}: {settled.kind.value}")
-        if settled.superseded is not None:
-            self.taken_back[settled.superseded] += 1
+        self.taken_back.update(settled.superseded)
         if settled.kind is not Settlement.FRESH:
             return settled
         batch = result.batch
         require(batch not in self._settled, "settled once", "again:", batch.hex())
         require(wid in self._leased.get(batch, ()), "settled once", "by", wid, "who was not leased it")
-        require(settled.rows is not None, "settled once", "without rows")
         self._settled.add(batch)
-        self._check_rows(result.run, settled.rows)
+        if settled.rows is not None:
+            self._check_rows(result.run, settled.rows)
         return settled
+
+    def _take_released(self, now: float) -> list[HeldResult]:
+        released = self._real_take_released(now)
+        for result in released:
+            self._check_rows(result.run.run, result.rows)
+        return released
 
     def _build(self, tasks: Iterable[ShapeTask]) -> None:
         asked = list(tasks)
@@ -311,8 +331,7 @@ class DispatchChecker:
             require(reply.key in self.builds, "settled once", "no run waits for", reply.key)
             self._settled.add(built.batch)
             self.builds.remove(reply.key)
-            if reply.superseded is not None:
-                self.taken_back[reply.superseded] += 1
+            self.taken_back.update(reply.superseded)
         return reply
 
     def _withdraw_builds(self) -> dict[str, list[bytes]]:
@@ -355,16 +374,22 @@ class DispatchChecker:
         for run, waiting in self._dispatch._queue._runs.items():
             for rows in (*waiting.uncut, *(batch.rows for batch in waiting.again.values())):
                 places += _keys(run, rows)
+        for batch in self._dispatch._queue._again.values():
+            places += [] if batch.check else _keys(batch.run.run, batch.rows)
+        for result in self._dispatch.checks.held:
+            places += _keys(result.run.run, asked_rows(result.rows))
         held: dict[str, set[bytes]] = {wid: set() for wid in workers}
         builds = [build.task.key for build in self._dispatch._shapes]
         builds += [task.key for task in self._dispatch._unanswered]
         for state in self._dispatch._batches._open.values():
-            if state.holder is None:
+            if not state.holders:
                 continue
-            held.setdefault(state.holder, set()).add(state.batch.id)
+            require(len(state.holders) <= 2, "bounded work", "a batch has", len(state.holders), "holders")
+            for holder in state.holders:
+                held.setdefault(holder, set()).add(state.batch.id)
             if isinstance(state.batch, ShapeBuild):
                 builds.append(state.batch.task.key)
-            else:
+            elif state.batch.check is None:
                 places += _keys(state.batch.run.run, state.batch.rows)
         require(sorted(builds) == sorted(self.builds), "nothing is lost", "builds:", builds, self.builds)
         require(len(places) == len(set(places)), "nothing is lost", "a row is in two places")
@@ -382,7 +407,11 @@ class DispatchChecker:
         for worker in self._workers:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
         batches, timeout = self._dispatch._batches, self._workers.lease_timeout
-        most = len(self.outstanding) + len(self.builds)
+        checks = [state for state in batches._open.values() if getattr(state.batch, "check", None)]
+        most = len(self.outstanding) + len(self.builds) + len(checks)
+        held = {result.worker for result in self._dispatch.checks.held}
+        most_checks = len(self._dispatch.checks.held) + len(held) + len(self._workers)
+        require(len(self._dispatch.checks._checks) <= most_checks, "bounded memory", "checks")
         require(len(batches._open) <= most, "bounded memory", "open batches")
         require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
         require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
@@ -391,6 +420,7 @@ class DispatchChecker:
 
     def look_at_members(self, living: set[str]) -> None:
         """Check that only workers that are there are remembered."""
+        living = living | {worker.wid for worker in self._workers if worker.is_excluded}  # have just left
         gone = set(self._workers._workers) - living
         require(not gone, "bounded memory", "workers that are gone:", gone)
         gone = self._workers.alive - living

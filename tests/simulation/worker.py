@@ -97,7 +97,9 @@ class Formula:
         speed: Speed,
         mishaps: Mishaps,
         hear: Callable[[SimulatorEvent], None],
+        bad: str = "",
     ) -> None:
+        self._bad = bad
         self._host = host
         self._task = task
         self._speed = speed
@@ -168,7 +170,14 @@ class Formula:
             return
         n = min(1 if batch.is_careful else self._speed.rows_at_once, batch.n - start)
         seconds = n * self._speed.row_seconds * self._host.world.chance.uniform(0.5, 2)
-        self._later(seconds, lambda: self._finish(batch, start, n))
+        if self._bad == "silent":
+            seconds = n * SILENT_SECONDS
+            for second in range(1, int(seconds)):
+                self._later(second, self._linger)
+        self._later(seconds * (SLOWNESS if self._bad == "slow" else 1), lambda: self._finish(batch, start, n))
+
+    def _linger(self) -> None:
+        self._steps += 1
 
     def _finish(self, batch: EvaluateRows, start: int, n: int) -> None:
         self._steps += n
@@ -177,6 +186,8 @@ class Formula:
         rows["trial"] = np.frombuffer(batch.columns["trial"], "<u2")
         found = self._task.evaluate(rows[start : start + n])
         failed = [place for place, row in enumerate(found) if self._fails(row)]
+        if self._bad == "lies":
+            found["descriptor"] *= np.float32(0.5)
         ends = [place for place in failed if found["genome"][place, 1] > 0]
         if ends:
             self._die(-SIGABRT if found["genome"][ends[0], 2] > 0 else 1)
@@ -185,7 +196,8 @@ class Formula:
         self._go_on(batch, start + n)
 
     def _fails(self, row: np.void) -> bool:
-        return bool(row["outcome"] == Outcome.ERROR) or self._mishaps.strikes(row)
+        is_poison = bool(row["outcome"] == Outcome.ERROR)
+        return is_poison or self._bad == "sick" or self._mishaps.strikes(row)
 
     def _part(self, found: Rows, failed: list[int]) -> PartialResult:
         found[failed] = np.zeros((), found.dtype)
@@ -212,6 +224,9 @@ BUILDING = 6.0
 """Seconds that a shape takes on average."""
 GRACE = 1.5
 FETCH_SECONDS = 5.0
+SILENT_SECONDS = 58.0
+"""Time that a silent worker takes for a row [s]: less than its own limit."""
+SLOWNESS = 40
 CREDIT = 2
 """Batches that a worker asks for; a job that shares it with others gets fewer."""
 
@@ -300,8 +315,10 @@ class Worker(Process):
         speed: Speed,
         *,
         builds: bool = False,
+        bad: str = "",
     ) -> None:
         self.wid = wid
+        self._bad = bad
         self._builds = BUILDING_CODE if builds else ""
         self._task = task
         self._mishaps = mishaps
@@ -342,7 +359,7 @@ class Worker(Process):
             self.service._step(self.now)
 
     def _start_simulator(self) -> Formula:
-        return Formula(self, self._task, self._speed, self._mishaps, self.hear)
+        return Formula(self, self._task, self._speed, self._mishaps, self.hear, self._bad)
 
     def _new_service(self) -> WorkerService:
         with (

@@ -63,6 +63,10 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     """Lean of successes from the surface normal."""
     eta: EtaSummary | None
     """Estimated probability that successes transfer; None where the protocol has no trials."""
+    checked: int = 0
+    """Rows that a second worker has evaluated."""
+    differing: int = 0
+    """Those of them that workers answered which were excluded."""
     cpu_seconds: float
     wall_seconds: float
     complete: bool
@@ -132,6 +136,8 @@ def run_summary(folder: RunFolder) -> RunSummary:
             mean_fitness=metrics.mean_fitness,
             nu=metrics.nu,
             eta=metrics.eta,
+            checked=journal.checked,
+            differing=journal.differing,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
             complete=found.finished is not None,

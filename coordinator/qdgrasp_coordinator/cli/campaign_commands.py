@@ -22,9 +22,10 @@ from qdgrasp_coordinator.campaign.campaign_folder import (
 )
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.run_commands import check_not_stopped, resume_hint, run_job
+from qdgrasp_coordinator.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -102,6 +103,7 @@ def campaign(
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -191,7 +193,7 @@ def campaign(
         check_meshes(asked.runs.values())
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
-    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
     config.check_engines(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
@@ -233,6 +235,7 @@ def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None
     if queue.ends:
         ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
         echo(f"Finished runs ended: {ends}.")
+    echo_errors(found.done.errors, str(folder.path))
     if found.runs_done < found.runs and not is_timed:
         raise typer.Exit(EndedEarly.exit_code)
 

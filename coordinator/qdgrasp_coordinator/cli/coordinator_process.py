@@ -12,6 +12,7 @@ from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunQueue, SingleRunQueue
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -47,6 +48,7 @@ def coordinator(
     insecure: cli_support.InsecureOption = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
     batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
     seconds: options.Seconds = None,
     wait: cli_support.WaitOption = 30.0,
     paused: Annotated[
@@ -86,6 +88,7 @@ def coordinator(
             make_sink=lambda run: RecorderClient(bus, name, run.shape),
             begin_epoch=RecorderClient(bus, name, RowShape(0, 0)).begin_epoch,
             batch_size=batch_size,
+            checked=checked,
             seconds=seconds,
             paused=paused,
         ).run()

@@ -102,6 +102,16 @@ Seconds = Annotated[
 BatchSize = Annotated[
     int | None, typer.Option("--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.")
 ]
+Checked = Annotated[
+    float,
+    typer.Option(
+        "--checked",
+        metavar="SHARE",
+        min=0,
+        max=1,
+        help="Share of the rows that a second worker evaluates too.",
+    ),
+]
 Listen = Annotated[
     str | None,
     typer.Option(help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one."),

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.report.row_report import synergy_reader
 from qdgrasp_coordinator.scheduler import run_plan
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -126,6 +127,7 @@ def run(
     ] = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -176,7 +178,7 @@ def run(
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(
-        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds
+        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds, checked
     )
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
@@ -223,7 +225,17 @@ def print_result(folder: RunFolder, stop: Stop, *, is_timed: bool = False) -> No
             raise typer.Exit(EndedEarly.exit_code)
     elif found.evaluations < found.budget:
         echo(f"It ended early: {found.ended}.")
+    echo_errors(found.errors, str(folder.path))
     write_ranking_of(folder)
+
+
+def echo_errors(errors: int, path: str) -> None:
+    """Say on how many rows the simulator failed, if there are any."""
+    if errors:
+        echo(
+            f"The simulator failed on {counted(errors, 'row')}, and their grasps are missing; "
+            f"`qdgrasp verify {path}` tries some of them again, --all all."
+        )
 
 
 def write_ranking_of(folder: RunFolder) -> None:
@@ -244,6 +256,7 @@ def resume(
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -278,7 +291,7 @@ def resume(
         return
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, folder.spec.engine)
-    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
     config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,

@@ -18,6 +18,7 @@ from queue import Empty, SimpleQueue
 from qdgrasp_coordinator.local.progress import ProgressDisplay
 from qdgrasp_coordinator.local.restart_policy import COORDINATOR, GRACE, RestartPolicy, start_worker
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
@@ -67,6 +68,8 @@ class LocalJobConfig:
     """Seconds that a full disk is waited for."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
+    checked: float = CHECKED_SHARE
+    """Share of the rows that a second worker evaluates too."""
 
     def check_engines(self, specs: Iterable[RunSpec]) -> None:
         """Raise as the function, where workers are to start here."""
@@ -182,6 +185,8 @@ class Supervisor:
         arguments = [str(self._folder.path), *self._listen.flags, *self._listen.security_flags]
         if self._config.batch_size:
             arguments += ["--batch-size", str(self._config.batch_size)]
+        if self._config.checked != CHECKED_SHARE:
+            arguments += ["--checked", str(self._config.checked)]
         if self._config.seconds is not None:
             left = self._config.seconds - (time.monotonic() - self._began)
             arguments += ["--seconds", str(max(0.0, left))]

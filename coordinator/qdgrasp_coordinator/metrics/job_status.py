@@ -176,7 +176,10 @@ class WorkerStatus(Struct, frozen=True, kw_only=True):
     host: Annotated[str, "Where it runs."]
     pid: Annotated[int, "Of its process."]
     state: Annotated[
-        str, '"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone".'
+        str,
+        '"working", "idle", "stuck" (it let a lease pass, or does not answer), "sick" (its simulator failed '
+        'on rows that others evaluated), "excluded" (it answered other than two others), "leaving" (it is '
+        'drained) or "gone".',
     ]
     batches: Annotated[int, "Batches that it holds."]
     rows: Annotated[int, "Rows that it has settled."]
@@ -281,6 +284,12 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     requeued: Annotated[
         int, "Batches that were queued again, as their worker was lost, in this coordinator's turn."
     ] = 0
+    doubled: Annotated[
+        int,
+        "Batches that were leased to a second worker, as the first has held them for long, in this turn.",
+    ] = 0
+    checked: Annotated[int, "Rows that a second worker has evaluated, in this turn."] = 0
+    differing: Annotated[int, "Rows to which workers answered differently, in this turn."] = 0
     strays: Annotated[
         int, "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
     ] = 0

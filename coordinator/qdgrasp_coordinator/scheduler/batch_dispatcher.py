@@ -6,8 +6,9 @@ any steady clock.
 """
 
 from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -19,11 +20,21 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     RunRef,
     Settlement,
     SettleReply,
+    WorkerName,
+    asked_rows,
     complete_rows,
+)
+from qdgrasp_coordinator.scheduler.cross_checks import (
+    CHECKED_ROWS,
+    CHECKED_SHARE,
+    Check,
+    CheckVerdict,
+    CrossChecks,
+    HeldResult,
 )
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild, ShapeQueue
-from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry, names_of
 from qdgrasp_protocol.build_messages import Built, ShapeTask
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Result
@@ -39,10 +50,8 @@ class BatchState:
 
     batch: Batch | ShapeBuild
     attempts: int = 0
-    holder: str | None = None
-    """Worker that holds it; None: it waits."""
-    since: float = 0.0
-    """When it was leased last."""
+    holders: dict[str, float] = field(default_factory=dict)
+    """Workers that hold it, and when they were leased it; none: it waits."""
     leased: set[str] = field(default_factory=set)
     """All workers that were ever leased it."""
 
@@ -52,7 +61,8 @@ class BatchTable:
 
     def __init__(self, epoch: int) -> None:
         self._epoch = epoch
-        self._open: dict[bytes, BatchState] = {}
+        self._open: OrderedDict[bytes, BatchState] = OrderedDict()
+        """By id, those that were leased last at the end."""
         self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
         """By id: the workers that were leased it, and that which settled it; None: it was withdrawn."""
 
@@ -60,10 +70,27 @@ class BatchTable:
         """Return the state of a batch that is leased, made at its first lease."""
         return self._open.setdefault(batch.id, BatchState(batch))
 
+    def hand_over(self, state: BatchState, wid: str, now: float) -> None:
+        """Record that a worker holds a batch from now on."""
+        state.holders[wid] = now
+        self._open.move_to_end(state.batch.id)
+
+    def late(self, before: float) -> list[BatchState]:
+        """Return batches that one worker has held since before a time, those held for longest first."""
+        found = []
+        for state in self._open.values():
+            if isinstance(state.batch, ShapeBuild) or not state.holders:
+                continue
+            if max(state.holders.values()) > before:
+                break
+            if len(state.holders) == 1 and not state.batch.tried_by:
+                found.append(state)
+        return found
+
     @property
     def leased(self) -> int:
         """Number of batches that workers hold."""
-        return sum(state.holder is not None for state in self._open.values())
+        return sum(bool(state.holders) for state in self._open.values())
 
     def find(self, batch_id: bytes) -> BatchState | None:
         """Return the state of a leased batch; None: never leased, or settled."""
@@ -117,25 +144,41 @@ def _check_result(batch: Batch | ShapeBuild, result: Result | Built) -> None:
 
 MOST_BUILD_LEASES = 5  # Leases of a build without an answer after which it is not leased again
 BUILDER_SECONDS = 30.0  # Seconds for which a worker that has the code for a build is waited for
-STRIKES = 3  # Failures of the simulator after which a row is settled as an error
-_COUNTED = ("leased", "requeued", "failures", "errors")
+STRIKES = 3
+"""Workers on which a row failed after which it is settled as an error; where there are fewer, tries."""
+EARLY_SECONDS = 5.0
+"""Seconds after the first join in which a coordinator that took over expects workers to join again."""
+_COUNTED = ("leased", "requeued", "doubled", "failures", "errors", "checked", "differing")
 
 
 class Dispatcher:
     """Leases the rows of all runs of a job to its workers.
 
-    A batch has `batch_size` rows; None: as many as take about a quarter of a second.
+    A batch has `batch_size` rows; None: as many as take about a quarter of a second. The share `checked` of
+    the rows is evaluated by a second worker.
     """
 
-    def __init__(self, epoch: int, workers: WorkerRegistry, batch_size: int | None = None) -> None:
+    def __init__(
+        self,
+        epoch: int,
+        workers: WorkerRegistry,
+        batch_size: int | None = None,
+        checked: float = CHECKED_SHARE,
+    ) -> None:
         self.counters = dict.fromkeys((*(kind.value for kind in Settlement), *_COUNTED), 0)
-        """Results by kind, batches leased and queued again, rows failed and given up."""
+        """Results by kind; batches leased, queued again, leased to a second worker; rows failed, given up,
+        checked, and in checks that differed."""
+        self._sick: list[Worker] = []
+        self.checks = CrossChecks(checked)
+        self._verdicts: list[CheckVerdict] = []
         self._workers = workers
         self._queue = BatchQueue(batch_size)
         self._shapes = ShapeQueue()
         self._unanswered: deque[ShapeTask] = deque()  # Builds that were leased too often without an answer
         self._lacks_builder_since = inf
         self._batches = BatchTable(epoch)
+        self._takes_over = epoch > 1
+        self._first_join = inf
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Queue rows of one generation of a run."""
@@ -144,14 +187,15 @@ class Dispatcher:
     def withdraw(self, run: str) -> dict[str, list[bytes]]:
         """Forget all rows of a run; gives the batches that workers may drop, by worker."""
         self._queue.withdraw(run)
+        self.checks.withdraw(run)
         return self._withdraw(self._batches.of(run))
 
     def _withdraw(self, states: list[BatchState]) -> dict[str, list[bytes]]:
         drops: dict[str, list[bytes]] = {}
         for state in states:
-            if state.holder is not None:
-                drops.setdefault(state.holder, []).append(state.batch.id)
-                self._workers.release(state.holder, state.batch.id)
+            for holder in state.holders:
+                drops.setdefault(holder, []).append(state.batch.id)
+                self._workers.release(holder, state.batch.id)
             self._batches.close(state)
         return drops
 
@@ -211,18 +255,56 @@ class Dispatcher:
         return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
 
     def leases(self, now: float) -> list[Lease]:
-        """Lease what is queued to workers with credit left; send them in this order."""
+        """Lease what is queued to workers with credit left; send them in this order.
+
+        Where nothing waits, idle workers are leased what others have held for long.
+        """
         leases: list[Lease] = []
-        for worker in self._workers.idle(now) if self._queue else ():
-            rows = worker.join.rows
-            run = self._queue.next_run(worker.scenes, rows > 0)
-            if run is None:
-                if not self._queue:
-                    break
-                continue
-            batch = self._queue.pop(run, len(self._workers), rows)
-            leases.append(Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch))
+        for worker in self._workers.idle(now) if self._queue or self._queue.has_tried else ():
+            batch = self._next_batch(worker)
+            if batch is not None:
+                leases.append(self._lease_batch(batch, worker, now))
+            elif not (self._queue or self._queue.has_tried):
+                break
+        if not self._queue:
+            leases += self._double_leases(now)
         return leases
+
+    def _next_batch(self, worker: Worker) -> Batch | None:
+        """Take the next batch for a worker out of the queue; None: there is none."""
+        rows = worker.join.rows
+        batch = self._queue.pop_tried(lambda one: self._may_have(worker, one))
+        if batch is not None:
+            return batch
+        run = self._queue.next_run(worker.scenes, rows > 0)
+        return None if run is None else self._queue.pop(run, len(self._workers), rows)
+
+    def _may_have(self, worker: Worker, batch: Batch) -> bool:
+        """Return whether a worker may have a batch that others have tried."""
+        if batch.run.needs_device and not worker.join.rows:
+            return False
+        if batch.check is not None and worker.name in batch.tried_by:
+            return False
+        return self._workers.may_have(worker, batch.tried_by)
+
+    def _double_leases(self, now: float) -> Iterator[Lease]:
+        """Lease batches that others have held for long to workers that hold none; the others keep them."""
+        late = self._batches.late(now - self._workers.lease_timeout.straggling)
+        for worker in self._workers.idle(now) if late else ():
+            may_have = (state for state in late if self._may_double(worker, state))
+            state = None if worker.batches else next(may_have, None)
+            if state is None or not isinstance(state.batch, Batch):
+                return
+            late.remove(state)
+            self.counters["doubled"] += 1
+            yield self._lease_batch(state.batch, worker, now)
+
+    def _may_double(self, worker: Worker, state: BatchState) -> bool:
+        needs_device = isinstance(state.batch, Batch) and state.batch.run.needs_device
+        return worker.wid not in state.leased and (worker.join.rows > 0 or not needs_device)
+
+    def _lease_batch(self, batch: Batch, worker: Worker, now: float) -> Lease:
+        return Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch)
 
     def build_leases(self, now: float) -> list[BuildLease]:
         """Lease builds that wait to workers that have the code for them; send them before batches."""
@@ -237,7 +319,6 @@ class Dispatcher:
         """Lease a batch or build to a worker; returns how many leases of it there were."""
         state = self._batches.open(batch)
         state.attempts += 1
-        state.since = now
         state.leased.add(worker.wid)
         self._hand_over(state, worker, now)
         self.counters["leased"] += 1
@@ -250,22 +331,25 @@ class Dispatcher:
         Raises Refused if it is not admitted.
         """
         before = self._workers.join(join, now)
+        self._first_join = min(self._first_join, now)
         worker = self._workers.get(join.wid)
         if before is None or worker is None:
             return []
         listed = list(dict.fromkeys(join.held))
         kept = {batch_id: state for batch_id in listed if (state := self._own(join.wid, batch_id))}
-        self.requeue(batch_id for batch_id in before if batch_id not in kept)
+        self.requeue(join.wid, [batch_id for batch_id in before if batch_id not in kept])
         for state in kept.values():
             self._remove(state.batch)
             self._hand_over(state, worker, now)
         return [batch_id for batch_id in listed if batch_id not in kept]
 
-    def requeue(self, batch_ids: Iterable[bytes]) -> int:
-        """Queue the unsettled batches again that a worker holds no more; returns their number."""
-        states = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
+    def requeue(self, wid: str, batch_ids: Iterable[bytes]) -> int:
+        """Queue unsettled batches that a worker holds no more, unless another does; returns their number."""
+        held = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
+        for state in held:
+            state.holders.pop(wid, None)
+        states = [state for state in held if not state.holders]
         for state in states:
-            state.holder = None
             if isinstance(state.batch, ShapeBuild) and state.attempts >= MOST_BUILD_LEASES:
                 self._batches.close(state)
                 self._unanswered.append(state.batch.task)
@@ -287,30 +371,139 @@ class Dispatcher:
             self._shapes.remove(batch)
 
     def _hand_over(self, state: BatchState, worker: Worker, now: float) -> None:
-        state.holder = worker.wid
+        self._batches.hand_over(state, worker.wid, now)
         scene = state.batch.run.scene if isinstance(state.batch, Batch) else None
         self._workers.hold(worker, state.batch.id, scene, now)
 
     def _own(self, wid: str, batch_id: bytes) -> BatchState | None:
         """Return a batch that a worker may go on with, held by it or waiting; else None."""
         state = self._batches.find(batch_id)
-        is_own = state is not None and wid in state.leased and state.holder in (None, wid)
+        is_own = state is not None and wid in state.leased and not state.holders.keys() - {wid}
         return state if is_own else None
 
     def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         """Settle a result: the first of a batch counts, if its sender was leased the batch.
 
         Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
-        worker `wid`. Raises MessageError if it has another number of rows than its batch, or names a failed
-        row that the batch has not.
+        worker `wid`. What is to be checked first, or is a check, is fresh and has no rows: `take_released`
+        gives them later. Raises MessageError if it has another number of rows than its batch, or names a
+        failed row that the batch has not.
         """
+        if wid in self.checks.excluded:
+            self.counters[Settlement.FOREIGN.value] += 1
+            return SettleReply(Settlement.FOREIGN)
         kind, state = self._close(wid, result, now)
         if state is None or not isinstance(state.batch, Batch):
             return SettleReply(kind)
-        self._queue.measure(state.batch, result.cpu_seconds)
-        if state.holder == wid:
-            self._workers.lease_timeout.measure(now - state.since)
-        return replace(self._split(state.batch, result, rows), superseded=self._release_other(state, wid))
+        batch, worker = state.batch, self._name(wid)
+        self._queue.measure(batch, result.cpu_seconds)
+        if wid in state.holders:
+            self._workers.lease_timeout.measure(now - state.holders[wid])
+        superseded = self._release_others(state, wid)
+        complete_rows(rows, batch, {failure.row for failure in result.failures})
+        if batch.check is not None:
+            self._settle_check(batch.check, worker, rows, is_failed=bool(result.failures))
+            return SettleReply(kind, superseded=superseded)
+        reply = replace(self._split(batch, worker, result, rows, now), superseded=superseded)
+        return self._hold(batch, worker, reply, now)
+
+    def _name(self, wid: str) -> WorkerName:
+        worker = self._workers.get(wid)
+        return worker.name if worker else WorkerName(wid, "")
+
+    # Checks.
+
+    def _expects_other(self, workers: tuple[WorkerName, ...], now: float) -> bool:
+        """Return whether another worker is there, or is likely to be soon, as it was before."""
+        is_early = self._takes_over and now < self._first_join + EARLY_SECONDS
+        return is_early or self._workers.has_other(workers)
+
+    def _hold(self, batch: Batch, worker: WorkerName, reply: SettleReply, now: float) -> SettleReply:
+        """Return a reply without its rows if these are to be checked first, or their worker is."""
+        rows = reply.rows
+        if rows is None or not len(rows) or reply.failures or batch.run.needs_device:
+            return reply
+        n = self.checks.rows_to_check(batch)
+        is_checked = n > 0 and self._workers.has_other((worker,))
+        if not is_checked and not (self.checks.must_wait(worker) and self._expects_other((worker,), now)):
+            return reply
+        check = self._begin_check(batch.run, worker, rows[:n], is_first=False) if is_checked else None
+        self.checks.hold(HeldResult(worker, batch.run, reply, rows, check))
+        return replace(reply, rows=None)
+
+    def _begin_check(self, run: RunRef, worker: WorkerName, rows: Rows, *, is_first: bool) -> bytes:
+        """Queue rows that a worker has evaluated for another one; returns the id of the check."""
+        asked = asked_rows(rows)
+        name = self._queue.check(run, asked, (worker,))
+        self.checks.open(name, Check(run, asked, {worker: rows.tobytes()}, is_first=is_first))
+        return name
+
+    def _settle_check(self, name: bytes, worker: WorkerName, rows: Rows, *, is_failed: bool) -> None:
+        """Compare rows with what others answered; one more worker is asked if they differ from all."""
+        check = self.checks.find(name)
+        if check is None:
+            return
+        if is_failed:
+            check.failed_on = (*check.failed_on, worker)
+        elif (verdict := self.checks.answer(name, worker, rows.tobytes())) is not None:
+            self._end_check(verdict)
+            return
+        else:
+            self.counters["differing"] += len(rows)
+        self._queue.check(check.run, check.rows, check.tried_by, name)
+
+    def _end_check(self, verdict: CheckVerdict) -> None:
+        self.counters["checked"] += verdict.rows
+        self._verdicts.append(verdict)
+        for worker in verdict.wrong:
+            self.requeue(worker.wid, self._workers.exclude(worker.wid))
+        for result in self.checks.take_excluded():
+            self._queue.submit_again(result.run, asked_rows(result.rows))
+
+    def take_released(self, now: float) -> list[HeldResult]:
+        """Return results that were held and against which nothing speaks any more.
+
+        Checks are begun for workers that no other has confirmed, and ended where no worker can decide them.
+        """
+        if not self.checks.held and not self.checks.are_open:
+            return []
+        expects_other = partial(self._expects_other, now=now)
+        for result in self.checks.unchecked():
+            if self._workers.has_other((result.worker,)):
+                self._begin_check(result.run, result.worker, result.rows[: CHECKED_ROWS // 2], is_first=True)
+        for name, verdict in self.checks.end_hopeless(expects_other, self._is_here):
+            self._queue.drop_check(name)
+            if verdict is not None:
+                self._end_check(verdict)
+        for name in self.checks.take_needless():
+            self._queue.drop_check(name)
+        return self.checks.take_released(expects_other)
+
+    def take_verdicts(self) -> list[CheckVerdict]:
+        """Return how checks have ended since the last call."""
+        verdicts, self._verdicts = self._verdicts, []
+        return verdicts
+
+    def take_sick(self) -> list[Worker]:
+        """Return the workers that became sick since the last call."""
+        sick, self._sick = self._sick, []
+        return sick
+
+    def _is_here(self, name: WorkerName) -> bool:
+        worker = self._workers.get(name.wid)
+        return worker is not None and not worker.is_drained
+
+    @property
+    def trouble(self) -> str:
+        """Which workers disagree while there is no other to decide; empty where none do."""
+        for check in self.checks.disputes:
+            if not self._workers.has_other(check.tried_by):
+                return (
+                    f"workers {names_of(check.answers)} answer the same {len(check.rows)} rows of run "
+                    f"'{check.run.run}' differently: start another worker, which decides, or drain the one "
+                    "that is wrong"
+                )
+        return ""
 
     def settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
         """Settle the answer to a build; None: it is dropped, or the build is tried again.
@@ -323,7 +516,7 @@ class Dispatcher:
         _, state = self._close(wid, built, now)
         if state is None or not isinstance(state.batch, ShapeBuild):
             return None
-        superseded = self._release_other(state, wid)
+        superseded = self._release_others(state, wid)
         if built.reason and not built.is_final and len(state.batch.failed_by) + 1 < STRIKES:
             self._shapes.requeue_failed(state.batch, wid)
             return None
@@ -333,7 +526,7 @@ class Dispatcher:
         """Return whether a build failed on a worker while another one goes on with it."""
         is_fresh = self._batches.classify(wid, built) is Settlement.FRESH
         state = self._batches.find(built.batch) if is_fresh and built.reason and not built.is_final else None
-        return state is not None and state.holder not in (None, wid)
+        return state is not None and bool(state.holders.keys() - {wid})
 
     def _close(self, wid: str, result: Result | Built, now: float) -> tuple[Settlement, BatchState | None]:
         """Settle a batch or build by its first result; gives its state if this is that one."""
@@ -347,24 +540,37 @@ class Dispatcher:
             self._batches.close(state, winner=wid)
         return kind, state
 
-    def _release_other(self, state: BatchState, winner: str) -> str | None:
-        """Free the credit of another holder of a settled batch; returns that one."""
-        if state.holder in (None, winner):
-            return None
-        self._workers.release(state.holder, state.batch.id)
-        return state.holder
+    def _release_others(self, state: BatchState, winner: str) -> tuple[str, ...]:
+        """Free the credit of other holders of a settled batch; returns these."""
+        others = tuple(holder for holder in state.holders if holder != winner)
+        for holder in others:
+            self._workers.release(holder, state.batch.id)
+        return others
 
-    def _split(self, batch: Batch, result: Result, rows: Rows) -> SettleReply:
-        """Return the settled rows; queue failed ones again until they failed too often."""
+    def _split(self, batch: Batch, worker: WorkerName, result: Result, rows: Rows, now: float) -> SettleReply:
+        """Return the settled rows; queue failed ones for other workers until they failed too often."""
         failed = {failure.row: failure.reason for failure in result.failures}
         self.counters["failures"] += len(failed)
-        complete_rows(rows, batch, failed)
         if not failed:
+            self._blame(batch.tried_by, now)
             return SettleReply(Settlement.FRESH, rows, result.cpu_seconds)
-        if batch.failed + 1 < STRIKES:
+        tried = (*batch.tried_by, worker)
+        if not self._is_given_up(tried, now):
             for place in sorted(failed):
-                self._queue.requeue_row(batch, place)
+                self._queue.requeue_row(batch, place, worker)
             return SettleReply(Settlement.FRESH, np.delete(rows, list(failed)), result.cpu_seconds)
         self.counters["errors"] += len(failed)
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
         return SettleReply(Settlement.FRESH, rows, result.cpu_seconds, failures)
+
+    def _is_given_up(self, tried: tuple[WorkerName, ...], now: float) -> bool:
+        """Return whether a row has failed too often: on three workers, or on all where there are fewer."""
+        return len(tried) >= STRIKES and (len(set(tried)) >= STRIKES or not self._expects_other(tried, now))
+
+    def _blame(self, tried: tuple[WorkerName, ...], now: float) -> None:
+        """Count rows as faults of the workers that failed on them, as another one has evaluated them."""
+        for name in set(tried):
+            sick = self._workers.blame(name.wid, now)
+            if sick is not None:
+                self.checks.doubt(name.wid)
+                self._sick.append(sick)

@@ -2,11 +2,12 @@
 
 import secrets
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from heapq import heappop, heappush
 from math import ceil, sqrt
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,6 +36,13 @@ class RunRef:
         return self.engine == DEVICE_ENGINE
 
 
+class WorkerName(NamedTuple):
+    """A worker, and where it runs."""
+
+    wid: str
+    host: str
+
+
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Rows of one generation of one run that are leased together."""
@@ -43,8 +51,13 @@ class Batch:
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""
     run: RunRef
     rows: Generation
-    failed: int = 0
-    """Failures of the simulator on it; such a row is alone in its batch."""
+    tried_by: tuple[WorkerName, ...] = ()
+    """Workers after which another one is to evaluate these rows.
+
+    The simulator failed on a row, which is alone then, or the rows are a check.
+    """
+    check: bytes | None = None
+    """The id of the check that these rows are evaluated for; None: they are evaluated to be recorded."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -109,8 +122,8 @@ class SettleReply:
     """Cost of the batch [CPU s]."""
     failures: tuple[Failure, ...] = ()
     """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
-    superseded: str | None = None
-    """Another holder of the batch, which is to drop it; its credit is free already."""
+    superseded: tuple[str, ...] = ()
+    """Other holders of the batch, which are to drop it; their credit is free already."""
 
 
 def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
@@ -121,6 +134,12 @@ def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
     rows["index"] = batch.rows.indices
     rows["trial"] = batch.rows.trials
     rows["genome"] = batch.rows.genomes
+
+
+def asked_rows(rows: Rows) -> Generation:
+    """Return rows of one generation as they were asked, without results."""
+    trials, genomes = rows["trial"].copy(), rows["genome"].copy()
+    return Generation(int(rows["generation"][0]), rows["index"].copy(), trials, genomes)
 
 
 def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
@@ -211,6 +230,8 @@ class BatchQueue:
         self._of_scene: dict[str, dict[str, _RunBatches]] = {}
         self._order = {False: RunOrder(), True: RunOrder()}
         """The waiting runs, those that need a device apart."""
+        self._again: dict[bytes, Batch] = {}
+        """Batches for other workers than those that had them, by id."""
         self._begun = 0
         self._rows = 0
         """Number of waiting rows of all runs."""
@@ -218,8 +239,13 @@ class BatchQueue:
         self._served = 0.0
 
     def __bool__(self) -> bool:
-        """True if rows wait."""
+        """True if rows wait that any worker may have."""
         return any(self._runs.values())
+
+    @property
+    def has_tried(self) -> bool:
+        """True if rows wait for other workers than those that had them."""
+        return bool(self._again)
 
     @property
     def seconds(self) -> float:
@@ -229,7 +255,8 @@ class BatchQueue:
     @property
     def batches(self) -> int:
         """Number of batches of about `BATCH_SECONDS` that the waiting rows make."""
-        return sum(ceil(len(rows) / rows.sizer.full_size) for rows in self._runs.values())
+        waiting = sum(ceil(len(rows) / rows.sizer.full_size) for rows in self._runs.values())
+        return waiting + len(self._again)
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
@@ -249,6 +276,7 @@ class BatchQueue:
 
     def withdraw(self, run: str) -> None:
         """Forget a run."""
+        self._again = {name: batch for name, batch in self._again.items() if batch.run.run != run}
         if (gone := self._runs.pop(run, None)) is not None:
             self._rows -= len(gone)
             self._order[gone.run.needs_device].remove(gone)
@@ -300,20 +328,49 @@ class BatchQueue:
         self._order[waiting.run.needs_device].put(waiting)
         return batch
 
+    def pop_tried(self, may_have: Callable[[Batch], bool]) -> Batch | None:
+        """Return the first batch for other workers than those that had it which this one may have."""
+        found = next((batch for batch in self._again.values() if may_have(batch)), None)
+        if found is not None:
+            del self._again[found.id]
+            waiting = self._runs[found.run.run]
+            waiting.served += len(found) * (waiting.sizer.seconds_per_row or 0.0)
+            self._order[found.run.needs_device].put(waiting)
+        return found
+
     def requeue(self, batch: Batch) -> None:
         """Have a batch leased again, before anything new of its run."""
+        if batch.tried_by:
+            self._again[batch.id] = batch
+            return
         waiting = self._runs[batch.run.run]
         if batch.id not in waiting.again:
             self._rows += len(batch)
         waiting.again[batch.id] = batch
         self._order[batch.run.needs_device].put(waiting)
 
-    def requeue_row(self, batch: Batch, place: int) -> None:
-        """Queue a row on which the simulator failed again, as a batch of its own."""
-        self.requeue(Batch(self._new_id(), batch.run, batch.rows[place : place + 1], batch.failed + 1))
+    def requeue_row(self, batch: Batch, place: int, worker: WorkerName) -> None:
+        """Queue a row on which the simulator of a worker failed for another one, as a batch of its own."""
+        row = batch.rows[place : place + 1]
+        self.requeue(Batch(self._new_id(), batch.run, row, (*batch.tried_by, worker)))
+
+    def check(self, run: RunRef, rows: Generation, by: tuple[WorkerName, ...], check: bytes = b"") -> bytes:
+        """Queue rows that workers have evaluated for another one; returns the id of the check, new or not."""
+        name = self._new_id()
+        self.requeue(Batch(name, run, rows, by, check or name))
+        return check or name
+
+    def drop_check(self, check: bytes) -> None:
+        """Forget a check, if it waits."""
+        self._again = {name: batch for name, batch in self._again.items() if batch.check != check}
+
+    def submit_again(self, run: RunRef, rows: Generation) -> None:
+        """Have rows leased again whose results do not count."""
+        self.requeue(Batch(self._new_id(), run, rows))
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""
+        self._again.pop(batch.id, None)
         if (waiting := self._runs.get(batch.run.run)) is not None and batch.id in waiting.again:
             del waiting.again[batch.id]
             self._rows -= len(batch)

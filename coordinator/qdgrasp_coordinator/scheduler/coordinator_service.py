@@ -12,6 +12,7 @@ from contextlib import closing
 import structlog
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.inbox import AdminRequest, BusSubscriptions, Inbox, Wake
 from qdgrasp_coordinator.scheduler.job_scheduler import EarlyStop, JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
@@ -35,8 +36,9 @@ class CoordinatorService:
 
     As many runs of the queue are carried out at once as keep the workers busy; `make_sink` makes the sink
     that takes a run's rows, and `begin_epoch` asks a recorder for an epoch (`RunLoader`). A batch has
-    `batch_size` rows; None: measured. After `seconds` leases are withdrawn, what was found is recorded, and
-    `run` returns; None: never. If `paused`, nothing is handed out until a command continues the job.
+    `batch_size` rows; None: measured. The share `checked` of rows is evaluated by a second worker too. After
+    `seconds` leases are withdrawn, what was found is recorded, and `run` returns; None: never. If `paused`,
+    nothing is handed out until a command continues the job.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class CoordinatorService:
         make_sink: Callable[[RunPlan], RowSink],
         begin_epoch: Callable[[Callable[[], None]], Opened] | None = None,
         batch_size: int | None = None,
+        checked: float = CHECKED_SHARE,
         seconds: float | None = None,
         paused: bool = False,
     ) -> None:
@@ -62,6 +65,7 @@ class CoordinatorService:
             self._runs,
             self._put,
             batch_size=batch_size,
+            checked=checked,
             events=self._events,
             stopping=EarlyStop(seconds, time.monotonic()),
             on_epoch=self._open_to_workers,

@@ -9,6 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from dataclasses import dataclass, replace
 from math import inf
 
 import structlog
@@ -16,7 +17,8 @@ from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import Settlement, read_result
+from qdgrasp_coordinator.scheduler.batch_queue import Settlement, SettleReply, read_result
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE, CheckVerdict
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.scheduler.run_plan import ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
@@ -30,7 +32,13 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     ShapesFound,
 )
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply
-from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    WID_DIGITS,
+    LostWorker,
+    Worker,
+    WorkerRegistry,
+    names_of,
+)
 from qdgrasp_coordinator.storage.run_folder import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
@@ -55,6 +63,7 @@ from qdgrasp_protocol.messages import (
     Recorded,
     Result,
 )
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted, first_few
 
 LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
@@ -94,7 +103,18 @@ class EarlyStop:
 
 log = structlog.get_logger()
 
+
+@dataclass
+class CheckCounts:
+    """Rows of a run that a second worker has evaluated."""
+
+    checked: int = 0
+    differing: int = 0
+    """Those of them that workers answered which were excluded."""
+
+
 AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
+RUNS_NAMED = 5  # Most runs that an event names
 WORKERS_NAMED = 5  # Most workers that a refusal names
 
 PutMessage = Callable[[str, Message, Channel], None]
@@ -115,6 +135,7 @@ class JobScheduler:
         put: PutMessage,
         *,
         batch_size: int | None = None,
+        checked: float = CHECKED_SHARE,
         events: EventLog | None = None,
         stopping: EarlyStop | None = None,
         on_epoch: Callable[[int, str], None] = lambda _epoch, _identity: None,
@@ -132,16 +153,19 @@ class JobScheduler:
         self._results = self._keys.result("")
         self._put = put
         self._batch_size = batch_size
+        self._checked = checked
         self._on_epoch = on_epoch
         self._on_finished = on_finished
         self._recorders: set[str] = set()
+        self._check_counts: dict[str, CheckCounts] = {}
+        """Rows of runs that were checked, until they are recorded with rows that become final."""
         self.start_epoch(0)
 
     def start_epoch(self, epoch: int) -> None:
         """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
         self.epoch = epoch
         self.workers = WorkerRegistry()
-        self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
+        self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size, self._checked)
 
     def handle(self, event: InboxEvent, now: float) -> None:
         """Process an event, but for administrators' commands; TookOver if another coordinator did."""
@@ -191,26 +215,78 @@ class JobScheduler:
             return
         result, rows = read_result(result, run.plan.shape)
         settled = self.dispatcher.settle(wid, result, rows, now)
-        if settled.superseded is not None:
-            self._drop(settled.superseded, [result.batch])
-        if settled.kind is not Settlement.FRESH or settled.rows is None:
-            return
-        self.workers.on_settled(wid, result.n, now)
+        for other in settled.superseded:
+            self._drop(other, [result.batch])
+        if settled.kind is Settlement.FRESH and settled.rows is not None:
+            self._take_rows(run, wid, settled, settled.rows, now)
+
+    def _take_rows(self, run: ActiveRun, wid: str, settled: SettleReply, rows: Rows, now: float) -> None:
+        """Take rows of a worker for good, and pass on to the recorder what became final."""
+        run.settled_by.add(wid)
+        self.workers.on_settled(wid, len(rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
             words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
             self.events.note("error", words, run=run.name, worker=wid)
-        run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
+        part = run.pipeline.settle(rows, settled.cpu_seconds, settled.failures)
+        if len(part) and (counts := self._check_counts.pop(run.name, None)):
+            part = replace(part, checked=counts.checked, differing=counts.differing)
+        run.sink.push(part)
         if run.pipeline.finished is not None:
             self._withdraw(run.name)
+
+    def _settle_checked(self, now: float) -> None:
+        """Take results that were held, and act on what checks and failures say of workers."""
+        released = self.dispatcher.take_released(now)
+        for verdict in self.dispatcher.take_verdicts():
+            self._on_verdict(verdict)
+        for result in released:
+            if (run := self.runs.get(result.run.run)) is not None:
+                self._take_rows(run, result.worker.wid, result.reply, result.rows, now)
+        for worker in self.dispatcher.take_sick():
+            words = (
+                f"{worker.description} is left out for {worker.sick_until - now:.0f} seconds: its simulator "
+                "failed on rows that others evaluated. Then it gets work again, which another one checks."
+            )
+            self.events.note("warning", words, worker=worker.wid)
+        for worker in self.workers.recovered(now):
+            self.events.note("worker", f"{worker.description} gets work again.", worker=worker.wid)
+
+    def _on_verdict(self, verdict: CheckVerdict) -> None:
+        """Count a check, and shut out the workers that were wrong."""
+        if self.runs.get(verdict.run) is not None:
+            counts = self._check_counts.setdefault(verdict.run, CheckCounts())
+            counts.checked += verdict.rows
+            counts.differing += verdict.rows * len(verdict.wrong)
+        for name in verdict.wrong:
+            words = (
+                f"Worker {names_of([name])} answered {counted(verdict.rows, 'row')} of run '{verdict.run}' "
+                f"other than {names_of(verdict.right)}: it is excluded, and what is not recorded of it is "
+                "evaluated again."
+            )
+            took_part = [run for run in self.runs if name.wid in run.settled_by]
+            if took_part:
+                runs = first_few([run.name for run in took_part], RUNS_NAMED)
+                words += f" What it answered before is not known to be right: `qdgrasp verify` {runs}."
+            log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
+            self.events.note("error", words, run=verdict.run, worker=name.wid)
+            self._send_away(name.wid)
+            for run in took_part:
+                self._go_back(run)
+
+    def _go_back(self, run: ActiveRun) -> None:
+        """Evaluate again what a run has not passed on, unless that is all."""
+        if run.pipeline.finished is None:
+            self._withdraw(run.name)
+            run.goes_back = True
 
     def _on_built(self, built: Built, wid: str, now: float) -> None:
         """Settle a build once; the runs that wait for its shape are opened, or fail."""
         reply = self.dispatcher.settle_build(wid, built, now)
         if reply is None:
             return
-        if reply.superseded is not None:
-            self._drop(reply.superseded, [built.batch])
+        for other in reply.superseded:
+            self._drop(other, [built.batch])
         self.runs.shapes.end(reply)
 
     def _on_shapes_found(self, wanted: WantedShapes, warnings: Iterable[ShapeWarning]) -> None:
@@ -289,6 +365,7 @@ class JobScheduler:
     def _remove(self, run: ActiveRun, now: float) -> None:
         self._on_finished(run, now)
         self.runs.remove(run)
+        self._check_counts.pop(run.name, None)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
         self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
 
@@ -327,7 +404,7 @@ class JobScheduler:
 
     def _on_lost(self, lost: LostWorker) -> None:
         """Queue again what a worker held that left, vanished or is stuck."""
-        worker, requeued = lost.worker, self.dispatcher.requeue(lost.batches)
+        worker, requeued = lost.worker, self.dispatcher.requeue(lost.worker.wid, lost.batches)
         log.info("gave a worker up", worker=worker.wid[:8], reason=lost.reason, requeued=requeued)
         end = "is stuck" if lost.is_there else "is gone"
         how = f"{end}: {lost.reason}" if worker.join.credit else "has left"
@@ -344,8 +421,12 @@ class JobScheduler:
         """Do all that is possible now: give up workers, ask, record, lease, end and open runs."""
         for lost in self.workers.overdue(now):
             self._on_lost(lost)
+        self._settle_checked(now)
         for run in self.runs:
-            while not (self.is_ending or run.sink.is_full) and (asked := run.pipeline.ask()) is not None:
+            if run.goes_back and run.sink.is_empty:
+                self.runs.reopen(run)
+                continue
+            while self._may_ask(run) and (asked := run.pipeline.ask()) is not None:
                 self.dispatcher.submit(run.ref, asked)
             run.sink.tick(now)
         if not (self.is_paused or self.is_ending):
@@ -359,6 +440,9 @@ class JobScheduler:
             self.runs.load(self.epoch, workers=workers, is_wanted=is_wanted)
         if self.stopping.is_due(now):
             self.stop(now)
+
+    def _may_ask(self, run: ActiveRun) -> bool:
+        return not (self.is_ending or run.sink.is_full or run.goes_back)
 
     def _lease(self, now: float) -> None:
         """Lease builds, then batches; a build that no worker here can do is left to the loader."""
@@ -442,12 +526,17 @@ class JobScheduler:
 
     def status(self, now: float) -> JobStatus:
         """Return the job's figures."""
+        figures = self.runs.status(self.job, len(self.workers), now)
         return structs.replace(
-            self.runs.status(self.job, len(self.workers), now),
+            figures,
+            trouble=figures.trouble or self.dispatcher.trouble,
             state=self.state,
             recorders=len(self._recorders),
             wanted_workers=self.dispatcher.wanted_workers(is_leasing=not (self.is_paused or self.is_ending)),
             requeued=self.dispatcher.counters["requeued"],
+            doubled=self.dispatcher.counters["doubled"],
+            checked=self.dispatcher.counters["checked"],
+            differing=self.dispatcher.counters["differing"],
             strays=self.dispatcher.strays,
         )
 

@@ -41,6 +41,10 @@ class ActiveRun:
         self.pipeline = plan.pipeline
         self.sink = sink
         self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior, plan.spec.engine)
+        self.settled_by: set[str] = set()
+        """Ids of the workers whose rows it has taken."""
+        self.goes_back = False
+        """True: once what it passed on is recorded it is opened anew, and the rest is evaluated again."""
         self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
         self._began = time.monotonic()
 
@@ -402,7 +406,7 @@ class RunRegistry:
         self._found += run.tally.totals
 
     def reopen(self, run: ActiveRun) -> None:
-        """Remove a run whose recorder lost rows, to reopen it from its journal."""
+        """Remove a run, to reopen it from its journal."""
         del self._open[run.name]
         self._replayed -= run.replayed
         self._queue.put_back(run.name)

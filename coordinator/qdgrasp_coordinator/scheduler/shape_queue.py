@@ -66,11 +66,11 @@ class BuildReply:
     """The deflated shape; empty if it cannot be built."""
     reason: str = ""
     cpu_seconds: float = 0.0
-    superseded: str | None = None
-    """Another holder of the build, which is to drop it."""
+    superseded: tuple[str, ...] = ()
+    """Other holders of the build, which are to drop it."""
 
     @classmethod
-    def of(cls, build: ShapeBuild, built: Built, superseded: str | None) -> "BuildReply":
+    def of(cls, build: ShapeBuild, built: Built, superseded: tuple[str, ...]) -> "BuildReply":
         """Return the end of a build that a worker has answered."""
         return cls(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
 

@@ -4,13 +4,14 @@ Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases th
 in seconds of any steady clock.
 """
 
-from collections import OrderedDict, deque
-from collections.abc import Iterator
+from collections import Counter, OrderedDict, deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
 from math import ceil, exp, expm1, inf
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage, WorkerStatus
+from qdgrasp_coordinator.scheduler.batch_queue import WorkerName
 from qdgrasp_coordinator.storage.run_folder import admit_platform
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
@@ -42,6 +43,8 @@ class RateMeter:
 
 
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
+STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 2.0, 4
+"""Age of a lease after which an idle worker gets the batch too: so many seconds, or median turnarounds."""
 LEASE_TURNAROUNDS = 10  # A lease may take so many times the 95th percentile of turnarounds, if that is longer
 TURNAROUNDS_KEPT = 256
 
@@ -52,11 +55,12 @@ class LeaseTimeout:
     def __init__(self) -> None:
         self._turnarounds: deque[float] = deque(maxlen=TURNAROUNDS_KEPT)
         self._limit: float | None = LEASE_SECONDS
+        self._straggling: float | None = STRAGGLER_SECONDS
 
     def measure(self, seconds: float) -> None:
         """Record the time from lease to result of a batch [s]."""
         self._turnarounds.append(seconds)
-        self._limit = None
+        self._limit = self._straggling = None
 
     @property
     def limit(self) -> float:
@@ -68,6 +72,14 @@ class LeaseTimeout:
             self._limit = max(LEASE_SECONDS, LEASE_TURNAROUNDS * ordered[ceil(0.95 * len(ordered)) - 1])
         return self._limit
 
+    @property
+    def straggling(self) -> float:
+        """Age of a lease [s] after which its batch is a straggler's: max(2 s, 4 x the median turnaround)."""
+        if self._straggling is None:
+            typical = sorted(self._turnarounds)[len(self._turnarounds) // 2]
+            self._straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * typical)
+        return self._straggling
+
 
 JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
 """By how much a join's number may exceed the last one, besides so many for each second of silence.
@@ -77,6 +89,10 @@ A worker raises it by one each time it asks, at most 20 times a second (rule 2),
 ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
 """Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
 BUILD_SECONDS = 5400.0  # The same for one that builds a shape, whose process has limits of its own
+SICK_FAULTS, FAULT_ROWS = 4, 100
+"""Rows that failed on a worker and not on the next one that make it sick; every 100 good rows halve them."""
+SICK_SECONDS, MOST_SICK_SECONDS = 30.0, 1800.0
+"""Time for which a sick worker gets no work, at first and at most; it doubles each time."""
 PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
@@ -116,9 +132,18 @@ class Worker:
     """It is to leave: it gets no more work."""
     answered: float = -inf
     """When it answered last."""
+    sick_until: float = -inf
+    """When it gets work again: its simulator failed on rows that others evaluated."""
+    sick_seconds: float = SICK_SECONDS
+    """For how long it is left out when it is sick again."""
+    faults: float = 0.0
+    """Rows that failed on it and not on the next worker, the latest counting most."""
+    is_excluded: bool = False
+    """It answered other than two other workers: nothing of it counts any more."""
     owes_since: float = 0.0
     """Since when it owes an answer: its last one, or when it was leased something while it held nothing."""
     rows: int = 0
+    """Rows that it settled."""
     memory: int = 0
     restarts: int = 0
 
@@ -128,9 +153,20 @@ class Worker:
         return self.join.wid
 
     @property
+    def name(self) -> WorkerName:
+        """Its id and host."""
+        return WorkerName(self.wid, self.join.host)
+
+    @property
     def is_well(self) -> bool:
-        """True if it is present, progressing and not leaving."""
-        return self.gone_at is None and not (self.is_stuck or self.is_silent or self.is_drained)
+        """True if it is present, progressing, not left out and not leaving."""
+        is_left_out = self.is_stuck or self.is_silent or self.is_sick or self.is_drained
+        return self.gone_at is None and not is_left_out
+
+    @property
+    def is_sick(self) -> bool:
+        """True while it is left out because its simulator fails."""
+        return self.sick_until > -inf
 
     @property
     def is_building(self) -> bool:
@@ -145,11 +181,15 @@ class Worker:
 
     @property
     def state(self) -> str:
-        """Its state: gone, leaving, stuck, working or idle."""
+        """Its state: gone, excluded, leaving, sick, stuck, working or idle."""
         if self.gone_at is not None and not self.is_expected:
             return "gone"
+        if self.is_excluded:
+            return "excluded"
         if self.is_drained:
             return "leaving"
+        if self.is_sick:
+            return "sick"
         if self.is_stuck or self.is_silent:
             return "stuck"
         return "working" if self.batches else "idle"
@@ -197,6 +237,11 @@ class Worker:
             memory=self.memory,
             restarts=self.restarts,
         )
+
+
+def names_of(workers: Iterable[WorkerName]) -> str:
+    """Return workers by their ids and hosts, for people."""
+    return " and ".join(f"{wid[:WID_DIGITS]} on {host}" for wid, host in workers)
 
 
 def fewest_batches_first(workers: list[Worker], now: float) -> Iterator[Worker]:
@@ -252,7 +297,11 @@ class WorkerRegistry:
         self._drained: set[str] = set()
         self._link_is_up = True
         self._joins = 0
-        self._well: set[str] = set()
+        self._well: dict[str, str] = {}
+        """Workers that are well, each with its host."""
+        self._well_on: Counter[str] = Counter()
+        """Hosts, each with how many of its workers are well."""
+        self._sick: dict[str, Worker] = {}
         self._free: dict[str, Worker] = {}
         self._limit = self.lease_timeout.limit
         self._earliest = inf  # no worker is overdue before, with this limit
@@ -372,7 +421,56 @@ class WorkerRegistry:
         if (worker := self._workers.get(wid)) is not None:
             worker.heard = now
             worker.rows += rows
+            worker.faults *= 0.5 ** (rows / FAULT_ROWS)
             worker.speed.count(rows, now)
+
+    def has_other(self, tried: Iterable[WorkerName]) -> bool:
+        """Return whether a worker is well besides these."""
+        return len(self._well) > sum(name.wid in self._well for name in set(tried))
+
+    def may_have(self, worker: Worker, tried: tuple[WorkerName, ...]) -> bool:
+        """Return whether a worker is next to try rows after others.
+
+        Those on other hosts are, else those that have not tried, else, where there are no others, any.
+        """
+        hosts, wids = {name.host for name in tried}, {name.wid for name in tried}
+        if len(self._well_on) > sum(host in self._well_on for host in hosts):
+            return worker.join.host not in hosts
+        return worker.wid not in wids or not self.has_other(tried)
+
+    def blame(self, wid: str, now: float) -> Worker | None:
+        """Record that a row failed on a worker and not on the next; returns the worker if it is sick now."""
+        worker = self._workers.get(wid)
+        if worker is None or worker.is_sick:
+            return None
+        worker.faults += 1
+        if worker.faults < SICK_FAULTS:
+            return None
+        worker.sick_until = now + worker.sick_seconds
+        worker.sick_seconds = min(2 * worker.sick_seconds, MOST_SICK_SECONDS)
+        self._sick[wid] = worker
+        self._update(worker)
+        return worker
+
+    def recovered(self, now: float) -> list[Worker]:
+        """Let sick workers back whose time is over: the next fault makes them sick again."""
+        back = [worker for worker in self._sick.values() if now >= worker.sick_until]
+        for worker in back:
+            del self._sick[worker.wid]
+            worker.sick_until, worker.faults = -inf, SICK_FAULTS - 1
+            self._update(worker)
+        return back
+
+    def exclude(self, wid: str) -> list[bytes]:
+        """Have nothing more of a worker count; returns the ids of the batches that it held."""
+        self.drain(wid)
+        worker = self._workers.get(wid)
+        if worker is None:
+            return []
+        batches, worker.batches = list(worker.batches), {}
+        worker.is_excluded = True
+        self._update(worker)
+        return batches
 
     def idle(self, now: float) -> Iterator[Worker]:
         """Yield the worker to lease to next; stuck and silent ones only if no worker is well."""
@@ -384,11 +482,14 @@ class WorkerRegistry:
         """Return the time before which no worker is overdue; infinite: never."""
         if self.lease_timeout.limit < self._limit:
             self._update_deadline()
-        return self._earliest if self._link_is_up else inf
+        recovery = min((worker.sick_until for worker in self._sick.values()), default=inf)
+        return min(self._earliest if self._link_is_up else inf, recovery)
 
     def overdue(self, now: float) -> list[LostWorker]:
         """Give up overdue workers: take their batches, and forget those whose token vanished."""
-        if now < self.next_deadline():
+        if self.lease_timeout.limit < self._limit:
+            self._update_deadline()
+        if now < self._earliest or not self._link_is_up:
             return []
         self._update_deadline()
         late = [worker for worker in self if now >= worker.deadline(self._limit)]
@@ -407,7 +508,8 @@ class WorkerRegistry:
             reason = f"no {'answer' if is_silent else 'sign of progress'} for {seconds:.0f} seconds"
             return LostWorker(worker, reason, batches, is_there=True)
         del self._workers[worker.wid]
-        self._well.discard(worker.wid)
+        self._sick.pop(worker.wid, None)
+        self._set_well(worker, is_well=False)
         self._free.pop(worker.wid, None)
         worker.is_expected = False
         self._gone[worker.wid] = (worker, now)
@@ -417,12 +519,20 @@ class WorkerRegistry:
 
     def _update(self, worker: Worker) -> None:
         """Update the indexes after a worker has changed."""
-        (self._well.add if worker.is_well else self._well.discard)(worker.wid)
+        self._set_well(worker, is_well=worker.is_well)
         if worker.has_credit:
             self._free[worker.wid] = worker
         else:
             self._free.pop(worker.wid, None)
         self._earliest = min(self._earliest, worker.deadline(self._limit))
+
+    def _set_well(self, worker: Worker, *, is_well: bool) -> None:
+        if is_well == (worker.wid in self._well):
+            return
+        host = self._well.setdefault(worker.wid, worker.join.host) if is_well else self._well.pop(worker.wid)
+        self._well_on[host] += 1 if is_well else -1
+        if not self._well_on[host]:
+            del self._well_on[host]
 
     def _update_deadline(self) -> None:
         self._limit = self.lease_timeout.limit

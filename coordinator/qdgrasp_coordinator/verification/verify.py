@@ -166,8 +166,8 @@ def run_folders_at(path: Path) -> list[RunFolder]:
 def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> list[RowSelection]:
     """Choose rows of all folders, as many of each kind as of any other; `most` None: all.
 
-    Left out are rows on which the simulator failed: a machine may have been to blame. Raises InputError if
-    there is nothing to compare.
+    Rows on which the simulator failed are tried again too: their machines may have been to blame. Raises
+    InputError if there is nothing to compare.
     """
     stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
     kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(kinds for _, kinds in stocks)])
@@ -218,8 +218,7 @@ def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[
                 for rows in journal.kept(found_by.rows.start, found_by.rows.stop)
             ]
             kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
-            places = np.flatnonzero(kinds % TRIAL_KIND != Outcome.ERROR)
-            yield RowSelection(folder, found_by, places + found_by.rows.start), kinds[places]
+            yield RowSelection(folder, found_by, np.arange(found_by.rows.start, found_by.rows.stop)), kinds
 
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:

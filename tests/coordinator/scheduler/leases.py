@@ -25,9 +25,9 @@ def genomes(n: int) -> np.ndarray:
 class Dispatch(Dispatcher):
     """A dispatcher with its workers."""
 
-    def __init__(self, epoch: int, batch_size: int | None = None) -> None:
+    def __init__(self, epoch: int, batch_size: int | None = None, checked: float = 0.0) -> None:
         self.workers = WorkerRegistry()
-        super().__init__(epoch, self.workers, batch_size)
+        super().__init__(epoch, self.workers, batch_size, checked)
 
     def admit(
         self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float, rows: int = 0
@@ -40,7 +40,7 @@ class Dispatch(Dispatcher):
         """Queue again what overdue workers hold."""
         lost = self.workers.overdue(now)
         for one in lost:
-            self.requeue(one.batches)
+            self.requeue(one.worker.wid, one.batches)
         return lost
 
 

@@ -274,7 +274,7 @@ def test_a_fresh_result_gives_complete_rows() -> None:
     assert settled.rows["index"].tolist() == settled.rows["nu"].tolist() == [5, 6, 7, 8, 9]
     assert settled.rows["genome"].tobytes() == genomes(10)[5:].tobytes()
     assert (settled.rows["outcome"] == Outcome.HELD).all()
-    assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), None)
+    assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), ())
 
 
 def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
@@ -285,7 +285,7 @@ def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
     (bobs,) = dispatch.leases(LEASE_SECONDS)
     assert (bobs.wid, bobs.batch) == (BOB, zombies.batch)
     settled = settle(dispatch, zombies, 11.0)
-    assert (settled.kind, settled.superseded) == (Settlement.FRESH, BOB)
+    assert (settled.kind, settled.superseded) == (Settlement.FRESH, (BOB,))
     assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
     assert (dispatch.leases(13.0), dispatch.queued_seconds) == ([], 0)
 
@@ -387,12 +387,12 @@ def test_a_row_that_failed_three_times_is_an_error_with_its_reason() -> None:
         settled = settle(dispatch, lease, 0.3, failed=(0,))
         assert len(settled.rows) == 0
     (lease,) = dispatch.leases(0.4)
-    settled = settle(dispatch, lease, 0.5, failed=(0,))
+    settled = settle(dispatch, lease, 9.0, failed=(0,))
     assert settled.failures == (Failure(row=0, reason="row 0 burst"),)
     (row,) = settled.rows
     assert (row["outcome"], row["index"], row["nu"]) == (Outcome.ERROR, 1, 0)
     assert row["genome"].tobytes() == genomes(3)[1].tobytes()
-    assert (dispatch.leases(0.6), dispatch.counters["errors"], dispatch.counters["failures"]) == ([], 1, 3)
+    assert (dispatch.leases(9.1), dispatch.counters["errors"], dispatch.counters["failures"]) == ([], 1, 3)
 
 
 def test_a_row_that_succeeds_in_the_end_is_no_error() -> None:
@@ -411,7 +411,7 @@ def test_lost_workers_are_no_evidence_against_a_row() -> None:
         lose(dispatch, now)
         dispatch.admit(ANN, turn + 2, 2, [], now + 2)
     (lease,) = dispatch.leases(1000.0)
-    assert (lease.attempt, lease.batch.failed) == (3 * STRIKES + 1, 0)
+    assert (lease.attempt, lease.batch.tried_by) == (3 * STRIKES + 1, ())
 
 
 def test_two_results_of_a_failed_row_count_once() -> None:
@@ -420,7 +420,7 @@ def test_two_results_of_a_failed_row_count_once() -> None:
     settle(dispatch, lease, 0.1, failed=(0,))
     assert settle(dispatch, lease, 0.2, failed=(0,)).kind is Settlement.DUPLICATE
     (again,) = dispatch.leases(0.3)
-    assert again.batch.failed == 1
+    assert [name.wid for name in again.batch.tried_by] == [ANN]
 
 
 # 3. The join fence.

@@ -97,7 +97,7 @@ def test_a_build_of_a_lost_worker_is_leased_to_another_one_and_the_first_answer_
     assert (second.wid, second.attempt, second.build.id) == (BOB, 2, first.build.id)
     reply = dispatch.settle_build(ANN, answer(first), 101.0)
     assert reply is not None
-    assert reply.superseded == BOB
+    assert reply.superseded == (BOB,)
     assert dispatch.settle_build(BOB, answer(second), 102.0) is None
     dispatch.build([task("bowl")])
     assert [lease.wid for lease in dispatch.build_leases(103.0)], "the credit of both is free again"

@@ -28,7 +28,8 @@ from qdgrasp_protocol.errors import UnknownName
 FRESH_SECONDS = 0.2  # seconds for which the views are reused
 MOST_WORKERS = 512  # The most workers of a job that are listed, those in trouble first; all are counted
 MOST_RUNS = 256  # The most runs of a job that are listed: first those in progress, then the latest heard
-URGENCY = ("stuck", "gone", "leaving", "working", "idle")  # The states of workers, those in trouble first
+URGENCY = ("excluded", "sick", "stuck", "gone", "leaving", "working", "idle")
+"""The states of workers, those in trouble first."""
 
 
 class WorkersState(Struct, frozen=True, kw_only=True):
