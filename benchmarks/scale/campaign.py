@@ -56,6 +56,8 @@ LEFT = 8
 """Runs that a restart finds unfinished."""
 INTERVAL = 0.05
 """Seconds between two looks at the processes."""
+UNCHECKED = ("--checked", "0")
+"""Options of a job whose workers are stand-ins, which agree with nobody."""
 NAMES = ("coordinator", "recorder")
 """Of processes, as they stand in the command lines and titles of these."""
 
@@ -213,7 +215,8 @@ def measure(size: Size, home: Path) -> Iterator[ScaleFigure]:
     file.write_text(tomli_w.dumps(source))
     command = [str(Path(sys.executable).parent / "qdgrasp"), "campaign"]
     rows = runs * size.evaluations
-    course = carry_out([*command, str(file), "--out", str(folder), "--workers", "0"], folder, size, runs)
+    stand_ins = ["--workers", "0", *UNCHECKED]
+    course = carry_out([*command, str(file), "--out", str(folder), *stand_ins], folder, size, runs)
     yield ScaleFigure("runs", runs, "", remark=f"{size.evaluations} evaluations each, {size.method}")
     yield ScaleFigure("from the command to the first batch", course.first_lease, "s")
     busy = course.last_end - course.first_end
@@ -224,7 +227,7 @@ def measure(size: Size, home: Path) -> Iterator[ScaleFigure]:
     yield from _of_folder(folder, runs, command[0])
     for path in sorted((folder / "runs").iterdir())[-LEFT:]:
         shutil.rmtree(path)
-    again = carry_out([*command, str(folder), "--workers", "0"], folder, size, runs)
+    again = carry_out([*command, str(folder), *stand_ins], folder, size, runs)
     yield ScaleFigure(f"restart with {LEFT} runs left, to the first batch", again.first_lease, "s")
     cpu = sum(process.cpu for process in again.processes.values())
     yield ScaleFigure("CPU of that restart, with those runs", cpu, "s")

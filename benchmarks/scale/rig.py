@@ -174,6 +174,8 @@ class Crowd:
     """What a batch takes one of them; 0: nothing."""
     row_seconds: float = 0.0
     """What a row is said to cost beside that [CPU s]."""
+    sleeps: bool = False
+    """True: it takes that time for a row too."""
     shape: RowShape = SHAPE
     variety: int = VARIETY
 
@@ -234,10 +236,13 @@ class StandIn:
     def _take(self, sample: Sample) -> None:
         if sample.encoding != messages.encoding(Work):
             return
-        if not self._crowd.seconds:
+        seconds = self._crowd.seconds
+        if self._crowd.sleeps:
+            seconds += self._crowd.row_seconds * int(msgpack.unpackb(sample.payload)["n"])
+        if not seconds:
             self._answer(sample.payload)
             return
-        self._free_at = max(self._free_at, time.monotonic()) + self._crowd.seconds
+        self._free_at = max(self._free_at, time.monotonic()) + seconds
         self._later(self._free_at, lambda: self._answer(sample.payload))
 
     def _answer(self, payload: bytes) -> None:
@@ -445,6 +450,7 @@ def coordinate(
             queue=Several(runs),
             make_sink=make_record(bus),
             batch_size=batch_size,
+            checked=0.0,  # stand-ins agree with nobody
         )
         service.run(lambda now: watch.look(now, service))
 

@@ -31,7 +31,13 @@ from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD
 from qdgrasp_coordinator.local.node_benchmark import PlatformSink, SceneBenchmark
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, full_spec, prepare_scene
+from qdgrasp_coordinator.scheduler.run_plan import (
+    RUN_DEFAULTS,
+    RunPlan,
+    full_spec,
+    plan_run,
+    prepare_scene,
+)
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import method
@@ -185,6 +191,26 @@ def measure_sessions(seconds: float) -> Iterator[ScaleFigure]:
     )
     yield ScaleFigure("memory of the coordinator for a worker", own, "KiB")
     yield ScaleFigure("memory of the router for a worker", its, "KiB")
+
+
+ASLEEP, ROW_SECONDS, IDLE_SECONDS = 40, 0.05, 10.0
+"""Workers that sleep so long for a row [s], of one run of the default method; how long it goes on before."""
+
+
+def measure_asleep(seconds: float) -> Iterator[ScaleFigure]:
+    """How busy one run of the default method keeps 40 workers whose rows take 50 ms."""
+    scene = {"gripper": "panda", "object": "rubiks_cube", "evaluations": ENDLESS}
+    asked = full_spec(RUN_DEFAULTS | scene)
+    run = plan_run(asked, prepare_scene(asked))
+    with router() as (endpoint, _):
+        crowd = Crowd(endpoint, JOB, ASLEEP, row_seconds=ROW_SECONDS, sleeps=True, shape=run.shape)
+        with crowds([crowd]) as crew:
+            watch = Watch(crew, [run], IDLE_SECONDS, max(seconds, 4 * IDLE_SECONDS))
+            coordinate(endpoint, [run], lambda _: lambda run: PlatformSink(run.shape), watch, None)
+    found = watch.window
+    share = 100 * found.rows * ROW_SECONDS / found.seconds / ASLEEP
+    remark = f"rows of 50 ms, from {IDLE_SECONDS:g} s on; {found.per_batch:.0f} us of CPU a batch"
+    yield ScaleFigure("40 workers asleep on one run, busy", share, "%", 90.0, remark=remark)
 
 
 ROWS = 1_000_000
