@@ -104,6 +104,8 @@ class Answers:
         The worker's: each has results of its own.
     seconds
         What a batch is said to cost [CPU s].
+    key
+        The worker's own.
     """
 
     def __init__(
@@ -115,10 +117,12 @@ class Answers:
         seconds: float,
         shape: RowShape = SHAPE,
         variety: int = VARIETY,
+        *,
+        key: bytes,
     ) -> None:
         random = np.random.default_rng((number, n))
         self._pieces: Iterator[list[bytes]] = cycle(
-            [_cut(_result(wid, epoch, rows(n, random, shape), seconds, shape)) for _ in range(variety)]
+            [_cut(_result(wid, epoch, rows(n, random, shape), seconds, shape, key)) for _ in range(variety)]
         )
 
     def to(self, run: str, generation: int, batch: bytes, attempt: int) -> bytes:
@@ -128,11 +132,12 @@ class Answers:
         return b"".join(part for pair in zip(pieces, own, strict=True) for part in pair)
 
 
-def _result(wid: str, epoch: int, found: Rows, seconds: float, shape: RowShape) -> bytes:
+def _result(wid: str, epoch: int, found: Rows, seconds: float, shape: RowShape, key: bytes) -> bytes:
     return messages.encode(
         Result(
             epoch=epoch,
             wid=wid,
+            key=key,
             n=len(found),
             joints=shape.joints,
             descriptors=shape.descriptors,
@@ -250,7 +255,8 @@ class StandIn:
         crowd, kind = self._crowd, (work["epoch"], work["n"])
         if kind not in self._answers:
             cost = crowd.seconds + crowd.row_seconds * work["n"]
-            self._answers[kind] = Answers(self._number, self.wid, *kind, cost, crowd.shape, crowd.variety)
+            place = (self._number, self.wid, *kind, cost, crowd.shape, crowd.variety)
+            self._answers[kind] = Answers(*place, key=self._key)
         batch = (work["run"], work["generation"], work["batch"], work["attempt"])
         answer = self._answers[kind].to(*batch)
         with suppress(BusError):  # the session is closed: nobody waits for it

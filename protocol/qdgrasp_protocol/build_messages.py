@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, Text, Wid
+from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, ShownKey, Text, Wid
 
 
 class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -124,6 +124,7 @@ class Built(Message, frozen=True, kw_only=True):
     batch: BatchId
     attempt: Count
     wid: Wid
+    key: ShownKey = b""
     pieces: Annotated[tuple[bytes, ...], Meta(max_length=MOST_PIECES)] = ()
     """The packed shape (`split_payload`); none if it was not built."""
     reason: Text = ""

@@ -33,6 +33,8 @@ Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
 WorkerKey = Annotated[bytes, Meta(min_length=32, max_length=32)]
 """Random bytes that a worker's id is made of (`worker_id`); nobody but itself and coordinators sees them."""
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
+ShownKey = Annotated[bytes, Meta(max_length=32)]
+"""The same, in what a worker answers: only its own shows that it is of this worker."""
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 RowCount = Annotated[int, Meta(ge=1, le=4096)]
 Width = Annotated[int, Meta(ge=0, le=256)]
@@ -109,6 +111,7 @@ class Result(Message, frozen=True, kw_only=True):
     batch: BatchId
     attempt: Count
     wid: Wid
+    key: ShownKey = b""
     n: RowCount
     joints: Width
     descriptors: Width

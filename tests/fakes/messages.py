@@ -58,7 +58,8 @@ def join_message(
 def result_message(**values: Any) -> Result:
     common = {"epoch": 1, "run": "run", "generation": 0, "batch": bytes(16), "attempt": 1, "wid": "0" * 32}
     sizes = {"n": 1, "joints": 1, "descriptors": 3, "columns": {}, "cpu_seconds": 0.0}
-    return Result(**common | sizes | values)
+    key = KEYS_BY_ID.get(str(values.get("wid")), b"")
+    return Result(**common | sizes | {"key": key} | values)
 
 
 def open_run(**values: Any) -> OpenRun:

@@ -373,6 +373,12 @@ MUTATIONS = [
         "nothing is lost",
         around(Dispatcher, "requeue", _requeue_held),
     ),
+    mutation(
+        "take an answer without its worker's key",
+        "3",
+        "settled once",
+        patch.object(JobScheduler, "_check_sender", lambda *_: None),
+    ),
     mutation("ask once to join", "2", "progress", off(JobSession, "join_later")),
 ]
 

@@ -407,5 +407,11 @@ class Forger(Process):
         for ahead in range(4):
             batch = struct.pack(">QQ", epoch, count + ahead)
             columns = result.columns | {"outcome": outcomes}
-            forged = {"batch": batch, "attempt": 0, "wid": self._wid, "columns": columns, "failures": []}
-            put(self.bus, KEYS.result(self._wid), msgspec.structs.replace(result, **forged))
+            forged = {"batch": batch, "attempt": 0, "columns": columns, "failures": []}
+            own, strange = {"wid": self._wid, "key": bytes(32)}, {"wid": result.wid, "key": bytes(32)}
+            for name in (own, strange):
+                put(
+                    self.bus,
+                    KEYS.result(str(name["wid"])),
+                    msgspec.structs.replace(result, **forged, **name),
+                )

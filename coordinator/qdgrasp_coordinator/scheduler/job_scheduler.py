@@ -62,6 +62,7 @@ from qdgrasp_protocol.messages import (
     Order,
     Recorded,
     Result,
+    worker_id,
 )
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted, first_few
@@ -198,14 +199,24 @@ class JobScheduler:
             if sample.key == self._keys.recorded:
                 self._on_recorded(messages.decode_sample(sample, Recorded), now)
             elif sample.encoding == messages.encoding(Built) and sample.key.startswith(self._results):
-                self._on_built(messages.decode_sample(sample, Built), last_chunk(sample.key), now)
+                built = messages.decode_sample(sample, Built)
+                self._check_sender(last_chunk(sample.key), built.key)
+                self._on_built(built, last_chunk(sample.key), now)
             elif sample.key.startswith(self._results):
-                self._on_result(messages.decode_sample(sample, Result), last_chunk(sample.key), now)
+                result = messages.decode_sample(sample, Result)
+                self._check_sender(last_chunk(sample.key), result.key)
+                self._on_result(result, last_chunk(sample.key), now)
             else:
                 heartbeat = from_json(sample.payload, Heartbeat)
                 self.workers.on_heartbeat(last_chunk(sample.key), heartbeat, now)
         except MessageError as error:
             self.drops.note(sample.key, error)
+
+    def _check_sender(self, wid: str, key: bytes) -> None:
+        """Raise a MessageError unless an answer is of the worker on whose key it came."""
+        worker = self.workers.get(wid)
+        if not (worker and worker.join.key == key) and worker_id(key) != wid:
+            raise MessageError(f"an answer of worker {wid[:WID_DIGITS]} without this worker's key")
 
     def _on_result(self, result: Result, wid: str, now: float) -> None:
         """Settle a result once, and pass on to the recorder what became final."""

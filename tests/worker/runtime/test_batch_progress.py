@@ -27,7 +27,7 @@ def test_parts_become_one_result_in_the_order_of_the_rows(task):
     assert not task.is_done
     task.add(part(3, first=2, failures=(1,)))
     assert task.is_done
-    result = task.result("a" * 32)
+    result = task.result("a" * 32, bytes(32))
     assert np.frombuffer(result.columns["fitness"], "<f4").tolist() == [0, 1, 2, 3, 4]
     assert [failure.row for failure in result.failures] == [3]
     assert (result.joints, result.descriptors) == (2, 3)
@@ -39,7 +39,7 @@ def test_a_batch_whose_only_row_ends_every_simulator_is_answered_without_columns
     task = BatchProgress("job", work(n=1))
     task.on_crash("one")
     assert task.is_done
-    result = task.result("a" * 32)
+    result = task.result("a" * 32, bytes(32))
     assert [failure.reason for failure in result.failures] == ["one"]
     assert result.columns == {}
 
@@ -47,6 +47,6 @@ def test_a_batch_whose_only_row_ends_every_simulator_is_answered_without_columns
 def test_a_batch_that_cannot_be_evaluated_is_answered_with_every_row_failed(task):
     task.add(part(2))
     task.fail_all("not a scene: " + "é" * 500)
-    result = task.result("a" * 32)
+    result = task.result("a" * 32, bytes(32))
     assert [failure.row for failure in result.failures] == [0, 1, 2, 3, 4]
     assert messages.decode(messages.encode(result), Result) == result

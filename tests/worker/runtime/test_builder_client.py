@@ -76,7 +76,7 @@ def test_a_shape_is_built_from_files_that_come_over_the_bus_and_kept(mesh: Path)
     assert not ended.reason
     assert ended.cpu_seconds > 0
     assert unpack_shape(ended.shape) == ShapeStore().get(build.task.key)
-    answer = ended.message("a" * 32)
+    answer = ended.message("a" * 32, bytes(32))
     assert (answer.epoch, answer.batch, len(answer.pieces)) == (3, build.batch, 1)
 
 
@@ -95,7 +95,7 @@ def test_a_mesh_that_cannot_be_used_is_final(tmp_path: Path) -> None:
         client.start(JOB, build_of(flat))
         ended = news.get(timeout=PATIENCE)
     assert ended.is_final
-    assert "cannot be used: " in ended.message("a" * 32).reason
+    assert "cannot be used: " in ended.message("a" * 32, bytes(32)).reason
     assert str(tmp_path) not in ended.reason
 
 
@@ -122,7 +122,7 @@ def test_a_builder_that_is_killed_ends_its_build_with_the_signal(
 
 def test_a_shape_that_no_message_can_carry_is_final(mesh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builder_client, "MOST_PIECES", 0)
-    answer = BuildEnded(JOB, build_of(mesh), b"a shape").message("a" * 32)
+    answer = BuildEnded(JOB, build_of(mesh), b"a shape").message("a" * 32, bytes(32))
     assert (answer.pieces, answer.is_final) == ((), True)
     assert "larger than" in answer.reason
 

@@ -132,7 +132,7 @@ class Supervision:
             return
         for task in self.supervisor.on_event(event, monotonic()):
             if task.is_done:
-                self.done.append(task.result("a" * 32))
+                self.done.append(task.result("a" * 32, bytes(32)))
             else:
                 self.lost.append(task)
         while self.supervisor.has_room and (task := self.supervisor.next_requeued):

@@ -79,8 +79,8 @@ class BatchProgress:
         self._parts, self.done = [], n
         self._failures = [Failure(row=row, reason=shorten(reason)) for row in range(n)]
 
-    def result(self, wid: str) -> Result:
-        """Return the answer to the batch, by a worker."""
+    def result(self, wid: str, key: bytes) -> Result:
+        """Return the answer to the batch, by a worker with its key."""
         work = self.work
         shape = next((part for part in self._parts if part.columns), PartialResult(n=1))
         return Result(
@@ -90,6 +90,7 @@ class BatchProgress:
             batch=work.batch,
             attempt=work.attempt,
             wid=wid,
+            key=key,
             n=work.n,
             joints=shape.joints,
             descriptors=shape.descriptors,

@@ -52,7 +52,7 @@ class BuildEnded:
     """No worker can build it."""
     cpu_seconds: float = 0.0
 
-    def message(self, wid: str) -> Built:
+    def message(self, wid: str, key: bytes) -> Built:
         """Return the answer to the coordinator, by a worker."""
         pieces = split_payload(self.shape) if self.shape else ()
         is_large = len(pieces) > MOST_PIECES
@@ -62,6 +62,7 @@ class BuildEnded:
             batch=self.build.batch,
             attempt=self.build.attempt,
             wid=wid,
+            key=key,
             pieces=() if is_large else pieces,
             reason=shorten(reason),
             is_final=self.is_final or is_large,

@@ -157,6 +157,7 @@ class WorkerService:
         nice: int = 0,
     ) -> None:
         key = secrets.token_bytes(32)
+        self._key = key
         self.wid = worker_id(key)
         self._bus = bus
         self._stop = stop
@@ -332,7 +333,7 @@ class WorkerService:
         if not self._builder.on_ended(ended) or session is None:
             return
         if ended.build.batch in session.held:
-            answer = ended.message(self.wid)
+            answer = ended.message(self.wid, self._key)
             key = Keys(ended.job).result(self.wid)
             self._bus.put(key, messages.encode(answer), encoding=messages.encoding(type(answer)))
         session.release(ended.build.batch)
@@ -362,7 +363,7 @@ class WorkerService:
 
     def _finish(self, task: BatchProgress) -> None:
         if self._is_wanted(task):
-            result = task.result(self.wid)
+            result = task.result(self.wid, self._key)
             key = Keys(task.job).result(self.wid)
             self._bus.put(key, messages.encode(result), encoding=messages.encoding(type(result)))
         self._release(task)
