@@ -19,6 +19,7 @@ from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.monitor.feed import reachable_jobs
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
@@ -142,6 +143,7 @@ class Job:
         network: Network | None = None,
         seconds: float | None = None,
         recorded: bool = False,
+        checked: float = CHECKED_SHARE,
         **kinds: type[MemorySink],
     ) -> None:
         self._kinds = kinds
@@ -152,7 +154,13 @@ class Job:
         self.records: dict[str, MemorySink] = {}
         self.open: list[int] = []
         self.bus = self.network.session()
-        how = {"job": JOB, "queue": self.programme, "make_sink": self._record, "seconds": seconds}
+        how = {
+            "job": JOB,
+            "queue": self.programme,
+            "make_sink": self._record,
+            "seconds": seconds,
+            "checked": checked,
+        }
         self.service = CoordinatorService(self.bus, self.stop, batch_size=2, **how)
 
     def _record(self, assignment: RunPlan) -> RowSink:

@@ -282,7 +282,7 @@ class DispatchChecker:
         free = [worker.wid for worker in workers if worker.has_credit and (worker.is_well or not is_any_well)]
         require(not (waits and free), "work is handed out", "nothing is leased to", free)
         for batch in self._dispatch._queue._again.values():
-            may = [w.wid for w in workers if w.wid in free and self._dispatch._may_have(w, batch)]
+            may = [w.wid for w in workers if w.wid in free and self._dispatch._may_have(w, batch, now)]
             require(not may, "work is handed out", "no check or failed row is leased to", may)
         return leases
 

@@ -261,7 +261,7 @@ class Dispatcher:
         """
         leases: list[Lease] = []
         for worker in self._workers.idle(now) if self._queue or self._queue.has_tried else ():
-            batch = self._next_batch(worker)
+            batch = self._next_batch(worker, now)
             if batch is not None:
                 leases.append(self._lease_batch(batch, worker, now))
             elif not (self._queue or self._queue.has_tried):
@@ -270,20 +270,21 @@ class Dispatcher:
             leases += self._double_leases(now)
         return leases
 
-    def _next_batch(self, worker: Worker) -> Batch | None:
+    def _next_batch(self, worker: Worker, now: float) -> Batch | None:
         """Take the next batch for a worker out of the queue; None: there is none."""
         rows = worker.join.rows
-        batch = self._queue.pop_tried(lambda one: self._may_have(worker, one))
+        batch = self._queue.pop_tried(lambda one: self._may_have(worker, one, now))
         if batch is not None:
             return batch
         run = self._queue.next_run(worker.scenes, rows > 0)
         return None if run is None else self._queue.pop(run, len(self._workers), rows)
 
-    def _may_have(self, worker: Worker, batch: Batch) -> bool:
+    def _may_have(self, worker: Worker, batch: Batch, now: float) -> bool:
         """Return whether a worker may have a batch that others have tried."""
         if batch.run.needs_device and not worker.join.rows:
             return False
-        if batch.check is not None and worker.name in batch.tried_by:
+        is_again = worker.name in batch.tried_by
+        if is_again and (batch.check is not None or self._expects_other(batch.tried_by, now)):
             return False
         return self._workers.may_have(worker, batch.tried_by)
 
@@ -416,7 +417,7 @@ class Dispatcher:
     def _expects_other(self, workers: tuple[WorkerName, ...], now: float) -> bool:
         """Return whether another worker is there, or is likely to be soon, as it was before."""
         is_early = self._takes_over and now < self._first_join + EARLY_SECONDS
-        return is_early or self._workers.has_other(workers)
+        return is_early or self._workers.expects_other(workers, now)
 
     def _hold(self, batch: Batch, worker: WorkerName, reply: SettleReply, now: float) -> SettleReply:
         """Return a reply without its rows if these are to be checked first, or their worker is."""

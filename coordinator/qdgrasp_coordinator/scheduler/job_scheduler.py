@@ -271,16 +271,17 @@ class JobScheduler:
             counts.differing += verdict.rows * len(verdict.wrong)
         for name in verdict.wrong:
             words = (
-                f"Worker {names_of([name])} answered {counted(verdict.rows, 'row')} of run '{verdict.run}' "
-                f"other than {names_of(verdict.right)}: it is excluded, and what is not recorded of it is "
-                "evaluated again."
+                f"Worker {names_of([name])} answered {counted(verdict.rows, 'row')} of '{verdict.run}' "
+                f"other than {names_of(verdict.right)}: it is excluded, and what is not recorded done again."
             )
+            log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
+            self.events.note("error", words, run=verdict.run, worker=name.wid)
             took_part = [run for run in self.runs if name.wid in run.settled_by]
             if took_part:
                 runs = first_few([run.name for run in took_part], RUNS_NAMED)
-                words += f" What it answered before is not known to be right: `qdgrasp verify` {runs}."
-            log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
-            self.events.note("error", words, run=verdict.run, worker=name.wid)
+                wid = name.wid[:WID_DIGITS]
+                words = f"What worker {wid} answered before may be wrong: `qdgrasp verify` {runs}."
+                self.events.note("warning", words, worker=name.wid)
             self._send_away(name.wid)
             for run in took_part:
                 self._go_back(run)

@@ -93,6 +93,7 @@ SICK_FAULTS, FAULT_ROWS = 4, 100
 """Rows that failed on a worker and not on the next one that make it sick; every 100 good rows halve them."""
 SICK_SECONDS, MOST_SICK_SECONDS = 30.0, 1800.0
 """Time for which a sick worker gets no work, at first and at most; it doubles each time."""
+AWAY_SECONDS = 30.0  # Seconds for which a worker that was well is expected back
 PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
@@ -301,6 +302,9 @@ class WorkerRegistry:
         """Workers that are well, each with its host."""
         self._well_on: Counter[str] = Counter()
         """Hosts, each with how many of its workers are well."""
+        self._left: dict[str, float] = {}
+        """Workers that were well, and when they no longer were."""
+        self._now = 0.0
         self._sick: dict[str, Worker] = {}
         self._free: dict[str, Worker] = {}
         self._limit = self.lease_timeout.limit
@@ -359,6 +363,7 @@ class WorkerRegistry:
 
     def on_token(self, wid: str, alive: bool, now: float) -> None:
         """Record that a worker's token appeared or vanished."""
+        self._now = now
         (self.alive.add if alive else self.alive.discard)(wid)
         if (worker := self._workers.get(wid)) is None:
             return
@@ -428,6 +433,11 @@ class WorkerRegistry:
         """Return whether a worker is well besides these."""
         return len(self._well) > sum(name.wid in self._well for name in set(tried))
 
+    def expects_other(self, tried: Iterable[WorkerName], now: float) -> bool:
+        """Return whether a worker besides these is well, or was lately: it may be back soon."""
+        self._left = {wid: at for wid, at in self._left.items() if now < at + AWAY_SECONDS}
+        return self.has_other(tried) or bool(self._left.keys() - {name.wid for name in tried})
+
     def may_have(self, worker: Worker, tried: tuple[WorkerName, ...]) -> bool:
         """Return whether a worker is next to try rows after others.
 
@@ -446,6 +456,7 @@ class WorkerRegistry:
         worker.faults += 1
         if worker.faults < SICK_FAULTS:
             return None
+        self._now = now
         worker.sick_until = now + worker.sick_seconds
         worker.sick_seconds = min(2 * worker.sick_seconds, MOST_SICK_SECONDS)
         self._sick[wid] = worker
@@ -492,6 +503,7 @@ class WorkerRegistry:
         if now < self._earliest or not self._link_is_up:
             return []
         self._update_deadline()
+        self._now = now
         late = [worker for worker in self if now >= worker.deadline(self._limit)]
         lost = [self._give_up(worker, now) for worker in late]
         self._update_deadline()
@@ -529,6 +541,10 @@ class WorkerRegistry:
     def _set_well(self, worker: Worker, *, is_well: bool) -> None:
         if is_well == (worker.wid in self._well):
             return
+        if is_well:
+            self._left.pop(worker.wid, None)
+        elif worker.join.credit and not worker.is_drained:
+            self._left[worker.wid] = self._now
         host = self._well.setdefault(worker.wid, worker.join.host) if is_well else self._well.pop(worker.wid)
         self._well_on[host] += 1 if is_well else -1
         if not self._well_on[host]:

@@ -25,9 +25,17 @@ def genomes(n: int) -> np.ndarray:
 class Dispatch(Dispatcher):
     """A dispatcher with its workers."""
 
-    def __init__(self, epoch: int, batch_size: int | None = None, checked: float = 0.0) -> None:
+    def __init__(
+        self,
+        epoch: int,
+        batch_size: int | None = None,
+        checked: float = 0.0,
+        *,
+        takes_over: bool = False,
+    ) -> None:
         self.workers = WorkerRegistry()
         super().__init__(epoch, self.workers, batch_size, checked)
+        self._takes_over = takes_over
 
     def admit(
         self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float, rows: int = 0

@@ -18,6 +18,7 @@ from qdgrasp_coordinator.scheduler.batch_dispatcher import EARLY_SECONDS, STRIKE
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_ROWS, CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.worker_registry import (
+    AWAY_SECONDS,
     LEASE_SECONDS,
     SICK_FAULTS,
     SICK_SECONDS,
@@ -396,22 +397,47 @@ def test_a_withdrawn_run_leaves_no_checks_and_no_results() -> None:
     assert (dispatch.checks.held, dispatch.checks.are_open, dispatch.leases(1.0)) == ([], False, [])
 
 
-# After a coordinator took over, the first worker that is back is not alone.
+# Workers that were there lately, or before a coordinator took over, are expected back.
+
+
+def taken_over(n: int, checked: float = 0.0) -> Dispatch:
+    """A dispatcher of a coordinator that took over, with one worker so far."""
+    dispatch = Dispatch(EPOCH, 4, checked, takes_over=True)
+    submit(dispatch, n)
+    admit(dispatch, EVE)
+    return dispatch
 
 
 def test_what_the_first_worker_answers_a_coordinator_that_took_over_waits_for_others() -> None:
-    dispatch = pool(EVE, n=8, checked=CHECKED_SHARE)
+    dispatch = taken_over(8, CHECKED_SHARE)
     (lease,) = dispatch.leases(0.0)
     answer(dispatch, lease)
     assert dispatch.take_released(EARLY_SECONDS - 0.1) == []
     assert [one.worker.wid for one in dispatch.take_released(EARLY_SECONDS)] == [EVE]
 
 
-def test_a_row_is_no_error_before_others_are_back() -> None:
-    dispatch = pool(EVE, n=1)
-    for turn in range(STRIKES):
-        (lease,) = dispatch.leases(turn / 10)
-        settled = settle(dispatch, lease, turn / 10, failed=(0,))
-    assert settled.failures == ()
-    (lease,) = dispatch.leases(EARLY_SECONDS)
-    assert len(settle(dispatch, lease, EARLY_SECONDS, failed=(0,)).failures) == 1
+def test_a_row_that_failed_waits_for_others_after_a_coordinator_took_over() -> None:
+    dispatch = taken_over(1)
+    (lease,) = dispatch.leases(0.0)
+    settle(dispatch, lease, 0.1, failed=(0,))
+    assert dispatch.leases(EARLY_SECONDS - 0.1) == []
+    assert [lease.wid for lease in dispatch.leases(EARLY_SECONDS)] == [EVE]
+
+
+def test_what_a_new_worker_answers_waits_for_those_that_were_there_lately() -> None:
+    dispatch = pool(ANN, EVE, n=8, checked=CHECKED_SHARE)
+    leases = by_worker(dispatch.leases(0.0))
+    dispatch.workers.on_token(ANN, False, 1.0)
+    dispatch.give_up(1.0 + TOKEN_GRACE)
+    answer(dispatch, leases[EVE], 3.0)
+    assert dispatch.take_released(AWAY_SECONDS) == []
+    assert [one.worker.wid for one in dispatch.take_released(3.0 + AWAY_SECONDS)] == [EVE]
+
+
+def test_nobody_waits_for_a_worker_that_has_left() -> None:
+    dispatch = pool(ANN, EVE, n=8, checked=CHECKED_SHARE)
+    leases = by_worker(dispatch.leases(0.0))
+    dispatch.join(join_message(ANN, 2, 0, [], host=NODES[ANN]), 0.5)
+    dispatch.workers.on_token(ANN, False, 1.0)
+    dispatch.give_up(1.0 + TOKEN_GRACE)
+    assert settle(dispatch, leases[EVE], 3.0).rows is not None
