@@ -396,7 +396,7 @@ class Dispatcher:
         kind, state = self._close(wid, result, now)
         if state is None or not isinstance(state.batch, Batch):
             return SettleReply(kind)
-        batch, worker = state.batch, self._name(wid)
+        batch, worker = state.batch, self._workers.name(wid)
         self._queue.measure(batch, result.cpu_seconds)
         if wid in state.holders:
             self._workers.lease_timeout.measure(now - state.holders[wid])
@@ -407,10 +407,6 @@ class Dispatcher:
             return SettleReply(kind, superseded=superseded)
         reply = replace(self._split(batch, worker, result, rows, now), superseded=superseded)
         return self._hold(batch, worker, reply, now)
-
-    def _name(self, wid: str) -> WorkerName:
-        worker = self._workers.get(wid)
-        return worker.name if worker else WorkerName(wid, "")
 
     # Checks.
 

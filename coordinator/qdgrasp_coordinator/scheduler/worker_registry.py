@@ -322,6 +322,11 @@ class WorkerRegistry:
         """Return a worker; None: unknown."""
         return self._workers.get(wid)
 
+    def name(self, wid: str) -> WorkerName:
+        """Return the name of a worker, also of one that was given up lately."""
+        worker = self._workers.get(wid) or self._gone.get(wid, (None, 0.0))[0]
+        return worker.name if worker else WorkerName(wid, "")
+
     def join(self, join: Join, now: float) -> list[bytes] | None:
         """Admit a worker, or admit it again; the first one sets the platform of the rows.
 
