@@ -385,6 +385,11 @@ def decode(payload: bytes, kind: type[M]) -> M:
     if len(payload) > MAX_PAYLOAD:
         raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
     values = unpack_values(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
+    version = values.get("v") if isinstance(values, dict) else None
+    if isinstance(version, int) and version > VERSION:
+        raise MessageError(
+            f"it is of version {version} of the protocol, and this package speaks {VERSION}: update it"
+        )
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
