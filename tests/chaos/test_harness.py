@@ -9,9 +9,22 @@ from pathlib import Path
 
 import pytest
 from tests.chaos import play, processes
-from tests.chaos.plan import COURSES, DEAD, GAPS, HEAD, STILL, Course, Deed, blows, course, opening
+from tests.chaos.plan import (
+    COURSES,
+    DEAD,
+    GAPS,
+    HEAD,
+    STILL,
+    Course,
+    Deed,
+    bad_workers,
+    blows,
+    course,
+    opening,
+)
 from tests.chaos.play import disturb, undisturbed_digest
 from tests.chaos.processes import ROOT, Process
+from tests.chaos.simulator import BAD
 from tests.common import PATIENCE, wait_for
 from tests.system.commands import is_alive, kill
 
@@ -69,6 +82,12 @@ process.start()
 print(process.pid, flush=True)
 sys.stdin.read()
 """
+
+
+def test_ten_seeds_have_bad_workers_of_every_kind() -> None:
+    kinds = [bad_workers(seed, 2) for seed in range(10)]
+    assert {kind for found in kinds for kind in found} == set(BAD)
+    assert kinds == [bad_workers(seed, 2) for seed in range(10)]
 
 
 @pytest.mark.parametrize("is_stopped", [False, True])

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from tests.chaos.plan import Course
-from tests.chaos.play import undisturbed_digest
+from tests.chaos.play import LOSS, ROUND_TRIP, cutting, undisturbed_digest
 from tests.chaos.processes import JobProcesses
-from tests.chaos.simulator import DEEDS, WAYS
-from tests.common import wait_for
+from tests.chaos.simulator import BAD, DEEDS, WAYS
+from tests.common import HOST, wait_for
+from tests.fakes.slow_link import slow_link
 from tests.system.commands import digest_of
 
 from qdgrasp_coordinator.storage.journal_schema import FILE
@@ -141,3 +142,20 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
         household.start()
         assert ends_well(household) == expected
     assert {deed.name for deed in deeds.iterdir()} == set(WAYS)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(
+    household: JobProcesses, expected: str
+) -> None:
+    port = int(household.endpoint.rpartition(":")[2])
+    with slow_link(port, ROUND_TRIP, LOSS) as link, cutting(link):
+        late = [household.add_worker(f"{kind}-0", household.endpoint, CHAOS_BAD=kind) for kind in BAD]
+        for member in (*late, household.add_worker("far-0", f"tcp/{HOST}:{link.port}")):
+            member.start()
+        wait_for(lambda: household["coordinator"].exit_code is not None, "the end", 300.0)
+    assert household["coordinator"].exit_code == 0, household["coordinator"].words
+    household.end()
+    assert digest_of(household.run) == expected
+    assert "a worker is excluded" in household["coordinator"].words
