@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.coordinator.monitor.sample_jobs import values, views
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker
+from tests.coordinator.scenes import SceneMaker, made_scene
 from typer.testing import CliRunner, Result
 
 from qdgrasp_assets.catalog import build_scene
@@ -26,6 +26,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.messages import Order, OrderReply
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -177,3 +178,16 @@ def test_one_worker_is_started_for_a_device_and_none_is_needed_here(monkeypatch:
     monkeypatch.delenv("QDGRASP_DEVICE")
     assert options.worker_count(0, "mujoco-warp") == 0
     assert options.worker_count(3, "mujoco") == 3
+
+
+@pytest.mark.parametrize(("errors", "said"), [(0, ""), (1, "failed on 1 row,"), (3, "failed on 3 rows,")])
+def test_a_run_with_errors_says_so_at_its_end(tmp_path, capsys, errors: int, said: str) -> None:
+    rows = random_rows(20)
+    rows["outcome"] = Outcome.MISSED
+    rows["outcome"][:errors] = Outcome.ERROR
+    folder = record(tmp_path / "run", made_scene(), rows, evaluations=20 - errors)
+    run_commands.print_result(folder, Stop())
+    told = capsys.readouterr().out
+    assert ("The simulator failed" in told) == bool(errors)
+    assert said in told
+    assert (f"`qdgrasp verify {folder.path}`" in told.replace("\n", " ")) == bool(errors)
