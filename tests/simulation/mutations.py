@@ -20,14 +20,16 @@ from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
-from qdgrasp_coordinator.scheduler.batch_dispatcher import BatchTable, Dispatcher
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
+from qdgrasp_coordinator.scheduler.batch_table import BatchTable
 from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict, CrossChecks
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
 from qdgrasp_coordinator.scheduler.shape_queue import ShapeQueue
-from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker import Worker
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession

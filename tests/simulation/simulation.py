@@ -20,7 +20,7 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
-from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler import batch_table, recorder_client
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply, asked_rows
 from qdgrasp_coordinator.scheduler.cross_checks import HeldResult
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
@@ -28,7 +28,8 @@ from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild
-from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
+from qdgrasp_coordinator.scheduler.worker import SCENES_KEPT
+from qdgrasp_coordinator.scheduler.worker_registry import TURNAROUNDS_KEPT, LostWorker
 from qdgrasp_protocol.build_messages import Built, ShapeTask
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
@@ -413,7 +414,7 @@ class DispatchChecker:
         most_checks = len(self._dispatch.checks.held) + len(held) + len(self._workers)
         require(len(self._dispatch.checks._checks) <= most_checks, "bounded memory", "checks")
         require(len(batches._open) <= most, "bounded memory", "open batches")
-        require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
+        require(len(batches._settled) <= batch_table.MOST_SETTLED, "bounded memory", "settled batches")
         require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
         open_runs = {run.name for run in self._host.scheduler.runs}
         require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")

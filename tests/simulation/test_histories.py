@@ -18,8 +18,8 @@ from tests.simulation.network import LEASE, Clock, Network, Session, Terms, Worl
 from tests.simulation.plan import FAULTS, History, draw
 from tests.simulation.play import Verdict, play
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import BatchTable
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
+from qdgrasp_coordinator.scheduler.batch_table import BatchTable
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
 from qdgrasp_coordinator.search.base import SearchAlgorithm

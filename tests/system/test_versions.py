@@ -30,7 +30,7 @@ class TwoVersions(JobProcesses):
             ("recorder", RECORDER, ["--job", JOB, "--out", self.run]),
             ("worker-0", WORKER, ["--job", JOB]),
         ):
-            self.add(f"next-{name}", "tests.system.next_version", module, *arguments, *there)
+            self.add(f"next-{name}", "tests.fakes.next_version", module, *arguments, *there)
 
     def begin(self, *names: str) -> list[Process]:
         """Start processes; gives them in this order."""

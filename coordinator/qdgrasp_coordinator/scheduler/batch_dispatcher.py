@@ -5,9 +5,9 @@ evaluated again, and the first result of a batch is as good as any other. Time i
 any steady clock.
 """
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from math import inf
 
@@ -24,6 +24,7 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     asked_rows,
     complete_rows,
 )
+from qdgrasp_coordinator.scheduler.batch_table import BatchState, BatchTable
 from qdgrasp_coordinator.scheduler.cross_checks import (
     CHECKED_ROWS,
     CHECKED_SHARE,
@@ -34,113 +35,11 @@ from qdgrasp_coordinator.scheduler.cross_checks import (
 )
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild, ShapeQueue
-from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry, names_of
+from qdgrasp_coordinator.scheduler.worker import Worker, names_of
+from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.build_messages import Built, ShapeTask
-from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Result
 from qdgrasp_protocol.rows import Rows
-
-MOST_SETTLED = 10_000
-"""Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
-
-
-@dataclass(eq=False)
-class BatchState:
-    """A batch, or a build, that was leased and is not settled."""
-
-    batch: Batch | ShapeBuild
-    attempts: int = 0
-    holders: dict[str, float] = field(default_factory=dict)
-    """Workers that hold it, and when they were leased it; none: it waits."""
-    leased: set[str] = field(default_factory=set)
-    """All workers that were ever leased it."""
-
-
-class BatchTable:
-    """Batches that were leased and not settled, and the latest settled ones."""
-
-    def __init__(self, epoch: int) -> None:
-        self._epoch = epoch
-        self._open: OrderedDict[bytes, BatchState] = OrderedDict()
-        """By id, those that were leased last at the end."""
-        self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
-        """By id: the workers that were leased it, and that which settled it; None: it was withdrawn."""
-
-    def open(self, batch: Batch | ShapeBuild) -> BatchState:
-        """Return the state of a batch that is leased, made at its first lease."""
-        return self._open.setdefault(batch.id, BatchState(batch))
-
-    def hand_over(self, state: BatchState, wid: str, now: float) -> None:
-        """Record that a worker holds a batch from now on."""
-        state.holders[wid] = now
-        self._open.move_to_end(state.batch.id)
-
-    def late(self, before: float) -> list[BatchState]:
-        """Return batches that one worker has held since before a time, those held for longest first."""
-        found = []
-        for state in self._open.values():
-            if isinstance(state.batch, ShapeBuild) or not state.holders:
-                continue
-            if max(state.holders.values()) > before:
-                break
-            if len(state.holders) == 1 and not state.batch.tried_by:
-                found.append(state)
-        return found
-
-    @property
-    def leased(self) -> int:
-        """Number of batches that workers hold."""
-        return sum(bool(state.holders) for state in self._open.values())
-
-    def find(self, batch_id: bytes) -> BatchState | None:
-        """Return the state of a leased batch; None: never leased, or settled."""
-        return self._open.get(batch_id)
-
-    def of(self, run: str) -> list[BatchState]:
-        """Return a run's leased, unsettled batches."""
-        return [
-            state
-            for state in self._open.values()
-            if isinstance(state.batch, Batch) and state.batch.run.run == run
-        ]
-
-    @property
-    def builds(self) -> list[BatchState]:
-        """Leased, unsettled builds."""
-        return [state for state in self._open.values() if isinstance(state.batch, ShapeBuild)]
-
-    def close(self, state: BatchState, winner: str | None = None) -> None:
-        """Move a batch to the settled ones, without its rows; without a winner if withdrawn."""
-        del self._open[state.batch.id]
-        self._settled[state.batch.id] = (state.leased, winner)
-        if len(self._settled) > MOST_SETTLED:
-            self._settled.popitem(last=False)
-
-    def classify(self, wid: str, result: Result | Built) -> Settlement:
-        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
-        state = self._open.get(result.batch)
-        leased, winner = (state.leased, None) if state else self._settled.get(result.batch, (None, None))
-        if result.epoch != self._epoch or (leased is not None and wid not in leased):
-            return Settlement.FOREIGN
-        if state is not None:
-            _check_result(state.batch, result)
-            return Settlement.FRESH
-        if leased is None:
-            return Settlement.UNKNOWN
-        return Settlement.DUPLICATE if winner == wid else Settlement.LATE
-
-
-def _check_result(batch: Batch | ShapeBuild, result: Result | Built) -> None:
-    if isinstance(batch, ShapeBuild) or isinstance(result, Built):
-        if not (isinstance(batch, ShapeBuild) and isinstance(result, Built)):
-            raise MessageError("a shape is no answer to a batch, nor rows to a build")
-        return
-    if result.n != len(batch):
-        raise MessageError(f"a result has {result.n} rows, its batch {len(batch)}")
-    for failure in result.failures:
-        if failure.row >= result.n:
-            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")
-
 
 MOST_BUILD_LEASES = 5  # Leases of a build without an answer after which it is not leased again
 BUILDER_SECONDS = 30.0  # Seconds for which a worker that has the code for a build is waited for
@@ -271,7 +170,7 @@ class Dispatcher:
         return leases
 
     def _next_batch(self, worker: Worker, now: float) -> Batch | None:
-        """Take the next batch for a worker out of the queue; None: there is none."""
+        """Return the next batch for a worker, if there is one."""
         rows = worker.join.rows
         batch = self._queue.pop_tried(lambda one: self._may_have(worker, one, now))
         if batch is not None:
@@ -289,7 +188,7 @@ class Dispatcher:
         return self._workers.may_have(worker, batch.tried_by)
 
     def _double_leases(self, now: float) -> Iterator[Lease]:
-        """Lease batches that others have held for long to workers that hold none; the others keep them."""
+        """Lease to idle workers what others have held for long; the others keep it."""
         late = self._batches.late(now - self._workers.lease_timeout.straggling)
         for worker in self._workers.idle(now) if late else ():
             may_have = (state for state in late if self._may_double(worker, state))
@@ -345,7 +244,7 @@ class Dispatcher:
         return [batch_id for batch_id in listed if batch_id not in kept]
 
     def requeue(self, wid: str, batch_ids: Iterable[bytes]) -> int:
-        """Queue unsettled batches that a worker holds no more, unless another does; returns their number."""
+        """Queue unsettled batches that a worker has lost and no other holds; returns their number."""
         held = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
         for state in held:
             state.holders.pop(wid, None)
@@ -492,7 +391,7 @@ class Dispatcher:
 
     @property
     def trouble(self) -> str:
-        """Which workers disagree while there is no other to decide; empty where none do."""
+        """Names of workers that disagree while no other can decide; empty where none do."""
         for check in self.checks.disputes:
             if not self._workers.has_other(check.tried_by):
                 return (
@@ -561,11 +460,11 @@ class Dispatcher:
         return SettleReply(Settlement.FRESH, rows, result.cpu_seconds, failures)
 
     def _is_given_up(self, tried: tuple[WorkerName, ...], now: float) -> bool:
-        """Return whether a row has failed too often: on three workers, or on all where there are fewer."""
+        """Return whether a row failed on three workers, or so often where there are fewer."""
         return len(tried) >= STRIKES and (len(set(tried)) >= STRIKES or not self._expects_other(tried, now))
 
     def _blame(self, tried: tuple[WorkerName, ...], now: float) -> None:
-        """Count rows as faults of the workers that failed on them, as another one has evaluated them."""
+        """Count rows that one worker has evaluated as faults of those that failed on them."""
         for name in set(tried):
             sick = self._workers.blame(name.wid, now)
             if sick is not None:

@@ -350,12 +350,12 @@ class BatchQueue:
         self._order[batch.run.needs_device].put(waiting)
 
     def requeue_row(self, batch: Batch, place: int, worker: WorkerName) -> None:
-        """Queue a row on which the simulator of a worker failed for another one, as a batch of its own."""
+        """Queue a row that failed on a worker for another one, as a batch of its own."""
         row = batch.rows[place : place + 1]
         self.requeue(Batch(self._new_id(), batch.run, row, (*batch.tried_by, worker)))
 
     def check(self, run: RunRef, rows: Generation, by: tuple[WorkerName, ...], check: bytes = b"") -> bytes:
-        """Queue rows that workers have evaluated for another one; returns the id of the check, new or not."""
+        """Queue rows that others have evaluated for one more worker; returns the check's id."""
         name = self._new_id()
         self.requeue(Batch(name, run, rows, by, check or name))
         return check or name

@@ -13,8 +13,9 @@ import structlog
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
+from qdgrasp_coordinator.scheduler.early_stop import EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import AdminRequest, BusSubscriptions, Inbox, Wake
-from qdgrasp_coordinator.scheduler.job_scheduler import EarlyStop, JobScheduler
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import RunLoader, RunRegistry

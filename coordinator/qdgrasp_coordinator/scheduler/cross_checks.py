@@ -1,4 +1,4 @@
-"""Cross-checks: some rows are evaluated by a second worker, and what differs is decided by a third.
+"""Cross-checks: a second worker evaluates some rows too, and a third decides what differs.
 
 Rule 14 of docs/bus.md as plain state. Evaluation is pure, so two workers that answer differently are not both
 right. Results wait here until nothing speaks against them: those of a worker that no other has confirmed yet,
@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 from qdgrasp_coordinator.scheduler.batch_queue import Batch, RunRef, SettleReply, WorkerName
 from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_coordinator.scheduler.worker import names_of
 from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.text import counted
 
 CHECKED_SHARE = 0.01  # Share of the rows that are checked unless another is asked for
 MOST_FAILED = 3  # Workers whose simulator may fail on a check before it ends
@@ -67,9 +69,25 @@ class CheckVerdict:
     wrong: tuple[WorkerName, ...] = ()
     """Workers that answered otherwise."""
 
+    def words(self, wrong: WorkerName) -> str:
+        """Return a sentence for people about a worker that was wrong."""
+        return (
+            f"Worker {names_of([wrong])} answered {counted(self.rows, 'row')} of '{self.run}' other than "
+            f"{names_of(self.right)}: it is excluded, and what is not recorded done again."
+        )
+
+
+@dataclass
+class CheckCounts:
+    """Rows of a run that a second worker has evaluated."""
+
+    checked: int = 0
+    differing: int = 0
+    """Those of them that workers answered which were excluded."""
+
 
 class CrossChecks:
-    """The checks of an epoch, and the results that wait for them; `share` of the rows are checked."""
+    """The checks of an epoch, of a `share` of the rows, and the results that wait for them."""
 
     def __init__(self, share: float) -> None:
         self.excluded: set[str] = set()
@@ -104,7 +122,7 @@ class CrossChecks:
         return rows if zlib.crc32(place.encode()) < self._share * len(batch) / rows * 2**32 else 0
 
     def unchecked(self) -> list[HeldResult]:
-        """Return a held result of each worker that is not confirmed, and whose rows nobody checks yet."""
+        """Return a held result of each unconfirmed worker of which no check has begun."""
         checked = {next(iter(check.answers)) for check in self._checks.values()}
         waiting = {
             result.worker: result

@@ -9,8 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
-from math import inf
+from dataclasses import replace
 
 import structlog
 from msgspec import structs
@@ -18,7 +17,8 @@ from msgspec import structs
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement, SettleReply, read_result
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE, CheckVerdict
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE, CheckCounts, CheckVerdict
+from qdgrasp_coordinator.scheduler.early_stop import EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.scheduler.run_plan import ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
@@ -32,13 +32,8 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     ShapesFound,
 )
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply
-from qdgrasp_coordinator.scheduler.worker_registry import (
-    WID_DIGITS,
-    LostWorker,
-    Worker,
-    WorkerRegistry,
-    names_of,
-)
+from qdgrasp_coordinator.scheduler.worker import WID_DIGITS, choose_workers
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
 from qdgrasp_coordinator.storage.run_folder import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
@@ -67,56 +62,11 @@ from qdgrasp_protocol.messages import (
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted, first_few
 
-LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
-MOST_STOP_SECONDS = 5.0  # Longest wait for a recorder [s]; rows unrecorded by then are evaluated again
-
-
-class EarlyStop:
-    """Decides when a job ends early: when asked to, or by itself after `seconds`; None: never."""
-
-    reason: EndedEarly | None = None
-    """Reason of a requested end; None: not requested."""
-
-    def __init__(self, seconds: float | None, now: float) -> None:
-        self.deadline = inf if seconds is None else now + seconds
-        """When it is to begin by itself; infinite: never, or it has begun."""
-        self._began: float | None = None
-
-    def begin(self, now: float, reason: EndedEarly | None = None) -> None:
-        """Begin the ending: no more work is asked or handed out."""
-        self._began, self.reason, self.deadline = now, reason, inf
-
-    @property
-    def has_begun(self) -> bool:
-        """True if nothing is asked or leased any more; what was found is still recorded."""
-        return self._began is not None
-
-    def is_due(self, now: float) -> bool:
-        """True if it is to begin by itself now."""
-        return now >= self.deadline
-
-    def is_over(self, now: float, *, is_safe: bool) -> bool:
-        """True if the job may end now; `is_safe`: all results are recorded."""
-        if self._began is None:
-            return False
-        return now >= self._began + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
-
-
 log = structlog.get_logger()
-
-
-@dataclass
-class CheckCounts:
-    """Rows of a run that a second worker has evaluated."""
-
-    checked: int = 0
-    differing: int = 0
-    """Those of them that workers answered which were excluded."""
 
 
 AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
 RUNS_NAMED = 5  # Most runs that an event names
-WORKERS_NAMED = 5  # Most workers that a refusal names
 
 PutMessage = Callable[[str, Message, Channel], None]
 """Sends a message on a key; what is sent while there is no link is lost."""
@@ -270,12 +220,8 @@ class JobScheduler:
             counts.checked += verdict.rows
             counts.differing += verdict.rows * len(verdict.wrong)
         for name in verdict.wrong:
-            words = (
-                f"Worker {names_of([name])} answered {counted(verdict.rows, 'row')} of '{verdict.run}' "
-                f"other than {names_of(verdict.right)}: it is excluded, and what is not recorded done again."
-            )
             log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
-            self.events.note("error", words, run=verdict.run, worker=name.wid)
+            self.events.note("error", verdict.words(name), run=verdict.run, worker=name.wid)
             took_part = [run for run in self.runs if name.wid in run.settled_by]
             if took_part:
                 runs = first_few([run.name for run in took_part], RUNS_NAMED)
@@ -518,7 +464,7 @@ class JobScheduler:
         return f"Job '{self.job}' is paused: nothing is handed out; {out}."
 
     def _drain(self, order: Order) -> str:
-        chosen = _choose_workers(list(self.workers), order, self.job)
+        chosen = choose_workers(list(self.workers), order.worker, order.host, self.job)
         for worker in chosen:
             self.workers.drain(worker.wid)
             self._send_away(worker.wid)
@@ -551,23 +497,3 @@ class JobScheduler:
             differing=self.dispatcher.counters["differing"],
             strays=self.dispatcher.strays,
         )
-
-
-def _choose_workers(workers: list[Worker], order: Order, job: str) -> list[Worker]:
-    """Return the workers meant: one by the beginning of its id, or all of a host."""
-    if not (order.worker or order.host):
-        raise Refused("it is not said whom to drain: name a worker or a host")
-    if order.host:
-        named, found = f"on host '{order.host}'", [one for one in workers if one.join.host == order.host]
-    else:
-        named, found = f"'{order.worker}'", [one for one in workers if one.wid.startswith(order.worker)]
-    if not found:
-        raise Refused(f"job '{job}' has no worker {named}; {_list_workers(workers)}")
-    if order.worker and len(found) > 1:
-        raise Refused(f"job '{job}' has {len(found)} workers whose ids begin so; {_list_workers(found)}")
-    return found
-
-
-def _list_workers(workers: list[Worker]) -> str:
-    names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
-    return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"

@@ -17,13 +17,12 @@ from tests.fakes.messages import ANN, BOB, EVE, FAY, join_message
 from qdgrasp_coordinator.scheduler.batch_dispatcher import EARLY_SECONDS, STRIKES
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_ROWS, CHECKED_SHARE
+from qdgrasp_coordinator.scheduler.worker import SICK_SECONDS, TOKEN_GRACE
 from qdgrasp_coordinator.scheduler.worker_registry import (
     AWAY_SECONDS,
     LEASE_SECONDS,
     SICK_FAULTS,
-    SICK_SECONDS,
     STRAGGLER_SECONDS,
-    TOKEN_GRACE,
 )
 from qdgrasp_protocol.messages import Heartbeat
 from qdgrasp_protocol.rows import Outcome

@@ -23,9 +23,11 @@ from tests.coordinator.scheduler.leases import (
 )
 from tests.fakes.messages import ANN, BOB, EVE
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import MOST_SETTLED, STRIKES
+from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, Settlement
-from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
+from qdgrasp_coordinator.scheduler.batch_table import MOST_SETTLED
+from qdgrasp_coordinator.scheduler.worker import SCENES_KEPT, TOKEN_GRACE
+from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Work, decode, encode
 from qdgrasp_protocol.rows import Outcome

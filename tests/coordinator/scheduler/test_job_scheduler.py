@@ -15,12 +15,8 @@ from qdgrasp_coordinator.metrics.job_status import (
     JobEvent,
     WorkerStatus,
 )
+from qdgrasp_coordinator.scheduler.early_stop import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
-from qdgrasp_coordinator.scheduler.job_scheduler import (
-    LEAST_STOP_SECONDS,
-    MOST_STOP_SECONDS,
-    EarlyStop,
-)
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS

@@ -18,7 +18,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.keys import Keys
 
 PLANS: dict[str, Plan | None] = {
-    f"run-{seed}": Plan(seed=seed, population=20, evaluations=200) for seed in range(3)
+    f"run-{seed}": Plan(seed=seed, population=20, evaluations=400) for seed in range(3)
 }
 LIAR = made_id(7)
 
@@ -44,14 +44,19 @@ class Heard:
 
 
 def carry_out(job: Job, liar: LyingWorker, path: Path) -> Heard:
-    """Carry a job out with a liar among two others, recorded at a path."""
+    """Carry a job out with two workers, whom a liar joins at once, recorded at a path."""
     heard = Heard(job.network.session())
     with ExitStack() as stack:
+
+        def join(_now: float) -> None:
+            if len(job.service.scheduler.workers) == 2 and not has_joined:
+                has_joined.append(stack.enter_context(liar.at_work()))
+
+        has_joined: list[FakeWorker] = []
         stack.enter_context(recording(job.network, path))
-        stack.enter_context(liar.at_work())
         for number in range(2):
             stack.enter_context(FakeWorker(job.network.session(), made_id(number)).at_work())
-        job.service.run()
+        job.service.run(join)
     return heard
 
 
@@ -69,7 +74,8 @@ def test_nothing_of_a_liar_is_recorded_and_the_job_says_who_it_was(tmp_path: Pat
     assert heard.has_excluded.wait(PATIENCE)
     (event,) = [event for event in heard.events if "is excluded" in event.words]
     assert (event.kind, event.worker) == ("error", LIAR)
-    assert f"Worker {LIAR[:8]} on here answered 2 rows of 'run-" in event.words
+    assert event.words.startswith(f"Worker {LIAR[:8]} on here answered ")
+    assert " of 'run-" in event.words
     assert not any("verify" in event.words for event in heard.events)
     assert heard.last is not None
     assert heard.last.differing > 0
@@ -83,7 +89,7 @@ def test_the_folder_counts_rows_that_were_checked_and_those_that_differed(tmp_pa
     for folder in found:
         with folder.journal() as recorded:
             checked, differing = checked + recorded.checked, differing + recorded.differing
-    assert 0.1 * 600 < checked < 0.4 * 600
+    assert 0.1 * 1200 < checked < 0.4 * 1200
     assert 0 < differing < checked
 
 

@@ -3,7 +3,7 @@
 from tests.coordinator.scheduler.leases import EPOCH, Dispatch, settle, submit, with_work
 from tests.fakes.messages import ANN, BOB, join_message
 
-from qdgrasp_coordinator.scheduler.worker_registry import ANSWER_SECONDS
+from qdgrasp_coordinator.scheduler.worker import ANSWER_SECONDS
 
 LEASE = 10.0
 

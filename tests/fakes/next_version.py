@@ -1,4 +1,4 @@
-"""A process of the next version of the protocol: `python -m tests.system.next_version MODULE [ARGUMENTS]`."""
+"""A process of the next version of the protocol: `python -m tests.fakes.next_version MODULE [ARGUMENTS]`."""
 
 import importlib.util
 import runpy
