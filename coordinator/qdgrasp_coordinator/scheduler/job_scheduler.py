@@ -183,7 +183,8 @@ class JobScheduler:
 
     def _take_rows(self, run: ActiveRun, wid: str, settled: SettleReply, rows: Rows, now: float) -> None:
         """Take rows of a worker for good, and pass on to the recorder what became final."""
-        run.settled_by.add(wid)
+        if len(rows) > len(settled.failures):
+            run.settled_by.add(wid)
         self.workers.on_settled(wid, len(rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
