@@ -208,7 +208,7 @@ WID = "0" * 32
 
 
 def test_a_prepared_result_answers_the_batch_that_it_is_filled_in_for() -> None:
-    answers = Answers(3, WID, epoch=2, n=5, seconds=0.5)
+    answers = Answers(3, WID, epoch=2, n=5, seconds=0.5, key=bytes(32))
     results = [
         messages.decode(answers.to(f"run-{number}", number, bytes([number]) * 16, number + 1), Result)
         for number in range(VARIETY)

@@ -12,7 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.plan import History, wild, with_bad_workers
+from tests.simulation.plan import History, unchecked, wild, with_bad_workers
 from tests.simulation.play import play
 
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
@@ -21,7 +21,7 @@ from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
+from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue, Settlement
 from qdgrasp_coordinator.scheduler.batch_table import BatchTable
 from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict, CrossChecks
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
@@ -214,6 +214,10 @@ def _believe_the_odd_one(decide: Real, checks: CrossChecks, name: bytes, right: 
     return decide(checks, name, others or right)
 
 
+def _give_back(_dispatcher: Dispatcher, worker: Worker, batch: Batch, _now: float) -> bool:
+    return batch.check is None or worker.name not in batch.tried_by
+
+
 def _confirm_all(must_wait: Real, checks: CrossChecks, worker: Any) -> bool:
     checks._confirmed.add(worker.wid)
     return must_wait(checks, worker)
@@ -248,7 +252,11 @@ MUTATIONS = [
         patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps),
     ),
     mutation(
-        "take rows of an older epoch", "8", "epochs rise", around(Recorder, "add_rows", _take_any_epoch)
+        "take rows of an older epoch",
+        "8",
+        "epochs rise",
+        around(Recorder, "add_rows", _take_any_epoch),
+        histories=unchecked,
     ),
     mutation("take rows past a gap", "8", "true journal", around(RunWriter, "add", _take_past_gaps)),
     mutation("no lease ever passes", "4", "progress", patch.object(Worker, "deadline", lambda *_: inf)),
@@ -353,7 +361,7 @@ MUTATIONS = [
         "one worker's failures make an error",
         "6",
         "settled once",
-        patch.object(WorkerRegistry, "may_have", lambda *_: True),
+        patch.object(Dispatcher, "_may_have", _give_back),
         patch.object(Dispatcher, "_is_given_up", lambda _, tried, __: len(tried) >= dispatching.STRIKES),
         histories=with_bad_workers,
     ),

@@ -116,6 +116,11 @@ def wild(number: int) -> History:
     return replace(draw(number), faults={name: 2 * rate for name, rate in FAULTS.items()})
 
 
+def unchecked(number: int) -> History:
+    """The wild history of a number in which every result counts at once."""
+    return replace(wild(number), checked=0.0)
+
+
 def some_history(number: int) -> History:
     """The history of a number; every eighth has bad workers."""
     return with_bad_workers(number) if number % 8 == 7 else draw(number)

@@ -24,7 +24,7 @@ from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Failure, Join, Joined, Result
+from qdgrasp_protocol.messages import Failure, Join, Joined, Result, worker_id
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
@@ -386,7 +386,8 @@ class Forger(Process):
     """A process with a worker's certificate that forges results of others' leases."""
 
     def __init__(self, world: World, network: Network, wid: str) -> None:
-        self._wid = wid
+        self._key = int(wid, 16).to_bytes(32)
+        self._wid = worker_id(self._key)
         super().__init__(world, network, f"forger {int(wid, 16)}")
 
     def life(self) -> Life:
@@ -408,7 +409,7 @@ class Forger(Process):
             batch = struct.pack(">QQ", epoch, count + ahead)
             columns = result.columns | {"outcome": outcomes}
             forged = {"batch": batch, "attempt": 0, "columns": columns, "failures": []}
-            own, strange = {"wid": self._wid, "key": bytes(32)}, {"wid": result.wid, "key": bytes(32)}
+            own, strange = {"wid": self._wid, "key": self._key}, {"wid": result.wid, "key": bytes(32)}
             for name in (own, strange):
                 put(
                     self.bus,

@@ -27,7 +27,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
-N = 1200
+N = 2400
 """Evaluations of each run; all of them are finished."""
 
 
