@@ -98,12 +98,8 @@ class CrossChecks:
         self._checks: dict[bytes, Check] = {}
         self._disputing: set[WorkerName] = set()
         """Workers that answered a check differently which is not decided."""
-        self._held: list[HeldResult] = []
-
-    @property
-    def held(self) -> list[HeldResult]:
+        self.held: list[HeldResult] = []
         """The results that wait, in the order in which they came."""
-        return self._held
 
     @property
     def are_open(self) -> bool:
@@ -126,7 +122,7 @@ class CrossChecks:
         checked = {next(iter(check.answers)) for check in self._checks.values()}
         waiting = {
             result.worker: result
-            for result in reversed(self._held)
+            for result in reversed(self.held)
             if result.worker.wid not in self._confirmed and result.worker not in checked
         }
         return list(waiting.values())
@@ -145,7 +141,7 @@ class CrossChecks:
 
     def hold(self, result: HeldResult) -> None:
         """Keep a result until nothing speaks against it."""
-        self._held.append(result)
+        self.held.append(result)
 
     def answer(self, name: bytes, worker: WorkerName, content: bytes) -> CheckVerdict | None:
         """Add an answer to a check; returns the end of the check, or None: another answer is needed."""
@@ -221,24 +217,24 @@ class CrossChecks:
     def take_released(self, has_other: Callable[[tuple[WorkerName, ...]], bool]) -> list[HeldResult]:
         """Return the results against which nothing speaks any more; they are held no longer."""
         released, held = list[HeldResult](), list[HeldResult]()
-        for result in self._held:
+        for result in self.held:
             is_checked = result.check in self._checks or result.worker in self._disputing
             waits = is_checked or (self.must_wait(result.worker) and has_other((result.worker,)))
             (held if waits else released).append(result)
-        self._held = held
+        self.held = held
         return released
 
     def take_excluded(self) -> list[HeldResult]:
         """Return the results of excluded workers, which do not count; they are held no longer."""
-        dropped = [result for result in self._held if result.worker.wid in self.excluded]
-        self._held = [result for result in self._held if result.worker.wid not in self.excluded]
+        dropped = [result for result in self.held if result.worker.wid in self.excluded]
+        self.held = [result for result in self.held if result.worker.wid not in self.excluded]
         return dropped
 
     def withdraw(self, run: str) -> None:
         """Forget the checks and results of a run."""
         for name in [name for name, check in self._checks.items() if check.run.run == run]:
             self._end(name)
-        self._held = [result for result in self._held if result.run.run != run]
+        self.held = [result for result in self.held if result.run.run != run]
 
 
 def _wids(check: Check) -> set[str]:

@@ -235,5 +235,5 @@ def choose_workers(workers: list[Worker], worker: str, host: str, job: str) -> l
 
 
 def _list_workers(workers: list[Worker]) -> str:
-    names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
+    names = [names_of([one.name]) for one in workers]
     return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"
