@@ -1,15 +1,23 @@
-"""The default method against every other, after as many evaluations."""
+"""The default method against every other, after as many evaluations and after as many CPU seconds."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from benchmarks.results.programme import Programme
 from benchmarks.results.table import Key, Row
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report import claims
-from qdgrasp_coordinator.report.claims import CONFIDENCE_LEVEL, RESAMPLES, ConfidenceInterval
+from qdgrasp_coordinator.report.bootstrap import (
+    CONFIDENCE_LEVEL,
+    LEAST_RUNS,
+    RESAMPLES,
+    ConfidenceInterval,
+    ScenesOfRuns,
+    difference_interval,
+    holm,
+)
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol.spec import RunSpec
@@ -35,17 +43,22 @@ class Arm:
 
     @property
     def scene(self) -> tuple[str, str, str]:
-        """Hand, object and protocol."""
-        return self.key.gripper, self.key.object, self.key.protocol
+        """Hand, object, and protocol with its engine where that is not Bullet."""
+        engine = settings_of(self.key).get("engine")
+        protocol = f"{self.key.protocol} in {engine}" if engine else self.key.protocol
+        return self.key.gripper, self.key.object, protocol
 
     @property
     def method(self) -> str:
         """The method, with those of its settings that are not as it has them."""
-        return f"`{self.key.method}`" + (f" ({', '.join(changes)})" if (changes := changed(self.key)) else "")
+        aims = "" if self.key.method != DEFAULT or "aim_for" in settings_of(self.key) else " for touch"
+        return f"`{self.key.method}`{aims}" + (
+            f" ({', '.join(found)})" if (found := changed(self.key)) else ""
+        )
 
     @property
     def is_default(self) -> bool:
-        """Whether its method is the default one, with its own settings."""
+        """Whether its method is the default one, with its own settings, whatever it aims for."""
         return self.key.method == DEFAULT and not changed(self.key)
 
     @property
@@ -80,10 +93,24 @@ def arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
     ]
 
 
+SCENE_SETTINGS = ("engine", "surface_seed", "base")
+"""Settings of a scene rather than of its method."""
+
+
+def settings_of(key: Key) -> dict[str, str]:
+    """The settings in a key by their names."""
+    return dict(word.partition("=")[::2] for word in key.settings.split())
+
+
 def changed(key: Key) -> list[str]:
     """The settings of a run that are not those of a campaign's run of its method."""
-    said = {f"population={ANY.population}"} if "population=" not in key.settings else set()
-    return sorted({*said, *key.settings.split()} - {f"population={method(key.method).population}"})
+    usual = {"population": str(method(key.method).population), "aim_for": "hold", "in_flight": "400"}
+    said = {"population": str(ANY.population)} | settings_of(key)
+    return sorted(
+        f"{name}={value}"
+        for name, value in said.items()
+        if name not in SCENE_SETTINGS and usual.get(name) != value
+    )
 
 
 def spread(values: NDArray[np.float64], digits: int = 1) -> str:
@@ -106,6 +133,7 @@ class Figure:
 
 COVERAGE = Figure("coverage", "coverage, %", 100)
 CELLS = Figure("cells", "cells", digits=0)
+ROBUST_CELLS = Figure("robust_cells", "cells that hold", digits=0)
 BESIDE = (
     Figure("robust_coverage", "robust coverage, %", 100),
     Figure("mean_best", "mean best fitness", digits=2),
@@ -113,7 +141,9 @@ BESIDE = (
     Figure("niches", "niches", digits=0),
 )
 """What stands beside, so that coverage is not bought with worse grasps."""
-VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "verdict")
+SIGNIFICANT = 1 - CONFIDENCE_LEVEL
+"""An adjusted p-value of at most this is a win or a loss."""
+VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "adjusted p", "verdict")
 COMPARISON_COLUMNS = (
     "hand", "object", "against", "seeds", "of", "default", "other", *VERDICT,
     *(figure.words for figure in BESIDE), "code",
@@ -124,29 +154,43 @@ BEHIND = ("behind in", "hand", "object", "by a loss to", "else to")
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """The default method and another on one scene, run by run of the same seed."""
+    """The default method and another on one scene; their runs share no random numbers, and are not paired."""
 
     ours: Arm
     theirs: Arm
 
     @property
-    def seeds(self) -> list[int]:
-        """Those that both have run."""
-        return sorted(self.ours.rows)
+    def has_runs(self) -> bool:
+        """Whether both have any."""
+        return bool(self.ours.rows and self.theirs.rows)
+
+    @property
+    def seeds(self) -> str:
+        """Numbers of runs of both, one where they are alike."""
+        ours, theirs = len(self.ours.rows), len(self.theirs.rows)
+        return str(ours) if ours == theirs else f"{ours} / {theirs}"
 
     @property
     def figure(self) -> Figure:
-        """Coverage where the scene has a set, else cells."""
-        return COVERAGE if len(self.differences(COVERAGE)) else CELLS
+        """Cells that hold under `physical`; else coverage where the scene has a set, else cells."""
+        if self.ours.key.protocol.startswith("physical"):
+            return ROBUST_CELLS
+        has_set = all(len(arm.values(COVERAGE.name)) for arm in (self.ours, self.theirs))
+        return COVERAGE if has_set else CELLS
 
-    def differences(self, figure: Figure) -> NDArray[np.float64]:
-        """Ours less theirs for each seed that has the figure in both arms (n,)."""
-        pairs = [
-            [getattr(arm.rows[seed], figure.name) for arm in (self.ours, self.theirs)] for seed in self.seeds
-        ]
-        return figure.scale * np.array(
-            [ours - theirs for ours, theirs in pairs if None not in (ours, theirs)]
-        )
+    def pair(self, figure: Figure) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A figure of the runs of both."""
+        ours, theirs = (arm.values(figure.name, figure.scale) for arm in (self.ours, self.theirs))
+        return ours, theirs
+
+    def difference(self, figure: Figure) -> ConfidenceInterval:
+        """Ours less theirs."""
+        return over_scenes(difference_interval, [self], figure)
+
+    @cached_property
+    def found(self) -> ConfidenceInterval:
+        """The difference in the figure that decides."""
+        return self.difference(self.figure)
 
     @property
     def codes(self) -> str:
@@ -160,11 +204,14 @@ class MethodComparison:
         return len({row.code for arm in (self.ours, self.theirs) for row in arm.rows.values()}) > 1
 
 
-def compare_arms(ours: Arm, theirs: Arm) -> MethodComparison:
-    """Two arms, each with the seeds alone that both have run: medians are of what differences are of."""
-    both = ours.rows.keys() & theirs.rows.keys()
-    alike = [replace(arm, rows={seed: arm.rows[seed] for seed in both}) for arm in (ours, theirs)]
-    return MethodComparison(*alike)
+def over_scenes(
+    interval: Callable[[ScenesOfRuns, ScenesOfRuns], ConfidenceInterval],
+    group: Sequence[MethodComparison],
+    figure: Figure,
+) -> ConfidenceInterval:
+    """An interval of both arms' figures over the scenes of some comparisons."""
+    upper, lower = zip(*(one.pair(figure) for one in group), strict=True)
+    return interval(upper, lower)
 
 
 def compare_methods(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[MethodComparison]]:
@@ -175,22 +222,25 @@ def compare_methods(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[Met
             alike = (ours.scene, ours.key.budget) == (theirs.scene, theirs.key.budget)
             countings = ours.key.overlaps, theirs.key.overlaps
             if alike and not theirs.is_default and countings != ("count", "redraw"):
-                groups.setdefault((*countings, ours.key.budget), []).append(compare_arms(ours, theirs))
+                groups.setdefault((*countings, ours.key.budget), []).append(MethodComparison(ours, theirs))
     return groups
 
 
-def comparison_part(known: Sequence[Arm]) -> str:
-    """The section on comparisons."""
+def comparison_part(known: Sequence[Arm], heading: str = "## The default method against the others") -> str:
+    """The section on comparisons; empty without an arm."""
+    if not known:
+        return ""
     return (
-        "## The default method against the others\n\n"
-        "After equally many counted evaluations. A difference is the mean over seeds of the default's figure "
-        "less the other's in runs of the same seed; its interval is a bootstrap of these pairs, "
-        f"{RESAMPLES:,} resamples (over several objects: of objects and of the pairs on each). *Win* and "
-        "*loss*: the whole interval is on one side of 0; with few seeds it is narrower than it says. Of the "
-        "other figures the default's median stands first, then the other's; *orientations* is a mean over "
-        "all cells with a success, which whoever finds more cells lowers: read it beside *niches*. "
-        "*Code*: which evaluation code the runs are of; where it is not the same, the default's stands "
-        "first.\n\n" + "\n".join(_groups(known))
+        f"{heading}\n\n"
+        "After equally many counted evaluations. A difference is the mean of the default's runs less that "
+        "of the other's; runs of one seed share no random numbers, and are not paired. Its interval is a "
+        f"studentised bootstrap, {RESAMPLES:,} resamples (over several objects: of objects and of the runs "
+        "on each). *Win* and *loss*: the p-value, adjusted for all comparisons of its section by the method "
+        f"of Holm, is at most {SIGNIFICANT:g}. With fewer than {LEAST_RUNS} seeds there is no verdict. Of "
+        "the other figures the default's median stands first, then the other's; *orientations* is a mean "
+        "over all cells with a success, which a method that finds more cells lowers: read it beside "
+        "*niches*. *Code*: which evaluation code the runs are of; where it is not the same, the default's "
+        "stands first.\n\n" + "\n".join(_groups(known))
     )
 
 
@@ -198,97 +248,113 @@ def _groups(known: Sequence[Arm]) -> Iterator[str]:
     for (ours, theirs, budget), group in sorted(
         compare_methods(known).items(), key=lambda item: item[0][::-1]
     ):
-        fought = [duel for duel in group if duel.seeds]
+        done = [one for one in group if one.has_runs]
         counting = COUNTING[ours] if ours == theirs else f"{COUNTING[theirs]}; default: {COUNTING[ours]}"
         yield f"### {budget:,} evaluations, {counting}\n"
-        if fought:
-            yield markdown_table(COMPARISON_COLUMNS, [_line(duel) for duel in fought])
-            yield "\n".join(_losses(fought)) + "\n"
-        if over_objects := list(_pooled(fought)):
+        if done:
+            verdicts = [*verdicts_of([one.found for one in done])]
+            yield markdown_table(
+                COMPARISON_COLUMNS, [_line(*pair) for pair in zip(done, verdicts, strict=True)]
+            )
+            yield "\n".join(_losses(done, verdicts)) + "\n"
+        if over_objects := list(_pooled(done)):
             yield markdown_table(POOLED, over_objects)
-        if len(fought) < len(group):
-            yield f"{len(group) - len(fought)} of {len(group)} comparisons are not in yet.\n"
+        if len(done) < len(group):
+            yield f"{len(group) - len(done)} of {len(group)} comparisons are not in yet.\n"
 
 
-def _line(duel: MethodComparison) -> tuple[str, ...]:
-    figure, found = duel.figure, _interval([duel.differences(duel.figure)])
+@dataclass(frozen=True)
+class Verdict:
+    """A difference among others."""
+
+    found: ConfidenceInterval
+    adjusted: float
+    """Its p-value, adjusted for the family by the method of Holm; NaN without one."""
+
+    @property
+    def words(self) -> str:
+        """The arm that is ahead for certain: win, loss, level; or that there are few seeds."""
+        if np.isnan(self.adjusted):
+            return "few seeds"
+        if self.adjusted > SIGNIFICANT:
+            return "level"
+        return "win" if self.found.value > 0 else "loss"
+
+    def cells(self, digits: int) -> tuple[str, str, str, str]:
+        """The columns of `VERDICT`."""
+        found = self.found
+        interval = f"{found.low:+.{digits}f} to {found.high:+.{digits}f}" if found.is_known else ""
+        p_value = "" if np.isnan(self.adjusted) else f"{self.adjusted:.3g}"
+        return f"{found.value:+.{digits}f}", interval, p_value, self.words
+
+
+def verdicts_of(family: Sequence[ConfidenceInterval]) -> Iterator[Verdict]:
+    """The verdicts on a family of differences."""
+    for found, adjusted in zip(family, holm([one.p_value for one in family]), strict=True):
+        yield Verdict(found, float(adjusted))
+
+
+def _line(one: MethodComparison, verdict: Verdict) -> tuple[str, ...]:
+    figure = one.figure
+    spreads = (arm.words(figure.name, figure.scale, figure.digits) for arm in (one.ours, one.theirs))
     return (
-        duel.ours.key.gripper, duel.ours.key.object, duel.theirs.method, str(len(duel.seeds)),
-        figure.words, duel.ours.words(figure.name, figure.scale, figure.digits),
-        duel.theirs.words(figure.name, figure.scale, figure.digits), *_number(found, figure), verdict(found),
-        *(_beside(duel, other) for other in BESIDE), duel.codes,
+        one.ours.key.gripper, one.ours.key.object, one.theirs.method, one.seeds, figure.words, *spreads,
+        *verdict.cells(figure.digits), *(_beside(one, other) for other in BESIDE), one.codes,
     )  # fmt: skip
 
 
-def _pooled(fought: Sequence[MethodComparison]) -> Iterator[tuple[str, ...]]:
+def _pooled(done: Sequence[MethodComparison]) -> Iterator[tuple[str, ...]]:
     """The same for each hand and method over its objects that have a figure alike."""
     groups: dict[tuple[str, str, Figure], list[MethodComparison]] = {}
-    for duel in fought:
-        groups.setdefault((duel.ours.key.gripper, duel.theirs.method, duel.figure), []).append(duel)
-    for (hand, rival, figure), group in groups.items():
-        if len(group) > 1:
-            found = _interval([duel.differences(figure) for duel in group])
-            yield hand, rival, str(len(group)), figure.words, *_number(found, figure), verdict(found)
+    for one in done:
+        groups.setdefault((one.ours.key.gripper, one.theirs.method, one.figure), []).append(one)
+    several = {key: group for key, group in groups.items() if len(group) > 1}
+    found = [over_scenes(difference_interval, group, figure) for (*_, figure), group in several.items()]
+    for ((hand, rival, figure), group), verdict in zip(several.items(), verdicts_of(found), strict=True):
+        yield hand, rival, str(len(group)), figure.words, *verdict.cells(figure.digits)
 
 
-def _losses(fought: Sequence[MethodComparison]) -> Iterator[str]:
+def _losses(done: Sequence[MethodComparison], verdicts: Sequence[Verdict]) -> Iterator[str]:
     """How often the default won, and every figure in which it is behind: a table where there are any."""
-    verdicts = [verdict(_interval([duel.differences(duel.figure)])) for duel in fought]
-    said = ", ".join(f"{words} {verdicts.count(one)}" for one, words in VERDICTS.items() if one in verdicts)
-    lost = {label(figure): list(_behind(fought, figure)) for figure in (None, *BESIDE)}
+    words = [verdict.words for verdict in verdicts]
+    said = ", ".join(f"{plural} {words.count(one)}" for one, plural in VERDICTS.items() if one in words)
+    lost = {label(figure): list(_behind(done, figure)) for figure in (None, *BESIDE)}
     unlost = "; ".join(name for name, lines in lost.items() if not lines)
-    yield f"In coverage, or cells: {said}. Behind nowhere in: {unlost or 'no figure'}."
-    if mixed := sum(duel.is_mixed for duel in fought):
-        yield f"Of two evaluation codes: {mixed} of {len(fought)}, whose difference may be the codes'."
+    yield f"In the figure that decides: {said}. Behind nowhere in: {unlost or 'no figure'}."
+    if mixed := sum(one.is_mixed for one in done):
+        yield f"Of two evaluation codes: {mixed} of {len(done)}, whose difference may be the codes'."
     if lines := [line for some in lost.values() for line in some]:
         yield "\n" + markdown_table(BEHIND, lines).rstrip("\n")
 
 
-VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "one seed": "of one seed"}
+VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "few seeds": "of few seeds"}
 
 
-def verdict(found: ConfidenceInterval) -> str:
-    """Who is ahead for certain."""
-    if not found.is_known:
-        return "one seed"
-    return "win" if found.low > 0 else "loss" if found.high < 0 else "level"
-
-
-def _behind(fought: Sequence[MethodComparison], figure: Figure | None) -> Iterator[tuple[str, ...]]:
+def _behind(done: Sequence[MethodComparison], figure: Figure | None) -> Iterator[tuple[str, ...]]:
     """For each hand and object where the default is behind in a figure: whom, and by how much, most first."""
-    groups: dict[tuple[str, str], list[tuple[float, str, str]]] = {}
-    for duel in fought:
-        measure = figure or duel.figure
-        differences = duel.differences(measure)
-        if len(differences) and (by := -differences.mean()) > 0:
-            group = groups.setdefault((duel.ours.key.gripper, duel.ours.key.object), [])
-            words = f"{duel.theirs.method} {by:.{measure.digits}f}"
-            group.append((by, words, verdict(_interval([differences]))))
+    compared = [(one, figure or one.figure) for one in done]
+    some = [(one, measure) for one, measure in compared if all(len(values) for values in one.pair(measure))]
+    verdicts = verdicts_of([one.difference(measure) for one, measure in some])
+    groups: dict[tuple[str, str], list[tuple[float, str, bool]]] = {}
+    for (one, measure), verdict in zip(some, verdicts, strict=True):
+        if (by := -verdict.found.value) > 0:
+            group = groups.setdefault((one.ours.key.gripper, one.ours.key.object), [])
+            group.append((by, f"{one.theirs.method} {by:.{measure.digits}f}", verdict.words == "loss"))
     for (hand, thing), group in groups.items():
+        ordered = sorted(group, reverse=True)
         sure, unsure = (
-            ", ".join(
-                words for _, words, found in sorted(group, reverse=True) if (found == "loss") is certain
-            )
+            ", ".join(words for _, words, is_loss in ordered if is_loss is certain)
             for certain in (True, False)
         )
         yield label(figure), hand, thing, sure, unsure
 
 
 def label(figure: Figure | None) -> str:
-    """A figure's name without its unit; None: coverage, or cells where there is no set."""
-    return "coverage, or cells" if figure is None else figure.words.removesuffix(", %")
+    """A figure's name without its unit; None: the one that decides."""
+    return "the figure that decides" if figure is None else figure.words.removesuffix(", %")
 
 
-def _beside(duel: MethodComparison, figure: Figure) -> str:
-    medians = [arm.values(figure.name, figure.scale) for arm in (duel.ours, duel.theirs)]
-    return " / ".join(f"{np.median(values):.{figure.digits}f}" if len(values) else "-" for values in medians)
-
-
-def _interval(differences: list[NDArray[np.float64]]) -> ConfidenceInterval:
-    return claims.mean_interval(differences)
-
-
-def _number(found: ConfidenceInterval, figure: Figure) -> tuple[str, str]:
-    digits = figure.digits
-    interval = f"{found.low:+.{digits}f} to {found.high:+.{digits}f}" if found.is_known else ""
-    return f"{found.value:+.{digits}f}", interval
+def _beside(one: MethodComparison, figure: Figure) -> str:
+    return " / ".join(
+        f"{np.median(values):.{figure.digits}f}" if len(values) else "-" for values in one.pair(figure)
+    )

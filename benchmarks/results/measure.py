@@ -7,9 +7,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from benchmarks.results.table import MILESTONES, Key, Row, key, written
+from benchmarks.results.table import CPU_MILESTONES, MILESTONES, Key, Row, key, written
 from scipy.optimize import nnls
 
+from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup, ReferenceSet
 from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory, SuccessMetrics, diversity
@@ -53,7 +54,8 @@ def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Reference
         known = _reference(folder, targets) if stops else None
         for budget, stop in stops.items():
             said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop])
-            found = figures(folder, rows[:stop], known) | costs(stretches, stop)
+            parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
+            found = figures(folder, rows[:stop], known) | growth(folder.spec, parts) | costs(parts)
             found["wall_seconds"] = journal.wall_seconds if stop == len(rows) else None
             yield row(said | _with_ratio(found))
 
@@ -106,7 +108,9 @@ def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figure
         "grasps": total.grasps,
         "robust": total.robust,
         "cells": total.cells,
+        "qd_score": metrics.qd_score,
         "mean_best": metrics.qd_score / total.cells if total.cells else None,
+        "near_nu": metrics.nu.below_quarter_pi,
         "niches": various.niches,
         "robust_niches": various.robust_niches,
         "orientations": various.orientations,
@@ -117,21 +121,39 @@ def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figure
 def covered(found: SuccessHistory, known: ReferenceSet, evaluations: int) -> Figures:
     """How much of a reference set was found, in the end and at the milestones that were reached."""
     reached, size = found.found(known), len(known)
+    distinct = len(np.unique(cells(found.rows["base_to_object"][:, :3]), axis=0))
     return {
         "set_size": size,
         **{
-            f"coverage_{milestone // 1000}k": int(reached.after(milestone)) / size
-            for milestone in MILESTONES
+            f"coverage_{name}": int(reached.after(milestone)) / size
+            for name, milestone in MILESTONES.items()
             if milestone <= evaluations
         },
         "coverage": reached.end / size,
         "robust_coverage": found.found(known, Outcome.HELD).end / size,
+        "outside": 1 - reached.end / distinct if distinct else None,
     }
 
 
-def costs(stretches: Sequence[JournalSlice], stop: int) -> Figures:
-    """What the first rows cost: seconds of the workers, and of a success among them."""
-    parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
+def growth(spec: RunSpec, parts: Sequence[JournalSlice]) -> Figures:
+    """Cells with a grasp that survived every disturbance: in the end, and at the milestones reached."""
+    rows = np.concatenate([part.rows for part in parts])
+    spent = np.cumsum(evaluation_mask(rows, spec.overlaps))
+    seconds = np.cumsum(np.concatenate([np.full(len(part), part.cpu_seconds / len(part)) for part in parts]))
+    held = SuccessHistory.among(rows, spec.overlaps).cells(Outcome.HELD)
+    at_cpu = {
+        name: int(spent[np.searchsorted(seconds, second)])
+        for name, second in CPU_MILESTONES.items()
+        if second <= seconds[-1]
+    }
+    at = {name: milestone for name, milestone in MILESTONES.items() if milestone <= spent[-1]} | at_cpu
+    return {"robust_cells": held.end} | {
+        f"robust_cells_{name}": int(held.after(evaluations)) for name, evaluations in at.items()
+    }
+
+
+def costs(parts: Sequence[JournalSlice]) -> Figures:
+    """What rows cost: seconds of the workers, and of a success among them."""
     return {"cpu_seconds": sum(part.cpu_seconds for part in parts), "success_ms": _success_ms(parts)}
 
 

@@ -4,7 +4,11 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from benchmarks.results.benchmark import CAMPAIGN as BENCHMARK
+from benchmarks.results.benchmark import benchmark_part
 from benchmarks.results.comparison import COUNTING, Arm, arms, comparison_part, spread
+from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
+from benchmarks.results.paper_claims import claims_part
 from benchmarks.results.programme import Programme
 from benchmarks.results.table import MILESTONES, Key, Row
 from numpy.typing import NDArray
@@ -21,9 +25,11 @@ TARGETS = {
     ("ref_panda_2f", "ycb_mug", "released", "count"): {10_000: 55.0},
 }
 """The median that is aimed at [%], after so many evaluations."""
+SHOWN = {name: MILESTONES[name] for name in ("1k", "2k", "5k", "10k")}
+"""Milestones that have a column."""
 COVERAGE_COLUMNS = (
     "hand", "object", "protocol", "counting", "budget", "runs",
-    *(f"{milestone:,}" for milestone in MILESTONES), "end",
+    *(f"{milestone:,}" for milestone in SHOWN.values()), "end",
     "robust", "mean best fitness", "orientations", "aim", "code",
 )  # fmt: skip
 
@@ -47,7 +53,7 @@ def _coverage_line(arm: Arm) -> tuple[str, ...]:
     return (
         arm.key.gripper, arm.key.object, arm.key.protocol, COUNTING[arm.key.overlaps],
         f"{arm.key.budget:,}", arm.count,
-        *(arm.words(f"coverage_{milestone // 1000}k", 100) for milestone in MILESTONES),
+        *(arm.words(f"coverage_{name}", 100) for name in SHOWN),
         arm.words("coverage", 100),
         arm.words("robust_coverage", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
         _aim(arm), arm.codes,
@@ -136,25 +142,46 @@ def _ceilings(arm: Arm) -> NDArray[np.float64]:
     return np.array([100 / (size * cost / 1000) for size, cost in known if size and cost])
 
 
-INTRODUCTION = """# Results that accumulate
+INTRODUCTION = """# Results
 
 Made by `make results-page` from [runs.csv](runs.csv), which has a line for each finished run
-([its columns](../results.md#the-table-of-runs)). The runs are those that the campaigns in
-[deploy/results](../../deploy/results) ask for; `make results` carries out what is missing, cheapest first.
+([its columns](../results.md#the-table-of-runs); [as Parquet](runs.parquet)). The runs are those that the
+campaigns in [deploy/results](../../deploy/results) ask for; `make results` carries out what is missing.
+[How the results are made](methods.md): scenes, work, measures and statistics.
 """
 
 
 def page(known: Programme, table: Mapping[Key, Row]) -> str:
     """The whole page."""
-    here = arms(known, table)
+    benchmark = benchmark_arms(known, table)
+    here = _arms(known, table, "", without=(BENCHMARK, CLAIMS))
     parts = [
         INTRODUCTION,
-        _standing(known, table),
+        benchmark_part(benchmark),
+        comparison_part(benchmark, "## The benchmark, scene by scene"),
+        claims_part(_arms(known, table, CLAIMS)),
         coverage_part(here),
-        comparison_part(here),
+        comparison_part(here, "## First touches: the default's search for touch against the others"),
         cpu_part(here),
+        _standing(known, table),
     ]
-    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts if part)
+
+
+def benchmark_arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
+    """The arms of the benchmark's campaigns."""
+    return _arms(known, table, BENCHMARK)
+
+
+def _arms(
+    known: Programme, table: Mapping[Key, Row], prefix: str, without: tuple[str, ...] = ()
+) -> list[Arm]:
+    """The arms of campaigns whose names begin in one way, and in none of some others."""
+    campaigns = known.campaigns.items()
+    chosen = {
+        name: runs for name, runs in campaigns if name.startswith(prefix) and not name.startswith(without)
+    }
+    return arms(Programme(chosen), table)
 
 
 def _standing(known: Programme, table: Mapping[Key, Row]) -> str:
@@ -164,6 +191,7 @@ def _standing(known: Programme, table: Mapping[Key, Row]) -> str:
     others = len(table) - len(here)
     besides = f" {others} more rows of the table are of runs that it does not ask for." if others else ""
     return (
+        "## Which runs are in\n\n"
         f"{len(here)} of the {len(wanted)} runs of the programme are in.{besides}\n\n"
         + markdown_table(("campaign", "runs", "in", "missing"), list(_campaigns(known, table)))
         + "\n"

@@ -5,9 +5,11 @@ import io
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
 from msgspec import Struct
 
 from qdgrasp_coordinator.storage import atomic_files, job_folder
@@ -16,8 +18,12 @@ from qdgrasp_protocol.spec import RunSpec
 
 DIGITS = 5
 """Significant ones of a number that is not whole."""
-MILESTONES = (1000, 2000, 5000, 10_000)
-"""Counted evaluations after which a row says how much was found."""
+MILESTONES = {
+    f"{n // 1000}k" if n % 1000 == 0 else str(n): n for n in (500, 1000, 2000, 5000, 10_000, 50_000)
+}
+"""Counted evaluations after which a row says how much was found, by the end of their columns' names."""
+CPU_MILESTONES = {f"{n}s": n for n in (5, 10, 20, 50, 100, 200)}
+"""CPU seconds of the workers after which it says so, in the same way."""
 
 
 class Key(NamedTuple):
@@ -78,15 +84,37 @@ class Row(Struct, frozen=True, kw_only=True):
     """Distinct 1 cm cells with a success."""
     set_size: int | None = None
     """Entries of the reference set."""
-    coverage_1k: float | None = None
+    coverage_500: float | None = None
     """De-duplicated coverage of the reference set after so many counted evaluations, 0 to 1."""
+    coverage_1k: float | None = None
     coverage_2k: float | None = None
     coverage_5k: float | None = None
     coverage_10k: float | None = None
+    coverage_50k: float | None = None
     coverage: float | None = None
     """The same in the end."""
     robust_coverage: float | None = None
     """The share of the set's entries in which a success of fitness 2 was found."""
+    outside: float | None = None
+    """The share of the cells with a success that are not in the set, 0 to 1."""
+    robust_cells: int | None = None
+    """Distinct 1 cm cells with a grasp that survived every disturbance, in the end."""
+    robust_cells_500: int | None = None
+    """The same after so many counted evaluations."""
+    robust_cells_1k: int | None = None
+    robust_cells_2k: int | None = None
+    robust_cells_5k: int | None = None
+    robust_cells_10k: int | None = None
+    robust_cells_50k: int | None = None
+    robust_cells_5s: int | None = None
+    """The same after so many CPU seconds of the workers."""
+    robust_cells_10s: int | None = None
+    robust_cells_20s: int | None = None
+    robust_cells_50s: int | None = None
+    robust_cells_100s: int | None = None
+    robust_cells_200s: int | None = None
+    qd_score: float | None = None
+    """The best fitness in a cell with a success, summed over these cells."""
     mean_best: float | None = None
     """The best fitness in a cell with a success, mean over these cells."""
     niches: int | None = None
@@ -95,6 +123,8 @@ class Row(Struct, frozen=True, kw_only=True):
     """Those with a success of fitness 2."""
     orientations: float | None = None
     """Of 60 bins, those with a success in a cell with one, mean over these cells."""
+    near_nu: float | None = None
+    """Share of the successes that aim at a surface point with nu below pi / 4, 0 to 1."""
     cpu_seconds: float
     """Of the workers."""
     coverage_per_cpu_second: float | None = None
@@ -178,6 +208,22 @@ def text(table: Table) -> str:
     for _, row in sorted(table.items()):
         writer.writerow({name: written(getattr(row, name)) for name in COLUMNS})
     return lines.getvalue()
+
+
+def parquet(table: Table) -> bytes:
+    """The same table as a Parquet file."""
+    kinds = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    fields = [(field.name, kinds[_plain(field.type)]) for field in msgspec.structs.fields(Row)]
+    rows = [msgspec.structs.asdict(row) for _, row in sorted(table.items())]
+    out = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pylist(rows, pa.schema(fields)), out)
+    return bytes(out.getvalue())
+
+
+def _plain(kind: Any) -> type:
+    """The type of a figure that is there."""
+    some: type = next((one for one in get_args(kind) if one is not type(None)), kind)
+    return some
 
 
 def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[Key, Row]:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import msgspec
 from benchmarks.results import table as tables
+from benchmarks.results.benchmark import FIGURE, draw
 from benchmarks.results.measure import harvest
-from benchmarks.results.page import page
+from benchmarks.results.page import benchmark_arms, page
 from benchmarks.results.programme import Costs, Programme, Wanted, ordered, stages
 from benchmarks.results.table import Key, Row
 
@@ -20,6 +21,7 @@ from qdgrasp_coordinator.cli.run_commands import run_job
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
+from qdgrasp_coordinator.report.figure_grid import FIGURE_DPI
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
@@ -102,9 +104,14 @@ class Store:
         )
 
     def write_page(self) -> None:
-        """Make the page again."""
+        """Make the page again, its figure, and the table as Parquet."""
+        whole = self.table
+        figure = draw(benchmark_arms(self.known, whole))
         with atomic_files.writing(self.file.parent):
-            atomic_files.write(self.file.with_name(PAGE), page(self.known, self.table).encode())
+            atomic_files.write(self.file.with_name(PAGE), page(self.known, whole).encode())
+            atomic_files.write(self.file.with_suffix(".parquet"), tables.parquet(whole))
+            if figure is not None:
+                figure.figure.savefig(self.file.with_name(f"{FIGURE}.png"), dpi=FIGURE_DPI)
 
     def _budgets(self, here: tables.Table) -> "_Budgets":
         return _Budgets(self.known, {one for one, row in here.items() if row.code in self._current})

@@ -2,16 +2,21 @@
 
 import random
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas
 import pytest
 from benchmarks.results import table
 from benchmarks.results import table as tables
-from benchmarks.results.comparison import arms, comparison_part
+from benchmarks.results.benchmark import after_equal_cpu, benchmark_part, draw
+from benchmarks.results.comparison import Arm, MethodComparison, arms, comparison_part
 from benchmarks.results.page import coverage_part, cpu_part, page
 from benchmarks.results.programme import Programme, Wanted, programme
 from benchmarks.results.table import COLUMNS, Row, key
+from msgspec import structs
 
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
@@ -66,6 +71,14 @@ class TestText:
         table.write(tmp_path / "runs.csv", whole)
         assert table.read(tmp_path / "runs.csv") == whole
 
+    def test_as_parquet_it_has_the_same_columns_and_rows(self, tmp_path) -> None:
+        whole = table.merged({}, [*ROWS, row(object="mug", coverage=0.12345, set_size=7060)], {TODAY})
+        (tmp_path / "runs.parquet").write_bytes(table.parquet(whole))
+        read = pandas.read_parquet(tmp_path / "runs.parquet")
+        assert tuple(read.columns) == COLUMNS
+        assert read["coverage"].dropna().tolist() == [0.12345]
+        assert read["seed"].tolist() == [one.seed for one in whole.values()]
+
     def test_the_order_in_which_rows_came_changes_nothing(self) -> None:
         shuffled = random.Random(0).sample(ROWS, len(ROWS))  # noqa: S311 - no secret
         assert written(*shuffled) == written(*ROWS)
@@ -93,7 +106,7 @@ class TestBadText:
             ("gripper,", "gripers,", "line 1: unknown column 'gripers'"),
             ("gripper,", "", "line 1: column 'gripper' is missing"),
             (",1000,0.1.0", ",many,0.1.0", r"line 2: .*int.*budget"),
-            (",0.1.0", "", "line 2: expected 35 fields"),
+            (",0.1.0", "", f"line 2: expected {len(COLUMNS)} fields"),
             ("aimed,count,,1", "aimed,count,,0", "line 3: aimed with panda on ycb_mug, seed 0"),
         ],
     )
@@ -209,50 +222,76 @@ def compared(*rows: Row) -> str:
     return comparison_part(arms(*of(*rows)))
 
 
-class TestDuels:
-    def text(self, ours: dict[int, float], theirs: dict[int, float]) -> str:
-        rows = [made_row(seed=seed, coverage=value, robust_coverage=0.3) for seed, value in ours.items()]
-        others = ((seed, {"coverage": value, "robust_coverage": 0.4}) for seed, value in theirs.items())
+FIVE = range(5)
+
+
+class TestComparisons:
+    def text(self, ours: Sequence[float], theirs: Sequence[float]) -> str:
+        rows = [made_row(seed=seed, coverage=value, robust_coverage=0.3) for seed, value in enumerate(ours)]
+        others = ((seed, {"coverage": value, "robust_coverage": 0.4}) for seed, value in enumerate(theirs))
         return compared(*rows, *(made_row("me_scs", seed, **figures) for seed, figures in others))
 
-    def test_differences_are_of_runs_with_one_seed(self) -> None:
-        text = self.text({0: 0.2, 1: 0.3, 2: 0.9}, {0: 0.1, 1: 0.2})
-        line = cells(text, "panda")
-        assert line[3] == "2"
-        assert line[5:7] == ["25.0 (20.0 to 30.0)", "15.0 (10.0 to 20.0)"]
-        assert line[7:10] == ["+10.0", "+10.0 to +10.0", "win"]
+    def test_differences_are_of_means_and_runs_are_not_paired(self) -> None:
+        line = cells(self.text([0.2, 0.3, 0.25, 0.2, 0.3], [0.1, 0.2, 0.15, 0.1, 0.2, 0.15]), "panda")
+        assert line[3] == "5 / 6"
+        assert line[5:8] == ["25.0 (20.0 to 30.0)", "15.0 (10.0 to 20.0)", "+10.0"]
+        assert line[10] == "win"
 
     def test_an_interval_around_zero_is_nobodys_win(self) -> None:
-        text = self.text({0: 0.2, 1: 0.2}, {0: 0.1, 1: 0.3})
-        assert cells(text, "panda")[9] == "level"
+        text = self.text([0.2, 0.3, 0.2, 0.1, 0.2], [0.1, 0.3, 0.2, 0.2, 0.2])
+        assert cells(text, "panda")[10] == "level"
 
-    def test_one_seed_proves_nothing(self) -> None:
-        assert cells(self.text({0: 0.2}, {0: 0.1}), "panda")[8:10] == ["", "one seed"]
+    def test_four_seeds_prove_nothing(self) -> None:
+        line = cells(self.text([0.2, 0.21, 0.22, 0.2], [0.1] * 5), "panda")
+        assert line[8:11] == ["", "", "few seeds"]
+
+    def test_of_many_comparisons_fewer_are_won(self) -> None:
+        ours, theirs = (0.50, 0.60, 0.55, 0.58, 0.53), (0.45, 0.54, 0.42, 0.47, 0.48)
+        alone = self.text(ours, theirs)
+        assert cells(alone, "panda")[10] == "win"
+        others = [
+            made_row(method, seed, object=f"ycb_{name}", coverage=0.3 + 0.1 * (seed % 2))
+            for method in ("aimed", "me_scs")
+            for name in ("bowl", "banana", "spatula", "chips_can", "tennis_ball")
+            for seed in FIVE
+        ]
+        rows = [made_row(seed=seed, coverage=value) for seed, value in enumerate(ours)]
+        rivals = [made_row("me_scs", seed, coverage=value) for seed, value in enumerate(theirs)]
+        lines = [line for line in compared(*rows, *rivals, *others).splitlines() if "| ycb_mug |" in line]
+        assert "| level |" in lines[0]
 
     def test_losses_are_listed_in_every_figure(self) -> None:
-        text = self.text({0: 0.1, 1: 0.1}, {0: 0.2, 1: 0.2})
+        text = self.text([0.1] * 5, [0.2] * 5)
         assert "losses 1. Behind nowhere in: mean best fitness; orientations; niches." in text
-        assert "| coverage, or cells | panda | ycb_mug | `me_scs` 10.0 |  |" in text
+        assert "| the figure that decides | panda | ycb_mug | `me_scs` 10.0 |  |" in text
         assert "| robust coverage | panda | ycb_mug | `me_scs` 10.0 |  |" in text
 
     def test_who_is_ahead_but_not_for_certain_stands_apart(self) -> None:
-        text = self.text({0: 0.2, 1: 0.2}, {0: 0.1, 1: 0.4})
-        assert "| coverage, or cells | panda | ycb_mug |  | `me_scs` 5.0 |" in text
+        text = self.text([0.2, 0.3, 0.2, 0.1, 0.2], [0.1, 0.3, 0.4, 0.3, 0.2])
+        assert "| the figure that decides | panda | ycb_mug |  | `me_scs` 6.0 |" in text
 
-    def test_where_there_is_no_set_cells_are_compared(self) -> None:
-        counts = {"aimed": 100, "me_scs": 60}
-        rows = [made_row(method, seed, cells=count) for method, count in counts.items() for seed in (0, 1)]
+    @pytest.mark.parametrize(("protocol", "figure"), [("paper", "cells"), ("physical", "cells that hold")])
+    def test_without_a_set_cells_are_compared_and_under_physical_those_that_hold(
+        self, protocol: str, figure: str
+    ) -> None:
+        column = {"cells": "cells", "cells that hold": "robust_cells"}[figure]
+        rows = [
+            made_row(method, seed, protocol=protocol, **{"cells": 7, column: count})
+            for method, count in {"aimed": 100, "me_scs": 60}.items()
+            for seed in FIVE
+        ]
         found = cells(compared(*rows), "panda")[4:8]
-        assert found == ["cells", "100 (100 to 100)", "60 (60 to 60)", "+40"]
+        assert found == [figure, "100 (100 to 100)", "60 (60 to 60)", "+40"]
 
     def test_several_objects_are_also_taken_together(self) -> None:
         rows = [
             made_row(method, seed, object=name, coverage=value)
             for method, value in (("aimed", 0.3), ("me_scs", 0.1))
             for name in ("ycb_mug", "ycb_bowl")
-            for seed in (0, 1)
+            for seed in FIVE
         ]
-        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | win |" in compared(*rows)
+        text = compared(*rows)
+        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | 0.0002 | win |" in text
 
     def test_countings_are_kept_apart(self) -> None:
         other = made_row("me_scs", coverage=0.1)
@@ -266,7 +305,7 @@ class TestDuels:
         text = compared(made_row(coverage=0.2), made_row("me_scs", coverage=0.1, code=BEFORE))
         assert cells(text, "panda")[-1] == f"`{TODAY[:6]}` / `{BEFORE[:6]}`"
         assert "Of two evaluation codes: 1 of 1" in text
-        text = self.text({0: 0.2}, {0: 0.1})
+        text = self.text([0.2], [0.1])
         assert cells(text, "panda")[-1] == f"`{TODAY[:6]}`"
         assert "Of two evaluation codes" not in text
 
@@ -274,9 +313,75 @@ class TestDuels:
         other = made_row("me_scs", coverage=0.1)
         text = compared(made_row(coverage=0.3), made_row(coverage=0.2, settings="population=70"), other)
         against = [line.split("|")[3].strip() for line in text.splitlines() if line.startswith("| panda")]
-        assert against == ["`aimed` (population=70)", "`me_scs`"]
+        assert against == ["`aimed` for touch (population=70)", "`me_scs`"]
         long = made_row(settings="population=70", budget=10_000)
         assert "| panda" not in coverage_part(arms(*of(long)))
+
+
+BENCH = {
+    "aimed": "aim_for=hold engine=mujoco in_flight=400 population=50 surface_seed=seed",
+    "me_scs": "engine=mujoco surface_seed=seed",
+}
+
+
+def bench_arms(*ends: tuple[str, str, str, float, float]) -> list[Arm]:
+    """Arms of the benchmark: hand, object, method, cells that hold in the end and after ten CPU seconds."""
+    found = []
+    for gripper, target, method, end, after_cpu in ends:
+        rows = {
+            seed: row(
+                method, seed, gripper=gripper, object=target, protocol="physical", settings=BENCH[method],
+                robust_cells=round(end * (1 + seed / 100)), robust_niches=9,
+                robust_cells_5s=1, robust_cells_10s=round(after_cpu * (1 + seed / 100)),
+            )
+            for seed in range(1, 6)
+        }  # fmt: skip
+        found.append(Arm(rows[1].key._replace(seed=0), tuple(rows), rows))
+    return found
+
+
+class TestBenchmark:
+    def test_the_default_of_the_benchmark_is_known_by_its_settings(self) -> None:
+        ours, theirs = bench_arms(("panda", "ycb_mug", "aimed", 9, 9), ("panda", "ycb_mug", "me_scs", 9, 9))
+        assert (ours.is_default, theirs.is_default) == (True, False)
+        assert ours.method == "`aimed`"
+        assert ours.scene == ("panda", "ycb_mug", "physical in mujoco")
+
+    def test_scenes_held_out_are_summed_up_apart_from_those_of_tuning(self) -> None:
+        known = bench_arms(
+            *(("panda", name, "aimed", 900, 300) for name in ("ycb_mug", "ycb_bowl", "ycb_banana")),
+            *(("panda", name, "me_scs", 300, 100) for name in ("ycb_mug", "ycb_bowl", "ycb_banana")),
+        )
+        text = benchmark_part(known)
+        lines = [line for line in text.splitlines() if "| `me_scs` |" in line]
+        assert [line.split("|")[1].strip() for line in lines] == ["held out, two fingers", "tuning"]
+        assert [line.split("|")[4:6] for line in lines] == [[" 2 ", " 10 "], [" 1 ", " 5 "]]
+        assert "3.00 (2." in lines[0]
+        assert "behind in none of 3 comparisons on 3 scenes" in text
+
+    def test_a_scene_where_the_default_is_behind_is_named_before_all(self) -> None:
+        known = bench_arms(
+            ("panda", "ycb_bowl", "aimed", 500, 40), ("panda", "ycb_bowl", "me_scs", 300, 80),
+            ("panda", "ycb_banana", "aimed", 100, 40), ("panda", "ycb_banana", "me_scs", 400, 20),
+        )  # fmt: skip
+        first = benchmark_part(known).partition("Protocol `physical`")[0]
+        assert "| panda | ycb_bowl | `me_scs` | equal CPU | 0.50 |" in first
+        assert "| panda | ycb_banana | `me_scs` | equal evaluations | 0.25 |" in first
+        assert first.count("| panda |") == 2
+        assert first.count("| loss |") == 2
+
+    def test_equal_cpu_is_the_latest_that_all_runs_reached(self) -> None:
+        ours, theirs = bench_arms(
+            ("panda", "ycb_bowl", "aimed", 500, 40), ("panda", "ycb_bowl", "me_scs", 300, 20)
+        )
+        assert after_equal_cpu(MethodComparison(ours, theirs))[0].tolist() == [40, 41, 41, 42, 42]
+        short = structs.replace(theirs.rows[3], robust_cells_10s=None)
+        late = replace(theirs, rows={**theirs.rows, 3: short})
+        assert after_equal_cpu(MethodComparison(ours, late))[0].tolist() == [1, 1, 1, 1, 1]
+
+    def test_without_a_run_it_says_so_and_draws_nothing(self) -> None:
+        assert "No runs of the benchmark are in yet" in benchmark_part([])
+        assert draw([]) is None
 
 
 BESIDE_THE_AUTHORS = {"object": "ycb_rubiks_cube", "budget": 10_000}

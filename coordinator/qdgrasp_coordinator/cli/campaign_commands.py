@@ -277,7 +277,7 @@ def analyse(
         echo(json.dumps({**values, "claims": verdicts, **missing}))
         return
     for one in found.claims:
-        echo(f"({one.claim.letter}) {one.claim.words}: {one.words}.")
+        echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
     if found.without_curves:
         echo(left_out_words(found.without_curves))
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""

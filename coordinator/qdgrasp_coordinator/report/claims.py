@@ -1,10 +1,4 @@
-"""Claims of Huber et al. 2024, section V, held against runs, with bootstrap intervals.
-
-Means and ratios are resampled over scenes and over the runs on each scene: a hierarchical bootstrap with
-percentile intervals (Efron and Tibshirani 1993, chapters 8 and 13). With one scene they speak of that scene
-alone, and with few runs they are too narrow: of two runs, the interval of the mean reaches from one to the
-other.
-"""
+"""Claims of Huber et al. 2024, section V, held against runs, with bootstrap intervals."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -13,94 +7,15 @@ from enum import Enum
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from qdgrasp_coordinator.report.bootstrap import (
+    ConfidenceInterval,
+    RunValues,
+    mean_interval,
+    ratio_interval,
+)
 from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of
 
-RESAMPLES = 5000
-CONFIDENCE_LEVEL = 0.95
-RESAMPLING_SEED = 0
-RunValues = NDArray[np.float64]
-ScenesOfRuns = Sequence[RunValues]  # For each scene the values of its runs (n,)
-
-
-@dataclass(frozen=True)
-class ConfidenceInterval:
-    """A number with its bootstrap interval."""
-
-    value: float
-    low: float
-    """NaN, as `high`, where a single run on a single scene, or nothing, is there to draw from."""
-    high: float
-    scenes: int
-    runs: tuple[int, ...]
-    """Of each arm, over all scenes."""
-
-    @property
-    def is_known(self) -> bool:
-        """True if there is an interval at all."""
-        return not np.isnan(self.low)
-
-
-def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
-    """Mean over scenes of the means over runs; scenes without a run are left out."""
-    some = [found for found in values if len(found)]
-    return _interval([(found,) for found in some], lambda arms: arms[..., 0].mean(axis=-1), 1, seed)
-
-
-def ratio_interval(
-    upper: ScenesOfRuns, lower: ScenesOfRuns, seed: int = RESAMPLING_SEED
-) -> ConfidenceInterval:
-    """Ratio of two arms, their means in each scene scaled to a mean of 1 over both.
-
-    So each scene weighs the same, however large its numbers are, and exchanging the arms gives the
-    reciprocal. Scenes where an arm has no run, or where both found nothing, are left out. Infinite where the
-    lower arm found nothing.
-    """
-    some = [
-        (a, b) for a, b in zip(upper, lower, strict=True) if len(a) and len(b) and a.mean() + b.mean() > 0
-    ]
-    scaled = [tuple(2 * arm / (a.mean() + b.mean()) for arm in (a, b)) for a, b in some]
-
-    def quotient(arms: RunValues) -> RunValues:
-        above, below = np.moveaxis(arms.sum(axis=-2), -1, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where((above == 0) & (below == 0), 1.0, above / below)
-
-    return _interval(scaled, quotient, 2, seed)
-
-
-def _interval(
-    scenes: Sequence[tuple[RunValues, ...]], statistic: Callable[[RunValues], RunValues], arms: int, seed: int
-) -> ConfidenceInterval:
-    runs = tuple(sum(len(scene[arm]) for scene in scenes) for arm in range(arms))
-    if not scenes:
-        return ConfidenceInterval(np.nan, np.nan, np.nan, 0, runs)
-    means = np.array([[arm.mean() for arm in scene] for scene in scenes])
-    value = float(statistic(means))
-    if len(scenes) == 1 and min(runs) < 2:
-        return ConfidenceInterval(value, np.nan, np.nan, 1, runs)
-    tail = (1 - CONFIDENCE_LEVEL) / 2
-    drawn = statistic(resample(scenes, RESAMPLES, np.random.default_rng(seed)))
-    low, high = np.quantile(drawn, (tail, 1 - tail), method="inverted_cdf")  # of infinite ones too
-    return ConfidenceInterval(value, float(low), float(high), len(scenes), runs)
-
-
-def resample(
-    scenes: Sequence[tuple[RunValues, ...]], resamples: int, random: np.random.Generator
-) -> RunValues:
-    """Draw scenes, and runs in each: means of each arm (resamples, scenes, arms)."""
-    chosen = random.integers(len(scenes), size=(resamples, len(scenes)))
-    means = np.empty((*chosen.shape, len(scenes[0])))
-    for number, scene in enumerate(scenes):
-        places = chosen == number
-        for arm, values in enumerate(scene):
-            drawn = random.integers(len(values), size=(int(places.sum()), len(values)))
-            means[..., arm][places] = values[drawn].mean(axis=1)
-    return means
-
-
-FEW_RUNS = 5  # With fewer runs than this in an arm, a bootstrap interval is narrower than it should be
 GroupsByScene = dict[SceneName, dict[str, RunGroup]]  # On each scene, the entry of each method
 
 
@@ -114,11 +29,6 @@ class ClaimEvidence:
     interval: ConfidenceInterval
     evaluations: tuple[int, ...]
     """Counted evaluations after which it is taken, on each scene."""
-
-    @property
-    def has_few_runs(self) -> bool:
-        """True if so few runs are behind it that its interval is too narrow."""
-        return min(self.interval.runs, default=0) < FEW_RUNS
 
 
 def groups_by_scene(groups: Sequence[RunGroup]) -> GroupsByScene:
@@ -255,16 +165,6 @@ class JudgedClaim:
     def absent_count(self) -> int:
         """Numbers that lack a method in this campaign."""
         return len(self.claim.methods) - len(self.evidence)
-
-    @property
-    def has_few_runs(self) -> bool:
-        """True if one of its numbers has so few runs that its interval is too narrow."""
-        return any(number.has_few_runs for number in self.evidence)
-
-    @property
-    def words(self) -> str:
-        """The verdict for a person."""
-        return f"{self.verdict.value}{' (of few runs)' if self.has_few_runs else ''}"
 
     @property
     def verdict(self) -> ClaimAgreement:

@@ -19,7 +19,8 @@ from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.rendering.drawings import axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
 from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
-from qdgrasp_coordinator.report.claims import ConfidenceInterval, near_nu_interval
+from qdgrasp_coordinator.report.bootstrap import LEAST_RUNS, ConfidenceInterval
+from qdgrasp_coordinator.report.claims import near_nu_interval
 from qdgrasp_coordinator.report.figure_grid import (
     CONTEXT,
     FAINT,
@@ -261,7 +262,8 @@ def near_words(lean: NuDistribution) -> str:
     if bound := NU_BOUNDS.get(default_prior(lean.method)):
         return bound
     found = lean.near
-    span = f" ({found.low:.0%} to {found.high:.0%})" if found.is_known else " (no interval from one run)"
+    missing = f" (no interval: fewer than {LEAST_RUNS} runs)"
+    span = f" ({found.low:.0%} to {found.high:.0%})" if found.is_known else missing
     return f"{found.value:.0%} below \u03c0/4{span}"
 
 

@@ -8,13 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdgrasp_coordinator.metrics.success_metrics import StepSeries
-from qdgrasp_coordinator.report.claims import (
-    CONFIDENCE_LEVEL,
-    FEW_RUNS,
-    RESAMPLES,
-    ClaimEvidence,
-    JudgedClaim,
-)
+from qdgrasp_coordinator.report.bootstrap import CONFIDENCE_LEVEL, LEAST_RUNS, RESAMPLES
+from qdgrasp_coordinator.report.claims import ClaimEvidence, JudgedClaim
 from qdgrasp_coordinator.report.figures import RunVoxels
 from qdgrasp_coordinator.report.run_groups import (
     PUBLISHED_COVERAGE,
@@ -217,7 +212,6 @@ def csv_text(rows: Sequence[Mapping[str, Value]]) -> str:
 
 MOST_NAMED = 10  # So many runs of a kind are named
 CLAIMS_HEADING = "## What the paper claims"
-FEW_MARK = " \\*"  # Of what few runs are behind
 CAPTIONS = {
     "coverage": "Every method over its evaluations: median over seeds and interquartile range. Coverage is "
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
@@ -288,11 +282,10 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
         [line for one in claims for line in _number_lines(one)],
     )
     notes = (
-        f"Intervals: hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs in each. "
+        f"Intervals: studentised hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs "
+        f"in each. Where an arm has fewer than {LEAST_RUNS} runs on a scene there is none, and no verdict. "
         "With one scene they speak of that scene alone. Methods are compared after as many evaluations, "
-        "with finished runs only where there are any.\n\n"
-        f"\\* Fewer than {FEW_RUNS} runs: such an interval is narrower than it says, and its verdict is "
-        "provisional; of two runs, it reaches from one to the other.\n"
+        "with finished runs only where there are any.\n"
     )
     return "\n".join([summary, numbers, notes])
 
@@ -300,18 +293,21 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
 def _verdict(one: JudgedClaim) -> str:
     lacking = f" ({one.absent_count} of {len(one.claim.methods)} numbers not in this campaign)"
     is_partial = one.absent_count and one.evidence
-    return f"**{one.verdict.value}**{FEW_MARK if one.has_few_runs else ''}{lacking if is_partial else ''}"
+    return f"**{one.verdict.value}**{lacking if is_partial else ''}"
+
+
+NO_INTERVAL = f"none: fewer than {LEAST_RUNS} runs"
 
 
 def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
     for found, is_judged in one.numbers:
         interval, (low, high) = found.interval, (min(found.evaluations), max(found.evaluations))
-        verdict = one.claim.band.verdict(interval).value + (FEW_MARK if found.has_few_runs else "")
+        verdict = one.claim.band.verdict(interval).value
         yield (
             one.claim.letter,
             f"`{found.subject}`: {found.statistic}",
             f"{interval.value:.3g}",
-            f"{interval.low:.3g} to {interval.high:.3g}" if interval.is_known else "none: one run",
+            f"{interval.low:.3g} to {interval.high:.3g}" if interval.is_known else NO_INTERVAL,
             verdict if is_judged else "to compare with",
             f"{low:,}" if low == high else f"{low:,} to {high:,}",
             str(interval.scenes),

@@ -1,0 +1,310 @@
+"""The first part of the page: grasps that hold on the scenes of the benchmark, for as much work.
+
+Work is counted evaluations, or CPU seconds of the workers in the same engine and protocol. Under equal CPU,
+each scene is compared at the latest of `CPU_MILESTONES` that all runs of both methods reached.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from benchmarks.results.comparison import (
+    DEFAULT,
+    ROBUST_CELLS,
+    Arm,
+    MethodComparison,
+    Verdict,
+    over_scenes,
+    verdicts_of,
+)
+from benchmarks.results.table import CPU_MILESTONES, MILESTONES, Row
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.report.bootstrap import (
+    CONFIDENCE_LEVEL,
+    ConfidenceInterval,
+    ScenesOfRuns,
+    ratio_interval,
+)
+from qdgrasp_coordinator.report.figure_grid import (
+    FigureGrid,
+    MethodVariant,
+    line_styles,
+    panel_heading,
+    plain_axes,
+)
+from qdgrasp_coordinator.report.tables import markdown_table
+
+CAMPAIGN = "grasp-bench-1"
+"""Beginning of the names of the campaigns whose scenes are the benchmark's."""
+FIGURE = "cells-that-hold"
+PROTOCOL = "physical"
+TUNING = {("panda", "ycb_rubiks_cube"), ("panda", "ycb_mug"), ("panda", "ycb_power_drill")}
+"""Hands and objects on which constants of searches were chosen."""
+TWO_FINGERS = ("panda", "robotiq_2f", "xarm", "pr2")
+SUMMARY_COLUMNS = (
+    "scenes", "method", "hands", "objects", "runs", "cells that hold", "niches that hold", "CPU s",
+    "cells that hold a CPU s", "default over it, equal evaluations", "equal CPU", "adjusted p",
+)  # fmt: skip
+LOSS_COLUMNS = (
+    "hand",
+    "object",
+    "against",
+    "after",
+    "default over it",
+    f"{CONFIDENCE_LEVEL:.0%} interval",
+    "verdict",
+)
+
+
+@dataclass(frozen=True)
+class SceneGroup:
+    """Scenes of the benchmark that are summed up together."""
+
+    words: str
+    has: Callable[[Arm], bool]
+
+    def arms(self, known: Sequence[Arm]) -> list[Arm]:
+        """Those of its scenes that have runs, and are of one protocol."""
+        return [arm for arm in known if arm.rows and arm.key.protocol == PROTOCOL and self.has(arm)]
+
+
+def is_tuning(arm: Arm) -> bool:
+    """Whether constants of searches were chosen on its scene."""
+    return (arm.key.gripper, arm.key.object) in TUNING
+
+
+GROUPS = (
+    SceneGroup("held out, two fingers", lambda arm: not is_tuning(arm) and arm.key.gripper in TWO_FINGERS),
+    SceneGroup(
+        "held out, more fingers", lambda arm: not is_tuning(arm) and arm.key.gripper not in TWO_FINGERS
+    ),
+    SceneGroup("tuning", is_tuning),
+)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """The default against one other method over scenes that both have runs on."""
+
+    group: SceneGroup
+    scenes: tuple[MethodComparison, ...]
+
+    @property
+    def rival(self) -> str:
+        """The other method."""
+        return self.scenes[0].theirs.method
+
+    @cached_property
+    def equal_evaluations(self) -> ConfidenceInterval:
+        """Ratio of cells that hold, the default's over the other's, after as many evaluations."""
+        return over_scenes(ratio_interval, self.scenes, ROBUST_CELLS)
+
+    @cached_property
+    def equal_cpu(self) -> ConfidenceInterval:
+        """The same after as many CPU seconds; scenes where a run took too few are left out."""
+        pairs = [pair for one in self.scenes if (pair := after_equal_cpu(one)) is not None]
+        upper: ScenesOfRuns = [ours for ours, _ in pairs]
+        return ratio_interval(upper, [theirs for _, theirs in pairs])
+
+
+def after_equal_cpu(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Cells that hold of the runs of both, after the most CPU seconds that all of them took."""
+    runs = [*one.ours.rows.values(), *one.theirs.rows.values()]
+    for name in reversed(CPU_MILESTONES):
+        if all(getattr(row, f"robust_cells_{name}") is not None for row in runs):
+            return one.ours.values(f"robust_cells_{name}"), one.theirs.values(f"robust_cells_{name}")
+    return None
+
+
+def contests(group: SceneGroup, known: Sequence[Arm]) -> list[Contest]:
+    """The default against every other method on the scenes of a group, by method."""
+    here = group.arms(known)
+    ours = {(arm.scene, arm.key.budget): arm for arm in here if arm.is_default}
+    rivals: dict[str, list[MethodComparison]] = {}
+    for arm in here:
+        default = ours.get((arm.scene, arm.key.budget))
+        if default is not None and arm is not default:
+            rivals.setdefault(arm.method, []).append(MethodComparison(default, arm))
+    return [Contest(group, tuple(found)) for found in rivals.values()]
+
+
+def benchmark_part(known: Sequence[Arm]) -> str:
+    """The part of the page, from the arms of the benchmark's campaigns."""
+    found = [contest for group in GROUPS for contest in contests(group, known)]
+    if not found:
+        return "## Grasps that hold\n\nNo runs of the benchmark are in yet.\n"
+    verdicts = list(verdicts_of([one.equal_evaluations for one in found]))
+    return "\n".join(["## Grasps that hold\n", *_losses(found), *_summary(known, found, verdicts)])
+
+
+def _losses(found: Sequence[Contest]) -> Iterator[str]:
+    """Scenes on which the default is behind, before anything else is said."""
+    scenes = [one for contest in found for one in contest.scenes]
+    lines = []
+    for words, take in (("evaluations", _ends), ("CPU", after_equal_cpu)):
+        pairs = [(one, pair) for one in scenes if (pair := take(one)) is not None]
+        ratios = [ratio_interval([ours], [theirs]) for _, (ours, theirs) in pairs]
+        lines += [
+            (
+                one.ours.key.gripper, one.ours.key.object, one.theirs.method, f"equal {words}",
+                f"{verdict.found.value:.2f}", interval_words(verdict.found), _loss_words(verdict),
+            )
+            for (one, _), verdict in zip(pairs, verdicts_of(ratios), strict=True)
+            if verdict.found.value < 1
+        ]  # fmt: skip
+    compared = f"{len(scenes)} comparisons on {len({one.ours.scene for one in scenes})} scenes"
+    if lines:
+        yield f"**The default method is behind** in these of {compared}:\n"
+        yield markdown_table(LOSS_COLUMNS, lines)
+    else:
+        yield f"The default method is behind in none of {compared}.\n"
+
+
+def _ends(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return one.pair(ROBUST_CELLS)
+
+
+def _loss_words(verdict: Verdict) -> str:
+    return "loss" if verdict.words in ("win", "loss") else verdict.words
+
+
+def _summary(known: Sequence[Arm], found: Sequence[Contest], verdicts: Sequence[Verdict]) -> Iterator[str]:
+    yield (
+        f"Protocol `{PROTOCOL}`. *Cells that hold*: distinct 1 cm cells with a grasp that survived every "
+        "push; *niches that hold*: cells, orientations and synergies with one. Both, and CPU seconds of the "
+        "workers, are means over scenes of medians over runs, after equally many evaluations. *Default over "
+        "it*: the ratio of cells that hold, each scene weighing the same, with its "
+        f"{CONFIDENCE_LEVEL:.0%} interval over scenes and runs; *equal CPU*: on each scene after the most "
+        f"CPU seconds of {', '.join(map(str, CPU_MILESTONES.values()))} that all runs of both took. "
+        "*Adjusted p*: of equal evaluations, by the method of Holm for all lines of this table.\n"
+    )
+    yield markdown_table(SUMMARY_COLUMNS, [*_summary_lines(known, found, verdicts)])
+    yield f"![Cells with a grasp that holds over evaluations and over CPU seconds]({FIGURE}.png)\n"
+
+
+def _summary_lines(
+    known: Sequence[Arm], found: Sequence[Contest], verdicts: Sequence[Verdict]
+) -> Iterator[tuple[str, ...]]:
+    for group in GROUPS:
+        here = [(one, verdict) for one, verdict in zip(found, verdicts, strict=True) if one.group is group]
+        ours = [arm for arm in group.arms(known) if arm.is_default]
+        if here:
+            yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), "", "", "")
+        for contest, verdict in here:
+            yield (
+                group.words, contest.rival, *_sums([one.theirs for one in contest.scenes]),
+                ratio_words(contest.equal_evaluations), ratio_words(contest.equal_cpu),
+                "" if np.isnan(verdict.adjusted) else f"{verdict.adjusted:.2g}",
+            )  # fmt: skip
+
+
+def _sums(arms: Sequence[Arm]) -> tuple[str, ...]:
+    """Numbers of hands, objects and runs, and the figures of one method over its scenes."""
+    rows = [list(arm.rows.values()) for arm in arms]
+    hold, niches, seconds = (
+        np.mean([np.median([getattr(row, name) for row in runs]) for runs in rows])
+        for name in ("robust_cells", "robust_niches", "cpu_seconds")
+    )
+    rate = np.mean([np.median([_rate(row) for row in runs]) for runs in rows])
+    return (
+        str(len({arm.key.gripper for arm in arms})), str(len({arm.key.object for arm in arms})),
+        str(sum(map(len, rows))), f"{hold:.0f}", f"{niches:.0f}", f"{seconds:.0f}", f"{rate:.1f}",
+    )  # fmt: skip
+
+
+def _rate(row: Row) -> float:
+    return (row.robust_cells or 0) / row.cpu_seconds if row.cpu_seconds else 0.0
+
+
+def ratio_words(found: ConfidenceInterval) -> str:
+    """A ratio with its interval in brackets; nothing where there is none."""
+    if np.isnan(found.value):
+        return ""
+    return f"{found.value:.2f}" + (f" ({interval_words(found)})" if found.is_known else "")
+
+
+def interval_words(found: ConfidenceInterval) -> str:
+    """The ends of an interval of a ratio."""
+    return f"{found.low:.2f} to {found.high:.2f}" if found.is_known else "few seeds"
+
+
+PANEL = (3.6, 2.4)
+AXES: Mapping[str, Mapping[str, int]] = {"evaluations": MILESTONES, "CPU seconds": CPU_MILESTONES}
+
+
+def draw(known: Sequence[Arm]) -> FigureGrid | None:
+    """A row of panels for each group: over evaluations, and over CPU seconds; None without a run."""
+    groups = [group for group in GROUPS if contests(group, known)]
+    if not groups:
+        return None
+    methods: dict[str, MethodVariant] = {
+        arm.method: (arm.key.method, arm.method) for group in groups for arm in group.arms(known)
+    }
+    styles = line_styles(methods.values())
+    grid = FigureGrid(len(groups), len(AXES), PANEL, legend_rows=2, least_width=9.0)
+    for row, group in enumerate(groups):
+        for column, (words, milestones) in enumerate(AXES.items()):
+            axes = grid.axes(row, column)
+            _dress(axes, list(milestones.values()))
+            panel_heading(axes, group.words, f"share of the default's cells that hold, over {words}")
+            for method, at, values in _curves(group, known, milestones, words == "evaluations"):
+                style = styles[methods[method]]
+                axes.plot(at, values, color=style.colour, linestyle=style.dashes, marker="o", markersize=2.5)
+    grid.title(
+        "Cells with a grasp that holds", "Mean over scenes of medians over runs; 1: the default's end."
+    )
+    lines = [
+        Line2D([], [], color=styles[arm].colour, linestyle=styles[arm].dashes, label=name.replace("`", ""))
+        for name, arm in methods.items()
+    ]
+    grid.legend(lines, 4)
+    return grid
+
+
+def _dress(axes: Axes, ticks: Sequence[int]) -> None:
+    plain_axes(axes)
+    axes.set_xscale("log")
+    axes.set_xticks(ticks)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(bottom=0)
+
+
+def _curves(
+    group: SceneGroup, known: Sequence[Arm], milestones: Mapping[str, int], has_end: bool
+) -> Iterator[tuple[str, list[int], list[float]]]:
+    """For each method the milestones that all its runs reached, and the mean over scenes there.
+
+    With `has_end` the budget is one, where it is the same on all scenes.
+    """
+    here = group.arms(known)
+    ends = {arm.scene: float(np.median(arm.values("robust_cells"))) for arm in here if arm.is_default}
+    by_method: dict[str, list[Arm]] = {}
+    for arm in here:
+        if ends.get(arm.scene):
+            by_method.setdefault(arm.method, []).append(arm)
+    for method, arms in by_method.items():
+        shares = {milestone: _share(arms, ends, name) for name, milestone in milestones.items()}
+        budgets = {arm.key.budget for arm in arms}
+        if has_end and len(budgets) == 1:
+            shares[budgets.pop()] = _share(arms, ends, "")
+        reached = {milestone: share for milestone, share in shares.items() if share is not None}
+        yield method, list(reached), list(reached.values())
+
+
+def _share(arms: Sequence[Arm], ends: Mapping[tuple[str, str, str], float], name: str) -> float | None:
+    """Mean over scenes of the median at a milestone, or in the end, over the default's end.
+
+    None where not all runs got there.
+    """
+    values = [arm.values(f"robust_cells_{name}".rstrip("_")) for arm in arms]
+    if any(len(found) < len(arm.rows) for arm, found in zip(arms, values, strict=True)):
+        return None
+    return float(
+        np.mean([np.median(found) / ends[arm.scene] for arm, found in zip(arms, values, strict=True)])
+    )

@@ -1,0 +1,163 @@
+"""The paper's claims, judged from the table: value, verdict, and where the verdict becomes stable.
+
+Numbers and bands are those of `qdgrasp analyse` (report/claims.py), taken from runs of one budget, every
+method with its own settings. A verdict is stable from the least budget, and from the fewest seeds, from
+which on it stays what it is with all of them.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from benchmarks.results.comparison import Arm, changed
+from benchmarks.results.table import MILESTONES
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.report import claims
+from qdgrasp_coordinator.report.bootstrap import (
+    CONFIDENCE_LEVEL,
+    LEAST_RUNS,
+    ConfidenceInterval,
+    mean_interval,
+    ratio_interval,
+)
+from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim
+from qdgrasp_coordinator.report.tables import markdown_table
+
+CAMPAIGN = "claims"
+"""Beginning of the names of the campaigns that the claims are judged from."""
+COLUMNS = (
+    "", "number", "hands", "objects", "seeds", "evaluations", "value", f"{CONFIDENCE_LEVEL:.0%} interval",
+    "verdict", "stable from evaluations", "from seeds",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ClaimNumber:
+    """One number of a claim over the scenes that have its methods."""
+
+    claim: PaperClaim
+    methods: tuple[str, ...]
+    scenes: tuple[tuple[Arm, ...], ...]
+    """On each scene the arms of these methods, all of one budget."""
+    is_judged: bool
+    """False for numbers that only stand beside."""
+
+    @property
+    def seeds(self) -> int:
+        """The fewest runs that an arm has."""
+        return min(len(arm.rows) for arms in self.scenes for arm in arms)
+
+    @property
+    def budgets(self) -> list[int]:
+        """Milestones before the budget, and it, ascending."""
+        end = self.scenes[0][0].key.budget
+        return [*(milestone for milestone in MILESTONES.values() if milestone < end), end]
+
+    def interval(self, budget: int, seeds: int) -> ConfidenceInterval:
+        """The number after so many evaluations, of the first seeds alone."""
+        values = [[_first(arm, seeds) for arm in arms] for arms in self.scenes]
+        return MEASURES[self.claim.measure](values, budget)
+
+    def verdict(self, budget: int, seeds: int) -> ClaimAgreement:
+        """Whether that is in the claim's band."""
+        return self.claim.band.verdict(self.interval(budget, seeds))
+
+    def stable_from(self) -> tuple[int, int]:
+        """The least budget with all seeds, and the fewest seeds at the end, from which the verdict stays."""
+        end, seeds = self.budgets[-1], self.seeds
+        by_budget = [(budget, self.verdict(budget, seeds)) for budget in self.budgets]
+        by_seeds = [
+            (number, self.verdict(end, number)) for number in range(min(LEAST_RUNS, seeds), seeds + 1)
+        ]
+        return _stable(by_budget), _stable(by_seeds)
+
+
+def _stable(verdicts: Sequence[tuple[int, ClaimAgreement]]) -> int:
+    """The first of the trailing entries that have the last verdict."""
+    last = verdicts[-1][1]
+    steady = next((i for i, (_, one) in enumerate(reversed(verdicts)) if one is not last), len(verdicts))
+    return verdicts[-steady][0]
+
+
+def _first(arm: Arm, seeds: int) -> Arm:
+    return Arm(arm.key, arm.seeds, {seed: arm.rows[seed] for seed in sorted(arm.rows)[:seeds]})
+
+
+def _reached(arm: Arm, budget: int) -> NDArray[np.float64]:
+    """Coverage of each run after so many evaluations; in the end cells, where there is no set."""
+    if budget == arm.key.budget:
+        return arm.values("coverage") if len(arm.values("coverage")) else arm.values("cells")
+    return arm.values(next(f"coverage_{name}" for name, at in MILESTONES.items() if at == budget))
+
+
+def _ratio(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
+    upper, lower = ([_reached(arms[place], budget) for arms in scenes] for place in (0, 1))
+    return ratio_interval(upper, lower)
+
+
+def _late(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
+    """The share that the second half added, where half of the budget is a milestone."""
+    if budget // 2 not in MILESTONES.values():
+        return mean_interval([])
+    pairs = [(_reached(arm, budget), _reached(arm, budget // 2)) for (arm,) in scenes]
+    return mean_interval([1 - halves[ends > 0] / ends[ends > 0] for ends, halves in pairs if len(halves)])
+
+
+def _near(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
+    """The share of successes with nu below pi / 4, in the end."""
+    ends = [arm.values("near_nu") for (arm,) in scenes if budget == arm.key.budget]
+    return mean_interval(ends)
+
+
+MEASURES: Mapping[Callable[..., object], Callable[[Sequence[Sequence[Arm]], int], ConfidenceInterval]] = {
+    claims.reached_ratio: _ratio,
+    claims.late_share: _late,
+    claims.near_nu_share: _near,
+}
+"""The measure of a claim on rows, by that on runs."""
+
+
+def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
+    """The numbers of all claims whose methods are on a scene together, by budget."""
+    budgets: dict[int, dict[tuple[str, str, str], dict[str, Arm]]] = {}
+    for arm in known:
+        if arm.rows and not changed(arm.key):
+            budgets.setdefault(arm.key.budget, {}).setdefault(arm.scene, {})[arm.key.method] = arm
+    for claim in CLAIMS:
+        judged = [(methods, True) for methods in claim.methods]
+        for methods, is_judged in judged + [(methods, False) for methods in claim.beside]:
+            for _, scenes in sorted(budgets.items()):
+                both = [arms for arms in scenes.values() if {*methods} <= {*arms}]
+                if both:
+                    here = tuple(tuple(arms[name] for name in methods) for arms in both)
+                    yield ClaimNumber(claim, methods, here, is_judged)
+
+
+def claims_part(known: Iterable[Arm]) -> str:
+    """The section of the page."""
+    found = list(numbers(known))
+    head = (
+        "## The paper's claims\n\n"
+        "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A verdict is *stable* "
+        "from the least budget with all seeds, and from the fewest seeds at the end, from which on it stays "
+        f"what it is. With fewer than {LEAST_RUNS} seeds there is none.\n"
+    )
+    if not found:
+        return f"{head}\nNo runs of the claims' campaigns are in yet.\n"
+    return head + "\n" + markdown_table(COLUMNS, [_line(one) for one in found])
+
+
+def _line(one: ClaimNumber) -> tuple[str, ...]:
+    end, seeds = one.budgets[-1], one.seeds
+    found, arms = one.interval(end, seeds), [arm for arms in one.scenes for arm in arms]
+    verdict = one.claim.band.verdict(found).value if found.is_known else "few seeds"
+    budget, fewest = one.stable_from() if found.is_known and one.is_judged else (None, None)
+    return (
+        one.claim.letter, " / ".join(f"`{name}`" for name in one.methods),
+        str(len({arm.key.gripper for arm in arms})), str(len({arm.key.object for arm in arms})),
+        str(seeds), f"{end:,}", f"{found.value:.3g}",
+        f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "",
+        verdict if one.is_judged else "to compare with",
+        "" if budget is None else f"{budget:,}", "" if fewest is None else str(fewest),
+    )  # fmt: skip
