@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.leave_one_out.grid import GRID
 from tests.docs.pages import ROOT
 
 PAGE = ROOT / "docs" / "methods.md"
@@ -69,3 +70,8 @@ def test_a_record_that_the_table_names_has_that_section() -> None:
             file,
             anchor,
         )
+
+
+def test_what_is_varied_to_refit_it_is_in_the_table_with_todays_value() -> None:
+    known = {row[0]: ast.literal_eval(row[1]) for row in ROWS}
+    assert {name: known[name] for name in GRID} == {name: one.today for name, one in GRID.items()}

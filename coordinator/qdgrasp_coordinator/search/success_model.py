@@ -37,15 +37,15 @@ class LogisticRegression:
     The last feature is constant.
 
     `start` (features,) are the weights until the first fit, and the mean of their prior in all fits; there is
-    one after every `interval` examples. With `own_units` the unit of each feature is its standard deviation,
-    instead of 1: what is small then counts as much as what is large.
+    one after every `interval` examples (None: `FIT_INTERVAL`). With `own_units` the unit of each feature is
+    its standard deviation, instead of 1: what is small then counts as much as what is large.
     """
 
-    def __init__(self, start: ArrayLike, *, own_units: bool = False, interval: int = FIT_INTERVAL) -> None:
+    def __init__(self, start: ArrayLike, *, own_units: bool = False, interval: int | None = None) -> None:
         self._start = _quantised(np.asarray(start, np.float64))
         self.weights: Floats = self._start  # One weight for each feature, a multiple of 1 / `WEIGHT_GRAIN`
         self.own_units = own_units
-        self._interval = interval
+        self._interval = interval or FIT_INTERVAL
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
         self._successes = np.zeros(EXAMPLES_KEPT)
         self._seen = 0

@@ -1,0 +1,141 @@
+"""Choosing constants from the runs on some objects, and comparing them with today's on others.
+
+The score of a run is its number of cells with a grasp that holds, divided by the mean over all variants on
+that object, so that each object weighs the same.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, Values, variant
+from benchmarks.leave_one_out.runs import HELD_OUT, HELD_OUT_SEEDS, TUNING, Table, tuning_runs
+
+from qdgrasp_coordinator.report.bootstrap import (
+    ConfidenceInterval,
+    RunValues,
+    difference_interval,
+    mean_interval,
+)
+
+Runs = Mapping[tuple[str, str], RunValues]
+"""Numbers of the runs (n,) of a variant on an object, by seed."""
+
+
+def held_cells(table: Table, evaluations: int) -> Runs:
+    """Cells that hold of the runs of this budget."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for key, row in sorted(table.items()):
+        if key.evaluations == evaluations:
+            found.setdefault((key.variant, key.scene), []).append(row.held_cells)
+    return {pair: np.array(values) for pair, values in found.items()}
+
+
+def scores(found: Runs, scene: str) -> dict[str, RunValues]:
+    """The scores of all variants on an object, or none where a variant has no run or nothing holds."""
+    there = {name: found[name, scene] for name in VARIANTS if (name, scene) in found}
+    mean = np.mean([values.mean() for values in there.values()]) if len(there) == len(VARIANTS) else 0.0
+    return {name: values / mean for name, values in there.items()} if mean else {}
+
+
+Scores = Mapping[str, Mapping[str, RunValues]]
+"""By object and variant."""
+
+
+def mean_score(known: Scores, name: str) -> float:
+    """The mean over objects of a variant's means over runs."""
+    return float(np.mean([each[name].mean() for each in known.values()]))
+
+
+def standard_error(known: Scores) -> float:
+    """Standard error of the difference of two mean scores.
+
+    The variance between seeds on an object is the mean of those within each of the variants.
+    """
+    squares = [
+        2.0 * np.mean([values.var(ddof=1) / len(values) for values in each.values()])
+        for each in known.values()
+    ]
+    return math.sqrt(sum(squares)) / len(squares)
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Constants chosen from the runs on some objects."""
+
+    values: Values
+    """Those that replace today's."""
+    error: float
+    """The standard error of a difference that the choice went by."""
+
+    @property
+    def variant(self) -> str:
+        return variant(self.values)
+
+
+def refit(known: Scores) -> Refit:
+    """Choose each constant by the mean scores of its values, with the others as they are today.
+
+    The best of the other values replaces today's if it is better by more than a standard error of the
+    difference (the rule of one standard error, Breiman et al. 1984, chapter 3).
+    """
+    error = standard_error(known)
+    chosen = {}
+    for name, one in GRID.items():
+        found = {value: mean_score(known, variant({name: value})) for value in one.others}
+        best = max(found, key=found.__getitem__)
+        if found[best] > mean_score(known, TODAY) + error:
+            chosen[name] = best
+    return Refit(chosen, error)
+
+
+Refits = Mapping[str, Refit]
+"""By the object that was left out; "" for none."""
+
+
+def refits(table: Table, evaluations: int) -> Refits:
+    """The constants chosen on all tuning objects, and without each; nothing before all runs are in.
+
+    Nor is there anything where nothing holds on one of them.
+    """
+    found = held_cells(table, evaluations)
+    known = {scene: scores(found, scene) for scene in TUNING}
+    if not all(known.values()) or any(key not in table for key in tuning_runs(evaluations)):
+        return {}
+    return {
+        left_out: refit({scene: known[scene] for scene in TUNING if scene != left_out})
+        for left_out in ("", *TUNING)
+    }
+
+
+@dataclass(frozen=True)
+class HeldOutComparison:
+    """Refitted constants beside today's, in cells that hold, as shares of today's mean on each object."""
+
+    today: ConfidenceInterval
+    """Around 1."""
+    difference: ConfidenceInterval
+    """Refitted less today's."""
+
+    @property
+    def is_within(self) -> bool:
+        """True if the refitted mean lies in the interval of today's."""
+        return self.today.low < 1.0 + self.difference.value < self.today.high
+
+
+def compare(found: Runs, name: str) -> HeldOutComparison:
+    """Compare a variant with today's constants on the held-out objects."""
+    means = [found[TODAY, scene].mean() for scene in HELD_OUT]
+    today, other = (
+        [found[arm, scene] / mean for scene, mean in zip(HELD_OUT, means, strict=True)]
+        for arm in (TODAY, name)
+    )
+    return HeldOutComparison(mean_interval(today), difference_interval(other, today))
+
+
+def is_complete(found: Runs, name: str) -> bool:
+    """Whether all runs are in that `compare` looks at."""
+    arms = product((TODAY, name), HELD_OUT)
+    return all(len(found.get(arm, ())) == len(HELD_OUT_SEEDS) for arm in arms)
