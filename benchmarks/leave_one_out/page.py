@@ -10,7 +10,7 @@ from benchmarks.leave_one_out.refit import (
     Refits,
     Runs,
     compare,
-    held_cells,
+    robust_cells,
     is_complete,
     mean_score,
     refits,
@@ -66,7 +66,7 @@ constants, less 100 %. The verdict is *less* where the difference lies within to
 
 def page(table: Table, evaluations: int) -> str:
     """The whole page, of the runs of this budget."""
-    found, known = held_cells(table, evaluations), refits(table, evaluations)
+    found, known = robust_cells(table, evaluations), refits(table, evaluations)
     parts = [
         INTRODUCTION,
         _standing(table, known, evaluations),

@@ -24,12 +24,12 @@ Runs = Mapping[tuple[str, str], RunValues]
 """Numbers of the runs (n,) of a variant on an object, by seed."""
 
 
-def held_cells(table: Table, evaluations: int) -> Runs:
+def robust_cells(table: Table, evaluations: int) -> Runs:
     """Cells that hold of the runs of this budget."""
     found: dict[tuple[str, str], list[float]] = {}
     for key, row in sorted(table.items()):
         if key.evaluations == evaluations:
-            found.setdefault((key.variant, key.scene), []).append(row.held_cells)
+            found.setdefault((key.variant, key.scene), []).append(row.robust_cells)
     return {pair: np.array(values) for pair, values in found.items()}
 
 
@@ -100,7 +100,7 @@ def refits(table: Table, evaluations: int) -> Refits:
 
     Nor is there anything where nothing holds on one of them.
     """
-    found = held_cells(table, evaluations)
+    found = robust_cells(table, evaluations)
     known = {scene: scores(found, scene) for scene in TUNING}
     if not all(known.values()) or any(key not in table for key in tuning_runs(evaluations)):
         return {}

@@ -56,7 +56,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scene: str
     seed: int
     evaluations: int
-    held_cells: int
+    robust_cells: int
     """Distinct 1 cm cells with a grasp that holds, in the end."""
     cells: int
     """The same with a finger that touches."""
@@ -133,7 +133,7 @@ def carry_out(asked: Key) -> Row:
         found = single_run.run(spec)
     held, cells = (found.finds.cells(least).end for least in (Outcome.HELD, Outcome.DROPPED))
     seconds = round(found.evaluation_seconds + found.search_seconds, 1)
-    return Row(*asked, held_cells=held, cells=cells, cpu_seconds=seconds, code=code_digest())
+    return Row(*asked, robust_cells=held, cells=cells, cpu_seconds=seconds, code=code_digest())
 
 
 def carry_on(file: Path, asked: Iterable[Key], current: Collection[str]) -> None:
@@ -145,5 +145,5 @@ def carry_on(file: Path, asked: Iterable[Key], current: Collection[str]) -> None
         atomic_files.replace(file, text(table).encode())
         sys.stderr.write(
             f"{number} of {len(missing)}: {key.variant}, {key.scene}, seed {key.seed}: "
-            f"{row.held_cells} cells that hold, {row.cpu_seconds:.0f} CPU s\n"
+            f"{row.robust_cells} cells that hold, {row.cpu_seconds:.0f} CPU s\n"
         )

@@ -14,7 +14,7 @@ from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, holders, patche
 from benchmarks.leave_one_out.page import page
 from benchmarks.leave_one_out.refit import (
     compare,
-    held_cells,
+    robust_cells,
     refits,
     scores,
     standard_error,
@@ -119,7 +119,7 @@ def test_each_variant_searches_in_its_own_way_and_leaves_no_trace(
 
 
 def row(asked: Key, held: float = 100, code: str = "c0de") -> Row:
-    return Row(*asked, held_cells=round(held), cells=200, cpu_seconds=1.5, code=code)
+    return Row(*asked, robust_cells=round(held), cells=200, cpu_seconds=1.5, code=code)
 
 
 class TestTable:
@@ -180,7 +180,7 @@ class TestTable:
     def test_a_run_counts_cells_that_hold_and_cells(self) -> None:
         found = runs.carry_out(Key("SCOUT_SHARE=0.08", "tennis_ball", 1, 10))
         assert found.key == ("SCOUT_SHARE=0.08", "tennis_ball", 1, 10)
-        assert 0 < found.held_cells <= found.cells <= 10
+        assert 0 < found.robust_cells <= found.cells <= 10
         assert found.code == runs.code_digest()
 
 
@@ -197,7 +197,7 @@ def on(gain: int, *scenes: str) -> dict[str, int]:
 
 class TestRefit:
     def test_the_error_follows_from_the_spread_of_seeds_within_variants(self) -> None:
-        found = held_cells(tuned({"WANTED=0.3": on(300, *TUNING)}), EVALUATIONS)
+        found = robust_cells(tuned({"WANTED=0.3": on(300, *TUNING)}), EVALUATIONS)
         known = {scene: scores(found, scene) for scene in TUNING}
         assert known["ycb_mug"][TODAY].tolist() == pytest.approx([980 / 1020, 1000 / 1020, 1020 / 1020])
         assert standard_error(known) == pytest.approx(np.sqrt(2 * 400 / len(TUNING_SEEDS) / 3) / 1020)
@@ -242,7 +242,7 @@ class TestComparison:
     def test_a_difference_is_less_where_it_lies_in_the_interval_of_todays_mean(
         self, gain: int, is_within: bool
     ) -> None:
-        compared = compare(held_cells(held_out("WANTED=0.3", gain), EVALUATIONS), "WANTED=0.3")
+        compared = compare(robust_cells(held_out("WANTED=0.3", gain), EVALUATIONS), "WANTED=0.3")
         assert compared.difference.value == pytest.approx(gain / 1000)
         assert compared.difference.low < gain / 1000 < compared.difference.high
         assert 0.98 < compared.today.low < 1.0 < compared.today.high < 1.02
