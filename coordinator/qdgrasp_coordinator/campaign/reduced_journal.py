@@ -22,10 +22,10 @@ from qdgrasp_coordinator.storage.journal_schema import (
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors, insert_rows
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest, search_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import COLUMNS, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import GOAL_KEYS, to_toml
+from qdgrasp_protocol.spec import to_toml
 
 BLOCK_ROWS = 4096  # Rows in a block
 
@@ -149,10 +149,9 @@ class MergePart:
         return asked.method, asked.seed, self.source.digest, self.source.scene
 
     @property
-    def search_key(self) -> tuple[str, str]:
+    def search_key(self) -> str:
         """Key of the search that it records, whatever its budget and goals."""
-        endless = msgspec.structs.replace(self.source.asked, evaluations=1, **dict.fromkeys(GOAL_KEYS))
-        return self.source.scene, to_toml(endless)
+        return search_digest(self.source.asked, self.source.scene)
 
     @property
     def size_key(self) -> tuple[int, int, str]:
@@ -184,7 +183,7 @@ def merge_parts(folders: Sequence[RunFolder]) -> tuple[list[MergePart], tuple[st
     ]
     ordered = sorted(parts, key=lambda part: (part.identity, part.source.run), reverse=True)
     distinct = {part.identity: part for part in ordered}
-    searches: dict[tuple[str, str], list[MergePart]] = {}
+    searches: dict[str, list[MergePart]] = {}
     for part in distinct.values():
         searches.setdefault(part.search_key, []).append(part)
     repeats = {

@@ -1,6 +1,6 @@
-"""Commands that read runs: `info`, `show`, `digest`, `verify`, `render`, `view`, `coverage`.
+"""Commands that read runs: `info`, `show`, `digest`, `verify`, `render`, `view`.
 
-Also `methods`, which lists the search methods, and `reference`, which makes reference sets for `coverage`.
+Also `methods`, which lists the search methods.
 """
 
 import json
@@ -28,15 +28,6 @@ from qdgrasp_coordinator.cli.options import host_and_port
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
-from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
-from qdgrasp_coordinator.metrics.reference_coverage import (
-    is_stand_in,
-    object_identity,
-    read_reference,
-    released_archive,
-)
-from qdgrasp_coordinator.metrics.scores import survival
-from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
 from qdgrasp_coordinator.report.row_report import row_report
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -373,67 +364,3 @@ def methods(as_json: options.Json = False) -> None:
 
 def _method_line(cells: tuple[object, ...]) -> str:
     return " ".join(f"{cell!s:<{width}}" for cell, width in zip(cells, METHOD_WIDTHS, strict=True))
-
-
-def coverage(
-    directory: options.RunDir,
-    reference: Annotated[Path | None, typer.Option(help="The reference set, an npz file.")] = None,
-    object_: Annotated[str | None, typer.Option("--object", help="The object's name in the set.")] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Say how much of a reference set of graspable positions a run has found.
-
-    Counted are distinct success positions, rounded to 1 cm, that are in the set, over its size.
-
-    Example: qdgrasp coverage runs/demo --reference S_G_panda_2f.npz --object rubiks_cube
-    """
-    if reference is None or object_ is None:
-        raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
-    folder = RunFolder.open(directory)
-    entries = read_reference(reference, object_)
-    scene = folder.scene()
-    stand_in = is_stand_in(folder.spec.object, object_identity(scene.object), entries)
-    with folder.journal() as journal:
-        successes = journal.successes()
-    positions = successes["base_to_object"][:, :3]
-    found = coverage_of(positions, survival(successes), entries, released_archive(scene))
-    if as_json:
-        values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
-        echo(json.dumps(values))
-        return
-    echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
-
-
-reference_app = typer.Typer(
-    no_args_is_help=True, help="Reference sets of graspable positions: build them from runs."
-)
-
-
-@reference_app.callback()
-def _reference_group() -> None:
-    """Keep `build` a command of its own while it is the only one."""
-
-
-@reference_app.command()
-def build(
-    directories: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs.")],
-    out: Annotated[Path, typer.Option(help="The reference set, an npz file; added to where it exists.")],
-    name: Annotated[
-        str | None, typer.Option(help="The object's name in the set; default: the run's, without ycb_.")
-    ] = None,
-    mixed: Annotated[bool, typer.Option("--mixed", help="Take runs under different protocols.")] = False,
-    as_json: options.Json = False,
-) -> None:
-    """Gather the cells of all successes of runs, with the best fitness in each.
-
-    One file holds the sets of one gripper. Runs may be added later, and again.
-
-    Example: qdgrasp reference build runs/part-s0 runs/part-s1 --out S_G_part.npz
-    """
-    sets = build_sets(map(RunFolder.open, directories), out, name, mixed=mixed)
-    if as_json:
-        sizes = {key: {"size": len(one), "robust_size": len(one.robust)} for key, one in sets.items()}
-        echo(json.dumps({"out": str(out), "objects": sizes}))
-        return
-    for key, known in sets.items():
-        echo(f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust.")

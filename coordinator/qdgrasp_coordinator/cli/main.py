@@ -13,6 +13,7 @@ from qdgrasp_coordinator.cli import (
     job_commands,
     machine_commands,
     object_commands,
+    reference_commands,
     run_commands,
 )
 from qdgrasp_protocol import cli_support
@@ -39,7 +40,7 @@ for command in (
     inspection_commands.info,
     inspection_commands.digest,
     grasp_commands.evaluate,
-    inspection_commands.coverage,
+    reference_commands.coverage,
     campaign_commands.campaign,
     campaign_commands.analyse,
     inspection_commands.show,
@@ -64,7 +65,7 @@ for command in (
 app.add_typer(asset_commands.asset_app, name="asset")
 app.add_typer(gripper_commands.gripper_app, name="gripper")
 app.add_typer(object_commands.object_app, name="object")
-app.add_typer(inspection_commands.reference_app, name="reference")
+app.add_typer(reference_commands.reference_app, name="reference")
 app.add_typer(machine_commands.security_app, name="security")
 
 

@@ -5,14 +5,16 @@ S_G and cvg are those of Huber et al. 2024, section IV.
 A reference set holds the cells that are known to be graspable. It is an `.npz` file with, for each object,
 `<object>.cm` (n, 3), hand positions in whole centimetres in the object's CoM frame, and `<object>.fitness`
 (n,), the best fitness known there: 0, 1 or 2. Sets that were built here also say of what
-(`ReferenceOrigin`): `gripper`, and for each object `<object>.made_with`, `.identity` and `.protocols`.
+(`ReferenceOrigin`): `gripper`, and for each object `<object>.made_with`, `.identity`, `.protocols` and
+`.runs`; and by `<object>.by_run` what each of these runs found, from which follows an estimate of the cells
+that the set lacks.
 
 `ReleasedArchive` is the outcome archive of the authors' released code, which keeps fewer successes than a
 journal does: coverage is given in both countings.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -27,6 +29,7 @@ from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_coordinator.metrics.arrays import read_arrays
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.richness import RichnessEstimate, estimate_richness
 from qdgrasp_coordinator.metrics.scores import ROBUST
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.text import counted
@@ -115,6 +118,8 @@ class ReferenceOrigin:
     """`object_identity` of that object."""
     protocols: tuple[str, ...]
     """The evaluation protocols of its runs, sorted."""
+    runs: tuple[str, ...] = ()
+    """`search_digest` of each of its runs, sorted; empty: an earlier version built it without them."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +133,47 @@ class ReferenceSet:
     """(n,), the best fitness known in each cell: 0, 1 or 2."""
     origin: ReferenceOrigin | None = None
     """None: of the published scans, and the file does not say more."""
+    by_run: NDArray[np.uint8] | None = None
+    """(runs, n), 1 + the best fitness that each run of `origin` found in each cell, 0: it found none.
+
+    None: that is not known.
+    """
 
     def __len__(self) -> int:
         return len(self.cells)
 
     @property
     def robust(self) -> "ReferenceSet":
-        """The entries with fitness 2."""
-        chosen = self.fitness == ROBUST
-        return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen])
+        """The entries with fitness 2; runs with a success of fitness 2 there have found them."""
+        chosen, by_run = self.fitness == ROBUST, self.by_run
+        if by_run is not None:
+            by_run = np.where(by_run == 1 + ROBUST, by_run, 0)[:, chosen]
+        return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen], by_run=by_run)
+
+    @property
+    def estimate(self) -> RichnessEstimate | None:
+        """Estimated number of cells that runs like its own find.
+
+        None where it is not known what each run found, and as in `estimate_richness`.
+        """
+        return None if self.by_run is None else estimate_richness(self.by_run > 0)
+
+    def estimate_words(self, number: Callable[[float], str] = "{:.0f}".format) -> str:
+        """Put the estimate into sentences, or say why it is lacking; empty for a published set."""
+        if self.origin is None:
+            return ""
+        if self.by_run is None:
+            return f"The set does not say which run found which cell, so that {UNKNOWN}."
+        if (found := self.estimate) is None:
+            return f"The set is of {counted(len(self.by_run), 'run')}, so that {UNKNOWN}."
+        words = f"Of {found.total_words(number)} graspable cells, the set has {number(found.seen)}."
+        if (held := self.robust.estimate) is not None:
+            has = number(held.seen)
+            words += f" Of {held.total_words(number)} in which a grasp holds, it has {has}."
+        return words
+
+
+UNKNOWN = "there is no estimate of the cells that it lacks"
 
 
 def read_reference(path: Path, name: str) -> ReferenceSet:
@@ -195,7 +232,19 @@ def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]
     cells = found.astype(np.int64)
     if len(np.unique(cells, axis=0)) != len(cells):
         raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")
-    return ReferenceSet(name, cells, fitness.astype(np.uint8), _origin(name, arrays))
+    origin, by_run = _origin(name, arrays), arrays.get(f"{name}.by_run")
+    known = ReferenceSet(name, cells, fitness.astype(np.uint8), origin)
+    if origin is None or not origin.runs:
+        return known
+    shape = len(origin.runs), len(cells)
+    if by_run is None or by_run.dtype != np.uint8 or by_run.shape != shape:
+        form = "nothing" if by_run is None else _array_form(by_run)
+        raise AssetError(f"'{name}.by_run' in '{path}' must be uint8 {shape}, got {form}.")
+    if not np.array_equal(by_run.astype(np.uint8).max(axis=0), known.fitness + 1):
+        raise AssetError(
+            f"'{name}.by_run' in '{path}' does not have the best fitness that '{name}.fitness' has."
+        )
+    return replace(known, by_run=by_run.astype(np.uint8))
 
 
 def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOrigin | None:
@@ -203,7 +252,9 @@ def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOr
     gripper, made_with, identity, protocols = values
     if gripper is None or made_with is None or identity is None or protocols is None:
         return None
-    return ReferenceOrigin(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))
+    runs = arrays.get(f"{name}.runs", np.zeros(0, np.str_))
+    texts = (tuple(map(str, listed.ravel())) for listed in (protocols, runs))
+    return ReferenceOrigin(str(gripper), str(made_with), str(identity), *texts)
 
 
 def _array_form(array: NDArray[np.generic]) -> str:
@@ -295,6 +346,10 @@ class Coverage(Struct, frozen=True, kw_only=True):
     """Those in which a success of fitness 2 was found."""
     released_found: int | None
     """Elites of the released code's archive in the set; None for a foreign hand or set."""
+    estimate: RichnessEstimate | None
+    """How many cells there are, estimated from the runs that a set of one's own was built from."""
+    robust_estimate: RichnessEstimate | None
+    """The same for cells in which a grasp has fitness 2; None: see `ReferenceSet.estimate`."""
     sentence: str = ""
     """The result in words."""
 
@@ -331,8 +386,11 @@ def coverage(
         robust_size=len(robust),
         robust_found=robust_found,
         released_found=elites,
+        estimate=reference.estimate,
+        robust_estimate=robust.estimate,
     )
-    return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
+    words = f"{_sentence(result, reference.object)} {reference.estimate_words()}".rstrip()
+    return msgspec.structs.replace(result, sentence=words)
 
 
 def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:

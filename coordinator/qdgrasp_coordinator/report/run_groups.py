@@ -364,8 +364,10 @@ def measure_words(panel: CurvePanel) -> str:
     """Describe the measure on a scene, and the limits of comparing by it."""
     target = panel.curves[0].group.target
     if panel.measure is COVERAGE:
-        pool = ", mean over objects" if isinstance(panel.curves[0].group.runs[0], PooledRun) else ""
-        return f"{panel.measure.words}{pool}{', on a stand-in for the scan' if target.stand_in else ''}"
+        estimate = None if target.reference is None else target.reference.estimate
+        of_set = "" if estimate is None else f", about {estimate.completeness:.0%} complete"
+        part = ", mean over objects" if isinstance(panel.curves[0].group.runs[0], PooledRun) else of_set
+        return f"{panel.measure.words}{part}{', on a stand-in for the scan' if target.stand_in else ''}"
     return f"{panel.measure.words}: {target.why or 'not all runs have an S_G'}"
 
 

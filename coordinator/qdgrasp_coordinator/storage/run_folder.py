@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
@@ -27,7 +29,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.engines import DEVICE_ENGINE, ENGINE_PACKAGES, engine_names
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
 
@@ -128,6 +130,17 @@ def journal_digest(journal: Journal) -> str:
     for rows in journal.blocks():
         total.update(rows.tobytes())
     return total.hexdigest()
+
+
+def search_digest(spec: RunSpec, scene: str) -> str:
+    """Name the search that a run is, whatever its budget and goals: 16 hex digits.
+
+    `scene` is the sha256 of its bundle, which stands for gripper and object, wherever their files lie.
+    """
+    endless = msgspec.structs.replace(
+        spec, gripper="", object="", about=None, evaluations=1, **dict.fromkeys(GOAL_KEYS)
+    )
+    return hashlib.sha256(f"{scene}\n{to_toml(endless)}".encode()).hexdigest()[:16]
 
 
 SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs

@@ -99,6 +99,36 @@ def test_arrays_of_another_form_are_refused(
         read_reference(written(tmp_path / "set.npz", **arrays), "mug")
 
 
+OWN = {
+    "gripper": np.array("panda"), "mug__made_with": np.array("mug"), "mug__identity": np.array("x"),
+    "mug__protocols": np.array(["paper"]), "mug__runs": np.array(["a", "b"]),
+    "mug__cm": CM, "mug__fitness": np.array([0, 2], np.uint8),
+}  # fmt: skip
+BY_RUN = np.array([[1, 3], [0, 2]], np.uint8)
+
+
+def test_what_each_run_found_is_read(tmp_path: Path) -> None:
+    known = read_reference(written(tmp_path / "set.npz", **OWN, mug__by_run=BY_RUN), "mug")
+    assert known.origin is not None
+    assert (known.origin.runs, known.by_run.tolist()) == (("a", "b"), BY_RUN.tolist())
+    assert known.robust.by_run.tolist() == [[3], [0]]
+
+
+@pytest.mark.parametrize(
+    ("by_run", "reason"),
+    [
+        (None, r"must be uint8 \(2, 2\), got nothing"),
+        (BY_RUN[:1], r"must be uint8 \(2, 2\), got uint8 \(1, 2\)"),
+        (BY_RUN.astype(np.int64), r"got int64 \(2, 2\)"),
+        (np.array([[1, 2], [0, 2]], np.uint8), "does not have the best fitness"),
+    ],
+)
+def test_what_runs_found_fits_to_the_set(tmp_path: Path, by_run: np.ndarray | None, reason: str) -> None:
+    given = {} if by_run is None else {"mug__by_run": by_run}
+    with pytest.raises(AssetError, match=reason):
+        read_reference(written(tmp_path / "set.npz", **OWN, **given), "mug")
+
+
 def mug(origin: ReferenceOrigin | None) -> ReferenceSet:
     return ReferenceSet("mug", CM.astype(np.int64), np.zeros(2, np.uint8), origin)
 

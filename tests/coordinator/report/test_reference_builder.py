@@ -5,14 +5,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.recorded_runs import record_spec
+from tests.coordinator.recorded_runs import record, record_spec
 from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
 
 from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity, read_reference, read_references
-from qdgrasp_coordinator.report.reference_builder import build_reference_sets
+from qdgrasp_coordinator.report import reference_builder
+from qdgrasp_coordinator.report.reference_builder import build_reference_sets, reference_set_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -42,12 +44,15 @@ def run(tmp_path: Path) -> Runs:
         gripper: str = "jaw",
         object_: str = "block.stl",
         com: float = 0.0,
+        seed: int = 0,
+        evaluations: int = 10_000,
         **settings: str,
     ) -> RunFolder:
         scene = made_scene(gripper)
         body = msgspec.structs.replace(scene.object, name=Path(object_).stem, com_in_mesh=(com, 0.0, 0.0))
         bundle = pack_scene(msgspec.structs.replace(scene, object=body, **settings))
-        spec = RunSpec(gripper=gripper, object=object_, mass=0.1, **settings)
+        length = {"seed": seed, "evaluations": evaluations}
+        spec = RunSpec(gripper=gripper, object=object_, mass=0.1, **length, **settings)
         rows = rows_of(found) if isinstance(found, dict) else found
         return record_spec(tmp_path / f"run{next(numbers)}", spec, rows, bundle, block=1)
 
@@ -87,6 +92,107 @@ def test_a_cell_keeps_the_best_fitness_of_all_runs_in_any_order(run: Runs, tmp_p
         build_reference_sets([folder], slowly)
     assert groups(there) == {A: 2, B: 2, C: 0}
     assert there.read_bytes() == back.read_bytes() == slowly.read_bytes()
+
+
+HELD, DROPPED = Outcome.HELD, Outcome.DROPPED
+DAY, MONTH = 100, 3000  # Evaluations of a short record of a run, and of a longer one
+
+
+def incidence(path: Path) -> dict[tuple[int, int, int], list[int]]:
+    """What each run found in each cell, 1 + fitness, sorted."""
+    known = read_reference(path, "block")
+    assert known.by_run is not None
+    cells = map(tuple, known.cells.tolist())
+    return dict(zip(cells, np.sort(known.by_run.T, axis=1).tolist(), strict=True))
+
+
+def test_a_set_remembers_in_how_many_runs_each_cell_was_found_and_held(run: Runs, tmp_path: Path) -> None:
+    out = tmp_path / "set.npz"
+    founds = ({A: HELD, B: DROPPED}, {A: DROPPED}, {A: HELD, C: HELD}, {A: Outcome.MISSED})
+    build_reference_sets([run(found, seed=seed) for seed, found in enumerate(founds)], out)
+    assert incidence(out) == {A: [0, 1, 3, 3], B: [0, 0, 0, 1], C: [0, 0, 0, 3]}
+    known = read_reference(out, "block")
+    assert known.origin is not None
+    assert len({*known.origin.runs}) == 4
+    assert (known.estimate.runs, known.estimate.once, known.estimate.seen) == (4, 2, 3)
+    held = known.robust.estimate
+    assert (held.runs, held.once, held.twice, held.seen) == (4, 1, 1, 2)
+
+
+@pytest.mark.parametrize("order", [*itertools.permutations(range(3))])
+def test_a_run_counts_once_however_often_and_however_long_it_is_added(run, tmp_path, order) -> None:
+    """A run that goes on was added before it ended, and after that; its budget is no part of what it is."""
+    out, whole = tmp_path / "set.npz", tmp_path / "whole.npz"
+    early = run({A: DROPPED}, evaluations=DAY)
+    late = run({A: DROPPED, B: HELD, C: DROPPED}, evaluations=MONTH)
+    other = run({A: HELD, B: DROPPED}, seed=1)
+    for place in (*order, 0):
+        build_reference_sets([(early, late, other)[place]], out)
+    assert incidence(out) == {A: [1, 3], B: [1, 3], C: [0, 1]}
+    build_reference_sets([other, late], whole)
+    assert out.read_bytes() == whole.read_bytes()
+
+
+def test_runs_count_alike_alone_merged_and_pruned(run: Runs, tmp_path: Path) -> None:
+    first, second = (
+        run({A: HELD, B: DROPPED}, evaluations=2),
+        run({A: DROPPED, C: HELD}, seed=1, evaluations=2),
+    )
+    alone, merged, mixed = (tmp_path / f"{name}.npz" for name in ("alone", "merged", "mixed"))
+    build_reference_sets([first, second], alone)
+    merge_runs([first, second], tmp_path / "both")
+    build_reference_sets([RunFolder(tmp_path / "both")], merged)
+    prune_run(first)
+    build_reference_sets([RunFolder(tmp_path / "both"), first, second], mixed)
+    assert incidence(alone) == {A: [1, 3], B: [0, 1], C: [0, 3]}
+    assert alone.read_bytes() == merged.read_bytes() == mixed.read_bytes()
+
+
+def test_a_run_is_known_by_its_search_and_scene_not_by_where_its_files_lie(run: Runs) -> None:
+    def digests(**settings: object) -> tuple[str, ...]:
+        origin = reference_set_of(run({A: HELD}, **settings)).origin
+        assert origin is not None
+        return origin.runs
+
+    assert digests() == digests(evaluations=7) == digests(object_="elsewhere/block.stl")
+    others = [digests(), digests(seed=1), digests(com=0.01), digests(protocol="released")]
+    assert len({*others}) == 4
+
+
+def test_a_run_without_a_success_may_be_added_to_a_set_as_one_that_found_nothing(run, tmp_path) -> None:
+    out = tmp_path / "set.npz"
+    build_reference_sets([run({A: HELD})], out)
+    build_reference_sets([run({A: Outcome.MISSED}, seed=1)], out)
+    assert incidence(out) == {A: [0, 3]}
+
+
+def test_runs_that_score_given_poses_are_refused(tmp_path: Path) -> None:
+    poses = ((0.0,) * 6 + (1.0,),)
+    scored = record(tmp_path / "scored", made_scene(), rows_of({A: HELD}), method="given", poses=poses)
+    with pytest.raises(InputError, match=r"scores given poses, which were found elsewhere"):
+        build_reference_sets([scored], tmp_path / "set.npz")
+
+
+def test_a_set_that_is_older_serves_coverage_and_is_not_added_to(run: Runs, tmp_path: Path) -> None:
+    out, first = tmp_path / "set.npz", run({A: HELD})
+    build_reference_sets([first], out)
+    with np.load(out) as arrays:
+        older = {name: arrays[name] for name in arrays if not name.endswith(("runs", "by_run"))}
+    np.savez(out, **older)
+    known = read_reference(out, "block")
+    assert (known.origin is None, known.estimate, known.robust.estimate) == (False, None, None)
+    assert known.estimate_words().startswith("The set does not say which run found which cell")
+    before = out.read_bytes()
+    with pytest.raises(AssetError, match=r"does not say which run found which cell, .*build it anew"):
+        build_reference_sets([first], out)
+    assert out.read_bytes() == before
+
+
+def test_a_file_that_could_not_be_read_again_is_not_written(run, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(reference_builder, "LARGEST_ARRAYS", 1000)
+    with pytest.raises(InputError, match=r"would hold .* bytes of arrays"):
+        build_reference_sets([run({A: HELD})], tmp_path / "set.npz")
+    assert not [*tmp_path.glob("*.npz")]
 
 
 def test_one_file_holds_several_objects_of_a_gripper(run: Runs, tmp_path: Path) -> None:
@@ -179,8 +285,12 @@ def test_a_run_is_compared_with_a_set_of_its_own_object(run: Runs, tmp_path: Pat
     done = CliRunner().invoke(
         app, ["reference", "build", str(first.path), "--out", str(out), "--name", "part"]
     )
-    assert done.output == f"{out} holds 2 cells of 'part', 1 of them robust.\n"
-    second = run({A: Outcome.SHAKEN, C: Outcome.HELD})
+    assert done.output == (
+        f"{out} holds 2 cells of 'part', 1 of them robust, from 1 run.\n"
+        "  The set is of 1 run, so that there is no estimate of the cells that it lacks.\n"
+    )
+    second = run({A: Outcome.SHAKEN, C: Outcome.HELD}, seed=1)
     asked = ["coverage", str(second.path), "--reference", str(out), "--object", "part", "--json"]
     found = msgspec.json.decode(CliRunner().invoke(app, asked).output)
     assert (found["found"], found["size"], found["outside"], found["stand_in"]) == (1, 2, 1, False)
+    assert (found["built_from"], found["estimate"], found["robust_estimate"]) == (False, None, None)

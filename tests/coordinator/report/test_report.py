@@ -111,6 +111,21 @@ def test_coverage_is_drawn_where_there_is_a_set(campaign: Path) -> None:
     assert (float(whole["coverage"]), float(whole["robust"])) == (1.0, 1.0)
 
 
+def test_the_estimate_of_a_set_of_ones_own_stands_beside_coverage(campaign: Path) -> None:
+    own, runs = campaign / "own.npz", [campaign / f"runs/jaw-block-contact_rand-s{seed}" for seed in (0, 1)]
+    known = build_reference_sets(map(RunFolder.open, runs), own)["block"]
+    found = known.estimate
+    out = analysed(campaign, references=[own]).out
+    assert (
+        f"S_G has {len(known):,} entries. Of an estimated {found.total:,.0f} ("
+        in (out / "tables.md").read_text()
+    )
+    for row in table(out / "runs.csv"):
+        columns = [float(row[f"{name}_estimate"]) for name in ("set", "robust_set")]
+        assert columns == [found.total, known.robust.estimate.total]
+        assert float(row["set_low"]) < found.total < float(row["set_high"])
+
+
 def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(tmp_path: Path) -> None:
     rows = random_rows(30)
     rows["outcome"] = Outcome.MISSED

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,12 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.report.made_runs import climb, made
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup, ReferenceSet
+from qdgrasp_coordinator.metrics.reference_coverage import (
+    CoverageTarget,
+    ReferenceLookup,
+    ReferenceOrigin,
+    ReferenceSet,
+)
 from qdgrasp_coordinator.report.run_groups import (
     CELLS,
     COVERAGE,
@@ -271,3 +277,14 @@ def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:
     (panel,) = curve_panels(group_runs(RUNS))
     assert measure_words(panel) == "success cells of 1 cm: no S_G"
     assert (panel.end, panel.greatest_value) == (100, 5)
+
+
+def test_how_complete_a_set_of_ones_own_is_stands_in_the_heading() -> None:
+    cells, best = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[1, 1, 1], [0, 1, 1]], np.uint8)
+    origin = ReferenceOrigin("jaw", "block", "x", ("paper",), ("a", "b"))
+    known = ReferenceSet("block", cells, np.zeros(3, np.uint8), origin, best)
+    for by_run, words in ((best, ", about 96% complete"), (best[:1], "")):
+        target = CoverageTarget(replace(known, by_run=by_run))
+        run = made("contact_rand", climb(1), target=target, found=climb(1))
+        (panel,) = curve_panels(group_runs([run]))
+        assert measure_words(panel) == f"coverage of S_G{words}"
