@@ -22,8 +22,8 @@ MOST_MODULES = 272
 """5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for
 libraries."""
 MOST_LINES = 57_800
-MOST_TEST_FILES = 310
-MOST_TEST_LINES = 57_300
+MOST_TEST_FILES = 318
+MOST_TEST_LINES = 58_600
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 17
 MOST_IN_MODULE = 500

@@ -10,10 +10,10 @@ from benchmarks.leave_one_out.refit import (
     Refits,
     Runs,
     compare,
-    robust_cells,
     is_complete,
     mean_score,
     refits,
+    robust_cells,
     scores,
 )
 from benchmarks.leave_one_out.runs import (

@@ -14,8 +14,8 @@ from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, holders, patche
 from benchmarks.leave_one_out.page import page
 from benchmarks.leave_one_out.refit import (
     compare,
-    robust_cells,
     refits,
+    robust_cells,
     scores,
     standard_error,
 )
