@@ -250,8 +250,16 @@ def analyse(
         typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
     ] = None,
     method: Annotated[
-        str | None,
-        typer.Option(help="Whose cells are drawn; default: the default method, or what found the most."),
+        list[str] | None,
+        typer.Option(
+            help="Whose cells are drawn; may be given again. Default: those compared, or the one with most."
+        ),
+    ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object", help="On which object cells are drawn; may be given again. Default: all, or one."
+        ),
     ] = None,
     log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
     as_json: options.Json = False,
@@ -259,8 +267,9 @@ def analyse(
     """Draw and tabulate what the runs of a campaign found,
     and hold the paper's claims against them.
 
-    Writes four figures as PNG, SVG and CSV, and the tables as Markdown and CSV; also while runs go on. Runs
-    that keep too little for curves, as pruned ones may, are left out and named.
+    Writes the paper's four figures of results for every hand, and others, as PNG, SVG and CSV, and the tables
+    as Markdown and CSV; also while runs go on. Runs that keep too little for curves, as pruned ones may, are
+    left out and named.
 
     Example: qdgrasp analyse campaigns/paper-small
     """  # noqa: D205  # typer joins the lines
@@ -268,7 +277,12 @@ def analyse(
     from qdgrasp_coordinator.report.tables import left_out_words
 
     found = write_report(
-        directory, out or directory / REPORT_FOLDER, references=reference or (), method=method, log=log
+        directory,
+        out or directory / REPORT_FOLDER,
+        references=reference or (),
+        methods=method or (),
+        objects=objects or (),
+        log=log,
     )
     verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
     if as_json:

@@ -177,13 +177,16 @@ def show_view(axes: Axes, view: RenderedView, interpolation: str = "none") -> No
     length = SCALE_BAR / (view.camera.step * RAYS_PER_PIXEL)
     right, low = 0.985 * columns, 0.985 * rows
     axes.plot([right - length, right], [low, low], color=FAINT, linewidth=2, solid_capstyle="butt")
-    axes.text(right - length / 2, low - 0.012 * rows, "5 cm", size=11, color=FAINT, ha="center", va="bottom")
+    axes.text(
+        right - length / 2, low - 0.012 * rows, "5 cm", size=11, color=FAINT, ha="center", va="bottom",
+        path_effects=[OUTLINE],
+    )  # fmt: skip
 
 
-def axes_triad(axes: Axes, view: RenderedView) -> None:
-    """Draw the axes of the object's frame in the lower left corner."""
+def axes_triad(axes: Axes, view: RenderedView, length: float = 0.05) -> None:
+    """Draw the object's axes in the lower left corner, `length` long (share of the height)."""
     rows, columns, _ = view.image.shape
-    x, y, length = 0.075 * columns, 0.93 * rows, 0.05 * rows
+    x, y, length = 1.5 * length * columns, (1 - 1.4 * length) * rows, length * rows
     for name, (right, up, _) in zip("xyz", view.camera.axes.T.tolist(), strict=True):
         end = (x + length * right, y - length * up)
         axes.annotate("", end, (x, y), arrowprops={"arrowstyle": "-|>", "color": FAINT, "linewidth": 1.4})

@@ -1,7 +1,7 @@
 """Renders hands on an object, or the cells around it; chooses side and grasps to show."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,19 +175,25 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
 
 
 def view_of_cells(
-    scene: Scene, best: Rows, azimuth: float, pixels: int, hues: Floats | None = None
+    scene: Scene,
+    best: Rows,
+    azimuth: float,
+    pixels: int,
+    hues: Floats | None = None,
+    beside: Sequence[NDArray[np.integer]] = (),
 ) -> RenderedView:
     """Render the object, and a cube for the cell of each of the rows `best` (n,).
 
     The rows are in distinct cells. The cubes have the colours `hues` (n, 3) RGB; None: those of their
-    fitness.
+    fitness. Cells `beside` it (m, 3), of other views of the object, are in the image's bounds, and it is cut
+    open where one of these views is.
     """
     places = cells(best["descriptor"][:, :3])
     hues = hues_of_survival(survival(best)) if hues is None else hues
-    body = object_mesh(scene)
-    image = LayeredImage(_camera([body, _cubes(places)], azimuth, pixels))
+    body, views = object_mesh(scene), [places, *beside]
+    image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, pixels))
     right, _, toward = image.camera.project(places / PER_METRE).T
-    kept = (right < 0) | (toward < 0) | (len(places) <= CUT_OPEN_CELLS)
+    kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
     cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
     clay = np.tile(rgb(CLAY), (len(body.faces), 1))
     paint_solid(image, RayMesh(join([body, _cubes(places[kept])])), np.concatenate([clay, cubes]))

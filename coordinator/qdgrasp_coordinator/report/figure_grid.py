@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from qdgrasp_coordinator.rendering.drawings import figure_text
-from qdgrasp_coordinator.search.registry import METHODS, PRIORS
+from qdgrasp_coordinator.search import registry
 
 Dashes = Literal["-"] | tuple[float, Sequence[float]]
 INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"
@@ -27,6 +27,7 @@ PRIOR_HUES = {
     "approach": "#d55e00",
     "antipodal": "#009e73",
     "valued": "#cc79a7",
+    "aimed": "#a2587f",
     "spherical": "#4d4d4d",
 }
 PRIOR_WORDS = {
@@ -38,11 +39,13 @@ FAMILIES: dict[str, Dashes] = {
     "me_scs": "-",
     "cma_mae": (0, (1.1, 1.3)),
     "me_rand": (0, (5, 1.6, 1.1, 1.6)),
+    "own": (0, (8, 1.6)),
     "rand": (0, (4.2, 2.2)),
 }
-"""Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
+"""Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed; `own`: those of
+a program's own."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
-PRIOR_ORDER = ("valued", "contact", "approach", "antipodal", "spherical")
+PRIOR_ORDER = ("valued", "aimed", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
 
 
@@ -58,12 +61,13 @@ class LineStyle(NamedTuple):
 
 def default_prior(method: str) -> str:
     """Return the prior of a method, as runs have it unless their spec says otherwise."""
-    return METHODS[method].prior
+    return registry.method(method).prior
 
 
 def family_of(method: str) -> str:
-    """Return the family of a method: its name without the prior's prefix."""
-    return method.removeprefix(PRIORS[default_prior(method)].prefix)
+    """Return the family of a method: its name without the prior's prefix; `own` for a program's."""
+    family = method.removeprefix(registry.PRIORS[default_prior(method)].prefix)
+    return family if family in FAMILIES else "own"
 
 
 def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]:
@@ -99,6 +103,7 @@ class FigureGrid:
     panel: tuple[float, float]
     """Width and height of a panel [inches]."""
     legend_rows: int = 0
+    caption_rows: int = 1
     least_width: float = 6.4
     """The figure is at least so wide [inches]."""
     space_above: float = 0.62
@@ -119,7 +124,7 @@ class FigureGrid:
 
     def _top(self, row: int) -> float:
         """Return the distance of a row's panels from the figure's upper edge [inches]."""
-        head = 0.9 + 0.19 * self.legend_rows
+        head = 0.7 + 0.2 * self.caption_rows + 0.19 * self.legend_rows
         return head + self.space_above + row * (self.panel[1] + self.space_below + self.space_above)
 
     def axes(self, row: int, column: int) -> Axes:
@@ -129,20 +134,26 @@ class FigureGrid:
         y = height - self._top(row) - self.panel[1]
         return self.figure.add_axes((x / width, y / height, self.panel[0] / width, self.panel[1] / height))
 
-    def title(self, title: str, words: str) -> None:
-        """Write a title, and a line of words under it."""
+    def title(self, title: str, *caption: str) -> None:
+        """Write a title, and lines of words under it."""
+        self._write(0.3, 0.32, title, size=14, weight="bold", color=INK)
+        for number, words in enumerate(caption):
+            self._write(0.3, 0.6 + 0.2 * number, words, size=8.5, color=FAINT)
+
+    def row_heading(self, row: int, words: str) -> None:
+        """Write words over the headings of a row's panels."""
+        self._write(self.left, self._top(row) - 0.66, words, size=11, weight="bold", color=INK)
+
+    def _write(self, right: float, down: float, words: str, **style: Any) -> None:
+        """Write words at a distance from the figure's upper left corner [inches]."""
         width, height = self.size
-        x = 0.3 / width
-        self.figure.text(
-            x, 1 - 0.32 / height, figure_text(title), size=14, weight="bold", color=INK, va="center"
-        )
-        self.figure.text(x, 1 - 0.6 / height, figure_text(words), size=8.5, color=FAINT, va="center")
+        self.figure.text(right / width, 1 - down / height, figure_text(words), va="center", **style)
 
     def legend(self, handles: list[Line2D], columns: int, length: float = 3.2) -> None:
         """Name the lines, drawn `length` letters long, in `columns` columns."""
-        width, height = self.size
+        (width, height), top = self.size, 0.6 + 0.2 * self.caption_rows
         self.figure.legend(
-            handles=handles, loc="upper left", bbox_to_anchor=(0.3 / width, 1 - 0.8 / height), ncols=columns,
+            handles=handles, loc="upper left", bbox_to_anchor=(0.3 / width, 1 - top / height), ncols=columns,
             frameon=False, fontsize=8.5, handlelength=length, columnspacing=2.2, borderaxespad=0, borderpad=0,
             labelcolor=INK, labelspacing=0.45,
         )  # fmt: skip

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.scores import ROBUST, scored_successes, survival
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
-from qdgrasp_coordinator.rendering.drawings import axes_triad, show_view
+from qdgrasp_coordinator.rendering.drawings import OUTLINE, axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
 from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
 from qdgrasp_coordinator.report.bootstrap import LEAST_RUNS, ConfidenceInterval
@@ -50,43 +50,71 @@ from qdgrasp_coordinator.report.run_groups import (
     RunGroup,
     SceneName,
     default_groups,
-    measure_words,
+    hand_groups,
     number_span,
     run_words,
 )
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
-from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
 
 BAND_OPACITY = 0.13  # Opacity of an interquartile range
 CURVE_COLUMNS = 4  # Panels side by side that follow one another
+HAND_COLUMNS = 2  # Of them where each is a hand: the paper's arrangement
 LEAST_FILLED = 0.6  # The share of hands and objects that must have a panel for these to be rows and columns
 PANEL_SIZES = {1: (5.6, 3.3), 2: (4.2, 2.7)}  # Size of a panel by how many stand side by side [inches]
 CURVE_PANEL_SIZE = (3.1, 2.1)
-LABEL_WIDTH = 1.85  # Width of a label of the legend [inches]
+LABEL_WIDTH, LETTER_WIDTH = 1.85, 0.066
+"""Least width of a column of the legend, and what each letter takes beside the line's 0.75 [inches]."""
 CURVE_CAPTION = "Median over seeds; shaded: quartiles. Circle: an unfinished run ends; thin: of fewer seeds."
+COMPARED_METHODS = ("contact_rand", "approach_rand", "antipodal_rand", "me_scs", "contact_me_scs", "aimed")
+"""The methods of the paper's first figure of results, and the default of this project."""
+
+
+def draw_comparison(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
+    """Draw a panel for each hand, as the paper's first figure of results (`COMPARED_METHODS`)."""
+    places = [divmod(number, HAND_COLUMNS) for number in range(len(shown))]
+    words = "Solid: searches for quality and diversity; dashed: standard sampling schemes."
+    return _draw_panels(shown, places, "Searches and standard sampling schemes", words, log=log)
+
+
+def draw_variants(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
+    """Draw a panel for each hand, as the paper's second figure: each search with each prior."""
+    places = [divmod(number, HAND_COLUMNS) for number in range(len(shown))]
+    words = "Colours are priors, lines are searches; dashed: standard sampling schemes."
+    return _draw_panels(shown, places, "Searches with and without priors", words, log=log)
 
 
 def draw_curves(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
     """Draw every method on every scene: a row for each hand, or one scene after the other."""
     places = _panel_places([panel.scene for panel in shown])
+    return _draw_panels(shown, places, _curves_title(shown), "", log=log)
+
+
+def _draw_panels(
+    shown: Sequence[CurvePanel], places: Sequence[tuple[int, int]], title: str, words: str, *, log: bool
+) -> FigureGrid:
     rows, columns = (1 + max(place[axis] for place in places) for axis in (0, 1))
     drawn = _panel_styles(shown)
-    handles, across = _method_legend(drawn)
+    handles, across = method_legend(drawn)
     size = PANEL_SIZES.get(columns, CURVE_PANEL_SIZE)
     grid = FigureGrid(
-        rows, columns, size, legend_rows=len(handles) // across, least_width=0.4 + LABEL_WIDTH * across
+        rows,
+        columns,
+        size,
+        caption_rows=1 + bool(words),
+        legend_rows=len(handles) // across,
+        least_width=max(6.4, legend_width(handles, across)),
     )
     for panel, (row, column) in zip(shown, places, strict=True):
         axes = grid.axes(row, column)
         _set_axes(axes, panel, log)
         runs = run_words([one.group for one in panel.curves], size[0])
-        panel_heading(axes, panel.scene.words, measure_words(panel), runs)
+        panel_heading(axes, panel.scene.words, panel.measure_words, runs)
         for one in panel.curves:
             draw_curve(axes, one, drawn[one.group.variant_key])
-    grid.title(_curves_title(shown), CURVE_CAPTION)
+    grid.title(title, *([words] if words else []), CURVE_CAPTION)
     grid.legend(handles, across)
     return grid
 
@@ -108,7 +136,7 @@ def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> Figu
                 else:
                     axes.plot(one.evaluations, one.median, color=CONTEXT, linewidth=0.8, zorder=1)
             mine = [one.group for one in panel.curves if default_prior(one.group.method) == prior]
-            words = (panel.scene.words, measure_words(panel)) if column == 0 else ("", "")
+            words = (panel.scene.words, panel.measure_words) if column == 0 else ("", "")
             panel_heading(axes, words[0], words[1], run_words(mine, 2.5) if mine else "not in this campaign")
             if row == 0:
                 heading, hue = PRIOR_WORDS.get(prior, prior), PRIOR_HUES[prior]
@@ -159,7 +187,7 @@ def _panel_styles(shown: Sequence[CurvePanel]) -> dict[MethodVariant, LineStyle]
     return line_styles(one.group.variant_key for panel in shown for one in panel.curves)
 
 
-def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2D], int]:
+def method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2D], int]:
     """Arrange methods as a matrix: a column for each prior, in it the families in their order."""
     columns = [
         [arm for f in FAMILIES for arm in drawn if (default_prior(arm[0]), family_of(arm[0])) == (prior, f)]
@@ -176,21 +204,28 @@ def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2
     return handles, len(filled)
 
 
+def legend_width(handles: Sequence[Line2D], columns: int) -> float:
+    """Return the width of a legend that is filled column by column [inches]."""
+    letters = np.array([len(str(handle.get_label())) for handle in handles]).reshape(columns, -1).max(axis=1)
+    return 0.4 + float(np.maximum(LABEL_WIDTH, 0.75 + LETTER_WIDTH * letters).sum())
+
+
 def _legend_line(label: str, colour: str, dashes: Dashes) -> Line2D:
     return Line2D([], [], color=colour, linestyle=dashes, linewidth=1.9, label=label)
 
 
 NU_TICKS = (("0", 0.0), ("\u03c0/4", 0.25), ("\u03c0/2", 0.5), ("3\u03c0/4", 0.75), ("\u03c0", 1.0))
-NU_PANEL_SIZE = (3.3, 1.3)
-NU_PRIORS = ("contact", "approach")
-"""Priors whose palm looks at the surface; antipodal hands lie along their points' line."""
-NU_BOUNDS = {"approach": "at most \u03c0/4 by its prior"}  # Priors that leave nu no choice
+NU_PANEL_SIZE = (2.9, 1.4)
+NU_PRIOR = "contact"
+"""The prior that leaves nu free; `approach` bounds it, and antipodal hands lie along their points' line."""
 
 
 @dataclass(frozen=True)
 class NuDistribution:
-    """The distribution of nu of a method's successes."""
+    """The distribution of nu of a method's successes with one hand."""
 
+    hand: str
+    """Hand and protocol in words; the object too where it is the only one."""
     method: str
     variant: str
     share: NDArray[np.float64]
@@ -203,40 +238,47 @@ class NuDistribution:
     evaluations: tuple[int, int]
     """Of the shortest and of the longest of these runs."""
 
+    @property
+    def row(self) -> str:
+        """The row of its panel: hand and variant."""
+        return f"{self.hand}{f', {self.variant}' if self.variant else ''}"
+
 
 def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
-    """Distributions of all methods whose palm looks at the surface, over scenes with a success."""
-    methods: dict[str, list[RunGroup]] = {}
-    for group in groups:
-        if default_prior(group.method) in NU_PRIORS and any(run.nu.any() for run in group.finished_runs):
-            methods.setdefault(group.name, []).append(group)
-    return [_nu_distribution(same) for same in methods.values()]
+    """Distributions of each hand's contact-based methods, over the scenes with a success."""
+    found = []
+    for hand, here in hand_groups(groups).items():
+        name = here[0].scene.words if len({group.scene for group in here}) == 1 else hand
+        methods: dict[str, list[RunGroup]] = {}
+        for group in here:
+            if default_prior(group.method) == NU_PRIOR and any(run.nu.any() for run in group.finished_runs):
+                methods.setdefault(group.name, []).append(group)
+        found += [_nu_distribution(name, same) for same in methods.values()]
+    return found
 
 
-def _nu_distribution(groups: Sequence[RunGroup]) -> NuDistribution:
+def _nu_distribution(hand: str, groups: Sequence[RunGroup]) -> NuDistribution:
     scenes = [[run for run in group.finished_runs if run.nu.any()] for group in groups]
     share = np.mean([np.mean([run.nu / run.nu.sum() for run in runs], axis=0) for runs in scenes], axis=0)
     ends = [run.evaluations for runs in scenes for run in runs]
-    near = near_nu_interval(groups)
-    return NuDistribution(*groups[0].variant_key, share, near, len(scenes), len(ends), (min(ends), max(ends)))
+    near, span = near_nu_interval(groups), (min(ends), max(ends))
+    return NuDistribution(hand, *groups[0].variant_key, share, near, len(scenes), len(ends), span)
 
 
 def draw_nu(found: Sequence[NuDistribution]) -> FigureGrid:
-    """Draw a column for each prior, a row for each family of searches and each variant."""
-    priors = [prior for prior in NU_PRIORS if any(default_prior(lean.method) == prior for lean in found)]
-    rows = sorted({_matrix_row(one) for one in found}, key=lambda row: (list(FAMILIES).index(row[0]), row[1]))
-    grid = FigureGrid(len(rows), len(priors), NU_PANEL_SIZE, space_above=0.7)
-    for lean in found:
-        row = _matrix_row(lean)
-        top = max(float(one.share.max()) for one in found if _matrix_row(one) == row)
-        _draw_distribution(grid.axes(rows.index(row), priors.index(default_prior(lean.method))), lean, top)
+    """Draw a row for each hand and each variant, a column for each contact-based method."""
+    rows = list(dict.fromkeys(one.row for one in found))
+    families = [family for family in FAMILIES if any(family_of(one.method) == family for one in found)]
+    grid = FigureGrid(len(rows), len(families), NU_PANEL_SIZE, space_above=0.84)
+    for number, row in enumerate(rows):
+        grid.row_heading(number, row)
+        here = [one for one in found if one.row == row]
+        top = max(float(one.share.max()) for one in here)
+        for one in here:
+            _draw_distribution(grid.axes(number, families.index(family_of(one.method))), one, top)
     words = "Share of successes in bins of 7.5\u00b0; each scene and each run counts alike."
     grid.title("Lean \u03bd of successes from the surface normal", words)
     return grid
-
-
-def _matrix_row(lean: NuDistribution) -> tuple[str, str]:
-    return family_of(lean.method), lean.variant
 
 
 def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
@@ -245,11 +287,11 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
     for low, high, opacity in ((0, NU_BINS // 4, 0.9), (NU_BINS // 4, NU_BINS, 0.4)):
         axes.stairs(lean.share[low:high], edges[low : high + 1], fill=True, color=hue, alpha=opacity)
     axes.axvline(0.25, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-    if default_prior(lean.method) not in NU_BOUNDS:
-        axes.axhline(1 / NU_BINS, color=FAINT, linewidth=0.8, linestyle=(0, (1.5, 1.5)))
-        axes.annotate(
-            "uniform", (1, 1 / NU_BINS), (0, 3), textcoords="offset points", size=7, color=FAINT, ha="right"
-        )
+    axes.axhline(1 / NU_BINS, color=FAINT, linewidth=0.8, linestyle=(0, (1.5, 1.5)))
+    axes.annotate(
+        "uniform", (1, 1 / NU_BINS), (0, 3), textcoords="offset points", size=7, color=FAINT, ha="right",
+        path_effects=[OUTLINE],
+    )  # fmt: skip
     axes.set(xlim=(0, 1), ylim=(0, 1.08 * top))
     axes.set_xticks([place for _, place in NU_TICKS], [word for word, _ in NU_TICKS])
     axes.yaxis.set_major_formatter(lambda y, _: f"{100 * y:g}\u202f%")
@@ -259,8 +301,6 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
 
 def near_words(lean: NuDistribution) -> str:
     """Describe the share below pi / 4 with its interval."""
-    if bound := NU_BOUNDS.get(default_prior(lean.method)):
-        return bound
     found = lean.near
     missing = f" (no interval: fewer than {LEAST_RUNS} runs)"
     span = f" ({found.low:.0%} to {found.high:.0%})" if found.is_known else missing
@@ -270,12 +310,15 @@ def near_words(lean: NuDistribution) -> str:
 def sample_words(lean: NuDistribution) -> str:
     """Describe the sample behind a distribution."""
     ends, scenes = number_span(lean.evaluations), counted(lean.scenes, "scene")
-    variant = f"{lean.variant}: " if lean.variant else ""
-    return f"{variant}{counted(lean.runs, 'run')} \u00d7 {ends} evaluations, {scenes}"
+    return f"{counted(lean.runs, 'run')} \u00d7 {ends} evaluations, {scenes}"
 
 
-DEFAULT_DRAWN_METHOD = next(iter(METHODS))  # Drawn where it is in a campaign and no other is asked for
-VOXEL_COLUMNS, VOXEL_PANEL_INCHES, VOXEL_PIXELS = 4, 3.1, 460
+MOST_VOXEL_ROWS = (
+    8  # Rows of views with several hands and methods; of more scenes, those of one object are drawn
+)
+VOXEL_COLUMNS = 4  # Views of one method side by side
+VOXEL_PANEL_INCHES, VOXEL_PIXELS = 2.6, 420
+TRIAD_LENGTH = 0.085  # Of the object's axes, as a share of a view's height
 LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Named in the legend of robust runs
 
 
@@ -292,6 +335,11 @@ class RunVoxels:
     """(n,): share of disturbances survived in all trials; None where the protocol has none."""
 
     @property
+    def method(self) -> str:
+        """Its method."""
+        return self.run.spec.method
+
+    @property
     def worth(self) -> NDArray[np.float64]:
         """(n,): eta, or the fitness of a run without trials."""
         return self.best["fitness"].astype(np.float64) if self.eta is None else self.eta
@@ -302,21 +350,37 @@ class RunVoxels:
         return cells(self.best["descriptor"][:, :3])
 
 
-def drawn_method(groups: Sequence[RunGroup]) -> str | None:
-    """Choose the default method if it found anything, else the one with most cells, or None."""
+def drawn_methods(groups: Sequence[RunGroup]) -> list[str]:
+    """Choose those of the compared methods that found anything, else the one with most cells."""
     found: dict[str, int] = {}
     for group in groups:
         found[group.method] = found.get(group.method, 0) + sum(run.cells.end for run in group.runs)
+    compared = [method for method in COMPARED_METHODS if found.get(method)]
     best = max(found, key=lambda method: found[method], default="")
-    return DEFAULT_DRAWN_METHOD if found.get(DEFAULT_DRAWN_METHOD) else best if found.get(best) else None
+    return compared or ([best] if found.get(best) else [])
 
 
-def run_voxels(groups: Sequence[RunGroup], method: str) -> list[RunVoxels]:
-    """On each scene, the cells of the run with the median number of them; needs its scene."""
-    chosen = default_groups(group for group in groups if group.method == method and group.finished_runs)
+def run_voxels(
+    groups: Sequence[RunGroup], methods: Sequence[str], objects: Sequence[str] = ()
+) -> list[list[RunVoxels]]:
+    """For each scene, the cells of each method's run with the median number of them.
+
+    Scenes are those of `objects`; without any all, or where several hands and methods have more than eight,
+    those of the object that most hands have. Runs without a scene in their folder, and scenes without a run,
+    are left out.
+    """
+    chosen = default_groups(group for group in groups if group.method in methods and group.finished_runs)
     scenes = [scene for scene in dict.fromkeys(group.scene for group in groups) if scene in chosen]
-    runs = [(scene, median_run(chosen[scene][method])) for scene in scenes]
-    return [_voxels_of_run(scene, run) for scene, run in runs if RunFolder(run.path).has_bundle()]
+    has_several = len(methods) > 1 and len({scene.gripper for scene in scenes}) > 1
+    if has_several and not objects and len(scenes) > MOST_VOXEL_ROWS:
+        names = [scene.object for scene in scenes]
+        objects = [max(names, key=names.count)]
+    rows = []
+    for scene in scenes:
+        runs = [median_run(chosen[scene][method]) for method in methods if method in chosen[scene]]
+        if not objects or scene.object in objects:
+            rows.append([_voxels_of_run(scene, run) for run in runs if RunFolder(run.path).has_bundle()])
+    return [row for row in rows if row]
 
 
 def median_run(group: RunGroup) -> RunHistory:
@@ -334,35 +398,55 @@ def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     return RunVoxels(name, run, folder.scene(), best, etas)
 
 
-def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
-    """Draw one view for each scene."""
-    columns = min(VOXEL_COLUMNS, len(shown))
-    handles = _voxel_legend(shown)
+def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> FigureGrid:
+    """Draw a row for each scene, a column for each method; of one method, a view for each scene.
+
+    All views of an object have one camera.
+    """
+    drawn = [method for method in methods if any(one.method == method for row in rows for one in row)]
+    everything = [one for row in rows for one in row]
+    is_lone, handles = len(drawn) == 1, _voxel_legend(everything)
+    columns = min(VOXEL_COLUMNS, len(rows)) if is_lone else len(drawn)
     grid = FigureGrid(
-        -(-len(shown) // columns),
+        -(-len(rows) // columns) if is_lone else len(rows),
         columns,
         (VOXEL_PANEL_INCHES, VOXEL_PANEL_INCHES),
         legend_rows=1,
+        space_above=0.62 if is_lone else 0.84,
         space_below=0.1,
         space_beside=0.3,
         left=0.3,
         least_width=0.4 + 1.75 * len(handles),
     )
-    for number, one in enumerate(shown):
-        axes = grid.axes(*divmod(number, columns))
-        hues = hues_of_survival(survival(one.best)) if one.eta is None else _hues_of_eta(one.eta)
-        view = view_of_cells(one.scene, one.best, best_azimuth(one.scene, one.best), VOXEL_PIXELS, hues)
-        run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
-        run += "" if one.run.complete else ", unfinished"
-        show_view(axes, view, "bicubic")
-        axes_triad(axes, view)
-        panel_heading(axes, one.name.words, _voxel_counts(one, view.is_uncut), run)
+    for number, row in enumerate(rows):
+        beside = [one for one in everything if one.name.object == row[0].name.object]
+        largest = max(beside, key=lambda one: len(one.best))
+        azimuth = best_azimuth(largest.scene, largest.best)
+        if not is_lone:
+            grid.row_heading(number, row[0].name.words)
+        for one in row:
+            place = divmod(number, columns) if is_lone else (number, drawn.index(one.method))
+            axes = grid.axes(*place)
+            heading = (one.name.words, INK) if is_lone else (one.method, hue_of(one.method))
+            _draw_cells(axes, one, azimuth, [other.places for other in beside], *heading)
     grid.title(
-        f"Where {method} had successes",
+        f"Where {drawn[0] if is_lone else 'each method'} had successes",
         "Cells of 1 cm that held the hand, by the most robust success in each.",
     )
     grid.legend(handles, len(handles), length=1.0)
     return grid
+
+
+def _draw_cells(
+    axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDArray[np.int64]], heading: str, hue: str
+) -> None:
+    hues = hues_of_survival(survival(one.best)) if one.eta is None else _hues_of_eta(one.eta)
+    view = view_of_cells(one.scene, one.best, azimuth, VOXEL_PIXELS, hues, beside)
+    run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
+    run += "" if one.run.complete else ", unfinished"
+    show_view(axes, view, "bicubic")
+    axes_triad(axes, view, length=TRIAD_LENGTH)
+    panel_heading(axes, heading, _voxel_counts(one, view.is_uncut), run, color=hue)
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
@@ -370,10 +454,10 @@ def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
 
 
 def _voxel_counts(one: RunVoxels, is_uncut: bool) -> str:
-    cut = "" if is_uncut else "; cut open"
+    found, cut = counted(len(one.best), "cell", told="{:,}".format), "" if is_uncut else "; cut open"
     if one.eta is None:
-        return f"{len(one.best):,} cells, {int((survival(one.best) == ROBUST).sum()):,} robust{cut}"
-    return f"{len(one.best):,} cells, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"
+        return f"{found}, {int((survival(one.best) == ROBUST).sum()):,} robust{cut}"
+    return f"{found}, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"
 
 
 def _voxel_legend(shown: Sequence[RunVoxels]) -> list[Line2D]:

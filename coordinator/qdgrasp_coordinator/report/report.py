@@ -2,17 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.report.claims import JudgedClaim, judge_claims
 from qdgrasp_coordinator.report.figure_grid import FigureGrid, family_of
 from qdgrasp_coordinator.report.figures import (
+    COMPARED_METHODS,
+    draw_comparison,
     draw_curves,
     draw_nu,
     draw_prior_matrix,
+    draw_variants,
     draw_voxels,
-    drawn_method,
+    drawn_methods,
     nu_distributions,
     run_voxels,
 )
@@ -25,6 +29,7 @@ from qdgrasp_coordinator.report.run_groups import (
     search_run_folders,
 )
 from qdgrasp_coordinator.report.run_history import has_curves
+from qdgrasp_coordinator.report.setting_sweeps import SettingSweep, draw_sweeps, setting_sweeps
 from qdgrasp_coordinator.report.tables import (
     CAPTIONS,
     CLAIMS_HEADING,
@@ -36,6 +41,7 @@ from qdgrasp_coordinator.report.tables import (
     method_rows,
     nu_rows,
     run_rows,
+    sweep_rows,
     voxel_rows,
 )
 from qdgrasp_coordinator.storage import atomic_files
@@ -45,6 +51,7 @@ from qdgrasp_protocol.errors import FolderError, UnknownName
 REPORT_FOLDER = "analysis"
 PAGE_FILE = "tables.md"
 SUFFIXES = (".png", ".svg", ".csv")
+FORMER_FIGURES = ("hands",)  # Drawn by earlier versions, and no more
 
 
 @dataclass(frozen=True)
@@ -76,15 +83,22 @@ class CampaignReport:
 
 
 def write_report(
-    path: Path, out: Path, *, references: Sequence[Path] = (), method: str | None = None, log: bool = False
+    path: Path,
+    out: Path,
+    *,
+    references: Sequence[Path] = (),
+    methods: Sequence[str] = (),
+    objects: Sequence[str] = (),
+    log: bool = False,
 ) -> CampaignReport:
     """Draw and tabulate a campaign, a folder of runs or one run, also while it goes on.
 
     `out` is a new folder, an empty one, or that of an earlier analysis; `references` are sets that take
-    precedence over the published ones on the asset path; `method` is the one whose cells are drawn (None: the
-    default one, or what found the most cells); `log` makes axes of curves logarithmic. Raises FolderError if
-    there is no run, none has recorded an evaluation or has curves, one cannot be read, or `out` cannot be
-    written, and UnknownName if no run is of this method; it names those that there are.
+    precedence over the published ones on the asset path; `methods` are those whose cells are drawn (none: the
+    compared ones, or what found the most cells), on `objects` (none: see `run_voxels`); `log` makes axes of
+    curves logarithmic. Raises FolderError if there is no run, none has recorded an evaluation or has curves,
+    one cannot be read, or `out` cannot be written, and UnknownName if no run is of such a method or object;
+    it names those that there are.
     """
     folder = SharedFolder(out, is_kind=is_ours, mark=PAGE_FILE)
     folder.check()
@@ -97,56 +111,68 @@ def write_report(
     begun = [group for group in arms if any(run.evaluations for run in group.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
-    methods = sorted({group.method for group in arms})
-    if method is not None and method not in methods:
-        raise UnknownName("method in this campaign", method, methods)
-    claims = judge_claims(begun)
+    for kind, asked, known in (
+        ("method", methods, {group.method for group in arms}),
+        ("object", objects, {group.scene.object for group in arms}),
+    ):
+        for name in asked:
+            if name not in known:
+                raise UnknownName(f"{kind} in this campaign", name, sorted(known))
+    claims, sweeps = judge_claims(begun), setting_sweeps(begun)
     page = _earlier_page(out)
-    earlier = [name for name in CAPTIONS if f"({name}.png)" in page]
+    earlier = [name for name in (*CAPTIONS, *FORMER_FIGURES) if f"({name}.png)" in page]
     with folder.filling() as made:
-        figures = _draw(begun, made, method, log)
+        figures = _draw(begun, sweeps, made, methods, objects, log=log)
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             (made / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
-        page = markdown_page(path.absolute().name, arms, claims, figures, without_curves)
+        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, without_curves)
         (made / PAGE_FILE).write_text(page, encoding="utf-8")
     for name in earlier:  # figures of an earlier analysis that were left out of this one
-        for suffix in SUFFIXES if figures[name] else ():
+        for suffix in SUFFIXES if figures.get(name, "no more") else ():
             (out / name).with_suffix(suffix).unlink(missing_ok=True)
     return CampaignReport(out, arms, claims, figures, without_curves)
 
 
-def _draw(begun: Sequence[RunGroup], out: Path, method: str | None, log: bool) -> dict[str, str]:
+def _draw(
+    begun: Sequence[RunGroup],
+    sweeps: Sequence[SettingSweep],
+    out: Path,
+    methods: Sequence[str],
+    objects: Sequence[str],
+    *,
+    log: bool,
+) -> dict[str, str]:
     """Draw each figure; returns by name the reason why one is left out, or ""."""
-    shown, by_hand = curve_panels(begun), curve_panels(pool_objects(begun))
-    # the scenes with more than plain sampling
-    searched = [
-        panel
-        for panel in [*by_hand, *shown]
-        if any(family_of(one.group.method) != "rand" for one in panel.curves)
-    ]
+    searched = {group.scene for group in begun if family_of(group.method) != "rand"}
+    with_searches = [group for group in begun if group.scene in searched]
+    compared = curve_panels(pool_objects([group for group in begun if group.method in COMPARED_METHODS]))
+    scenes, variants = curve_panels(begun), curve_panels(pool_objects(with_searches))
+    pooled = [panel for panel in variants if panel.scene not in searched]
+    by_prior = [*pooled, *(panel for panel in scenes if panel.scene in searched)]
     distributions = nu_distributions(begun)
-    drawn = method or drawn_method(begun)
-    voxels = run_voxels(begun, drawn) if drawn else []
+    drawn = list(dict.fromkeys(methods)) or drawn_methods(begun)
+    voxels = run_voxels(begun, drawn, objects)
+    no_search = "no run is of a search with quality and diversity"
     drawings: dict[str, tuple[FigureGrid | str, list[Row]]] = {
-        "coverage": (draw_curves(shown, log=log), curve_rows(shown)),
-        "hands": (
-            draw_curves(by_hand, log=log) if by_hand else "no hand has two objects with an S_G",
-            curve_rows(by_hand),
+        "comparison": (
+            draw_comparison(compared, log=log) if compared else "no method of the paper's comparison is here",
+            curve_rows(compared),
         ),
-        "priors": (
-            draw_prior_matrix(searched, log=log)
-            if searched
-            else "no run is of a search with quality and diversity",
-            curve_rows(searched),
-        ),
+        "variants": (draw_variants(variants, log=log) if variants else no_search, curve_rows(variants)),
         "nu": (
-            draw_nu(distributions) if distributions else "no success looks at a surface point",
+            draw_nu(distributions) if distributions else "no success is of a method with the prior contact",
             nu_rows(begun),
         ),
         "voxels": (
-            draw_voxels(voxels, drawn) if voxels and drawn else "nothing was found",
-            [row for one in voxels for row in voxel_rows(one)],
+            draw_voxels(voxels, drawn) if voxels else "nothing was found",
+            [row for one in chain(*voxels) for row in voxel_rows(one)],
+        ),
+        "coverage": (draw_curves(scenes, log=log), curve_rows(scenes)),
+        "priors": (draw_prior_matrix(by_prior, log=log) if by_prior else no_search, curve_rows(by_prior)),
+        "settings": (
+            draw_sweeps(sweeps) if sweeps else "no numeric setting differs within a method",
+            [row for one in sweeps for row in sweep_rows(one)],
         ),
     }
     for name, (grid, rows) in drawings.items():

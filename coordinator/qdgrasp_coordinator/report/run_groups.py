@@ -1,12 +1,12 @@
 """Groups the runs of a campaign by scene and method; quartile curves over evaluations.
 
-Runs of one hand can be pooled over its objects: what a method reached on all of them, on average.
+Runs of one hand are pooled over its objects: what a method reached on all of them, on average.
 """
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
 from qdgrasp_coordinator.report.run_history import RunHistory, read_history
-from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -47,8 +47,16 @@ class SceneName:
     @property
     def words(self) -> str:
         """For a person; the protocol is named where it is not the default."""
-        mark = "" if self.protocol == "paper" else f" ({self.protocol})"
-        return f"{self.gripper} on {self.object}{mark}"
+        return f"{self.gripper} on {self.object}{self._protocol_mark}"
+
+    @property
+    def hand_words(self) -> str:
+        """The same without the object."""
+        return f"{self.gripper}{self._protocol_mark}"
+
+    @property
+    def _protocol_mark(self) -> str:
+        return "" if self.protocol == "paper" else f" ({self.protocol})"
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,8 @@ class RunGroup:
     """The settings that tell it from other groups of the method, in words; mostly empty."""
     runs: tuple[RunHistory, ...]
     """At least one, by seed."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """The same settings by their names in a spec."""
 
     @property
     def name(self) -> str:
@@ -131,11 +141,16 @@ def read_histories(folders: Iterable[RunFolder], targets: ReferenceLookup) -> It
 
 
 def group_runs(runs: Iterable[RunHistory]) -> list[RunGroup]:
-    """Group runs that differ in their seed alone; hands and methods in the paper's order."""
+    """Group runs that differ in their seed alone.
+
+    Hands and methods are in the paper's order, searches of a program's own last.
+    """
     arms: dict[tuple[SceneName, str], list[RunHistory]] = {}
     for run in runs:
         arms.setdefault((scene_name(run.spec), run.spec.method), []).append(run)
-    ordered = sorted(arms, key=lambda arm: (*_scene_order(arm[0]), list(METHODS).index(arm[1])))
+    known = list(registry.METHODS)
+    order = {name: known.index(name) if name in known else len(known) for _, name in arms}
+    ordered = sorted(arms, key=lambda arm: (*_scene_order(arm[0]), order[arm[1]], arm[1]))
     return [group for arm in ordered for group in _variants(*arm, arms[arm])]
 
 
@@ -143,18 +158,23 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
     """On each scene, choose for each method the variant with the fewest changed settings."""
 
     def changed_settings(group: RunGroup) -> int:
-        own, setting = METHODS[group.method], _settings(group.runs[0].spec)
-        usual = SPEC_DEFAULTS | {
-            "aim_for": own.aim_for,
-            "overlaps": own.overlaps,
-            "population": own.population,
-        }
-        return sum(setting[name] != default for name, default in usual.items())
+        setting = _settings(group.runs[0].spec)
+        return sum(setting[name] != default for name, default in usual_settings(group.method).items())
 
     scenes: dict[SceneName, dict[str, RunGroup]] = {}
     for group in sorted(groups, key=changed_settings):
         scenes.setdefault(group.scene, {}).setdefault(group.method, group)
     return scenes
+
+
+def usual_settings(method: str) -> dict[str, Any]:
+    """Return the settings of a method's runs unless their specs say otherwise."""
+    own = registry.method(method)
+    return SPEC_DEFAULTS | {
+        "aim_for": own.aim_for,
+        "overlaps": own.overlaps,
+        "population": own.population,
+    }
 
 
 def scene_name(spec: RunSpec) -> SceneName:
@@ -176,12 +196,17 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
     for run, setting in zip(runs, settings, strict=True):
         parts.setdefault(tuple(setting[key] for key in differing), []).append(run)
     for values in sorted(parts, key=lambda values: [(value is not None, value) for value in values]):
-        words = ", ".join(
-            f"{key.replace('_', ' ')} {'default' if value is None else value}{SPEC_UNITS.get(key, '')}"
-            for key, value in zip(differing, values, strict=True)
-        )
+        setting = dict(zip(differing, values, strict=True))
         members = sorted(parts[values], key=lambda run: (run.spec.seed, run.path.name))
-        yield RunGroup(scene, method, words, tuple(members))
+        yield RunGroup(scene, method, setting_words(setting), tuple(members), setting)
+
+
+def setting_words(settings: Mapping[str, Any]) -> str:
+    """Describe settings by their names and values."""
+    return ", ".join(
+        f"{key.replace('_', ' ')} {'default' if value is None else value}{SPEC_UNITS.get(key, '')}"
+        for key, value in settings.items()
+    )
 
 
 def _settings(spec: RunSpec) -> dict[str, Any]:
@@ -191,7 +216,7 @@ def _settings(spec: RunSpec) -> dict[str, Any]:
         values["first_weights"] = hashlib.sha256(repr(spec.first_weights).encode()).hexdigest()[:8]
     if spec.mesh is not None:
         values["mesh"] = ", ".join(spec.mesh.words)
-    return values | ({"aim_for": spec.aim_for or "touch"} if METHODS[spec.method].aim_for else {})
+    return values | ({"aim_for": spec.aim_for or "touch"} if registry.method(spec.method).aim_for else {})
 
 
 LEAST_OBJECTS = 2  # Objects, for a mean over objects
@@ -199,7 +224,7 @@ LEAST_OBJECTS = 2  # Objects, for a mean over objects
 
 @dataclass(frozen=True)
 class PooledRun(RunHistory):
-    """Runs with one seed on several objects; only coverage and evaluations are theirs together."""
+    """Runs with one seed on several objects; coverage, cells and evaluations are of them all."""
 
     parts: tuple[RunHistory, ...] = ()
 
@@ -211,30 +236,41 @@ class PooledRun(RunHistory):
         """Mean of the coverage as published."""
         return np.asarray(np.mean([part.published_coverage(evaluations) for part in self.parts], axis=0))
 
+    def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Mean of the number of success cells."""
+        return np.asarray(np.mean([part.cell_count(evaluations) for part in self.parts], axis=0))
+
 
 def pool_objects(groups: Sequence[RunGroup]) -> list[RunGroup]:
-    """Pool each hand's methods over the objects that have a set and were run with all of them.
+    """Pool each hand's methods over the objects that were run with all of them.
 
-    Hands with less than two such objects are left out, and so are seeds that not every object has.
+    They are those that have a set, or all if fewer than two have one. A hand with less than two objects in
+    common has its scenes as they are. Seeds that not every object has are left out.
     """
-    hands: dict[tuple[str, str], dict[tuple[str, str], dict[str, RunGroup]]] = {}
+    return [pooled for same in hand_groups(groups).values() for pooled in _over_objects(same)]
+
+
+def hand_groups(groups: Iterable[RunGroup]) -> dict[str, list[RunGroup]]:
+    """Sort groups by hand and protocol, in the order of their first occurrence."""
+    hands: dict[str, list[RunGroup]] = {}
     for group in groups:
-        arms = hands.setdefault((group.scene.gripper, group.scene.protocol), {})
-        arms.setdefault(group.variant_key, {})
-        if group.target.size:
-            arms[group.variant_key][group.scene.object] = group
-    return [group for hand, arms in hands.items() for group in _over_objects(*hand, arms)]
+        hands.setdefault(group.scene.hand_words, []).append(group)
+    return hands
 
 
-def _over_objects(
-    hand: str, protocol: str, arms: dict[tuple[str, str], dict[str, RunGroup]]
-) -> list[RunGroup]:
+def _over_objects(groups: Sequence[RunGroup]) -> list[RunGroup]:
+    """Pool the groups of one hand and protocol."""
+    arms: dict[tuple[str, str], dict[str, RunGroup]] = {}
+    for group in groups:
+        arms.setdefault(group.variant_key, {})[group.scene.object] = group
     common = sorted(set.intersection(*(set(objects) for objects in arms.values())))
-    if len(common) < LEAST_OBJECTS:
-        return []
-    scene = SceneName(hand, f"{len(common)} objects", protocol)
-    found = [(arm, _pool_seeds([objects[name] for name in common])) for arm, objects in arms.items()]
-    return [RunGroup(scene, *arm, runs) for arm, runs in found if runs]
+    with_set = [name for name in common if all(objects[name].target.size for objects in arms.values())]
+    names = with_set if len(with_set) >= LEAST_OBJECTS else common
+    if len(names) < LEAST_OBJECTS:
+        return list(groups)
+    scene = replace(groups[0].scene, object=f"{len(names)} objects")
+    found = [(objects[names[0]], _pool_seeds([objects[name] for name in names])) for objects in arms.values()]
+    return [replace(first, scene=scene, runs=runs) for first, runs in found if runs]
 
 
 def _pool_seeds(groups: Sequence[RunGroup]) -> tuple[PooledRun, ...]:
@@ -246,7 +282,8 @@ def _pool_seeds(groups: Sequence[RunGroup]) -> tuple[PooledRun, ...]:
 
 def _pool_runs(parts: tuple[RunHistory, ...]) -> PooledRun:
     first = {field.name: getattr(parts[0], field.name) for field in fields(RunHistory)}
-    target = replace(parts[0].target, stand_in=any(part.target.stand_in for part in parts))
+    lacking = [part.target for part in parts if not part.target.size]
+    target = replace((lacking or [parts[0].target])[0], stand_in=any(part.target.stand_in for part in parts))
     ends, complete = min(part.evaluations for part in parts), all(part.complete for part in parts)
     return PooledRun(**first | {"evaluations": ends, "complete": complete, "target": target}, parts=parts)
 
@@ -269,7 +306,7 @@ COVERAGE = CurveMeasure("coverage", "coverage of S_G", lambda run, at: run.cover
 PUBLISHED_COVERAGE = CurveMeasure(
     "published", "coverage of S_G as published", lambda run, at: run.published_coverage(at)
 )
-CELLS = CurveMeasure("cells", "success cells of 1 cm", lambda run, at: run.cells.after(at).astype(np.float64))
+CELLS = CurveMeasure("cells", "success cells of 1 cm", lambda run, at: run.cell_count(at))
 
 
 def measure_of(groups: Iterable[RunGroup]) -> CurveMeasure:
@@ -333,6 +370,11 @@ class CurvePanel:
     curves: tuple[QuartileCurve, ...]
 
     @property
+    def measure_words(self) -> str:
+        """The measure in words, and the limits of comparing by it."""
+        return measure_words(self.measure, self.curves[0].group)
+
+    @property
     def end(self) -> int:
         """Evaluations of the longest curve."""
         return max(int(one.evaluations[-1]) for one in self.curves)
@@ -360,15 +402,16 @@ def scene_groups(groups: Iterable[RunGroup]) -> dict[SceneName, list[RunGroup]]:
     return scenes
 
 
-def measure_words(panel: CurvePanel) -> str:
-    """Describe the measure on a scene, and the limits of comparing by it."""
-    target = panel.curves[0].group.target
-    if panel.measure is COVERAGE:
-        estimate = None if target.reference is None else target.reference.estimate
+def measure_words(measure: CurveMeasure, group: RunGroup) -> str:
+    """Describe the measure on a group's scene, and the limits of comparing by it."""
+    target = group.target
+    pool = ", mean over objects" if isinstance(group.runs[0], PooledRun) else ""
+    if measure is COVERAGE:
+        estimate = None if pool or target.reference is None else target.reference.estimate
         of_set = "" if estimate is None else f", about {estimate.completeness:.0%} complete"
-        part = ", mean over objects" if isinstance(panel.curves[0].group.runs[0], PooledRun) else of_set
-        return f"{panel.measure.words}{part}{', on a stand-in for the scan' if target.stand_in else ''}"
-    return f"{panel.measure.words}: {target.why or 'not all runs have an S_G'}"
+        mark = ", on a stand-in for the scan" if target.stand_in else ""
+        return f"{measure.words}{pool}{of_set}{mark}"
+    return f"{measure.words}{pool}: {target.why or 'not all runs have an S_G'}"
 
 
 def run_words(groups: Sequence[RunGroup], room: float) -> str:

@@ -93,6 +93,10 @@ class RunHistory:
         """The same as the released code counts; NaN without a set or for hands that it lacks."""
         return self._share(self.published, evaluations)
 
+    def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Number of success cells after so many evaluations."""
+        return self.cells.after(evaluations).astype(np.float64)
+
     def _share(self, found: StepSeries | None, evaluations: ArrayLike) -> NDArray[np.float64]:
         if found is None or not self.target.size:
             return np.full(np.shape(evaluations), np.nan)

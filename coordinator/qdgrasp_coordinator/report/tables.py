@@ -13,6 +13,7 @@ from qdgrasp_coordinator.report.bootstrap import CONFIDENCE_LEVEL, LEAST_RUNS, R
 from qdgrasp_coordinator.report.claims import ClaimEvidence, JudgedClaim
 from qdgrasp_coordinator.report.figures import RunVoxels
 from qdgrasp_coordinator.report.run_groups import (
+    COVERAGE,
     PUBLISHED_COVERAGE,
     CurvePanel,
     RunGroup,
@@ -22,6 +23,7 @@ from qdgrasp_coordinator.report.run_groups import (
     scene_groups,
 )
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
+from qdgrasp_coordinator.report.setting_sweeps import SettingSweep, SettingValue, run_span, sweep_panels
 from qdgrasp_protocol.text import counted, first_few
 
 
@@ -171,6 +173,18 @@ def voxel_rows(shown: RunVoxels) -> list[Row]:
     ]
 
 
+def sweep_rows(sweep: SettingSweep) -> list[Row]:
+    """One row for each value of a sweep: what was reached with it, over its runs."""
+    columns = scene_columns(sweep.scene) | {"method": sweep.group.method, "variant": sweep.variant}
+    columns |= {"measure": sweep.measure.name, "evaluations": sweep.evaluations, "setting": sweep.setting}
+    return [
+        columns
+        | {"value": one.value, "is_default": "yes" if one is sweep.default else "no"}
+        | dict(zip(("runs", "least", "median", "greatest"), (len(one.reached), *one.range), strict=True))
+        for one in sweep.values
+    ]
+
+
 def claim_rows(claims: Iterable[JudgedClaim]) -> list[Row]:
     """One row for each number of each claim; a claim without numbers has one row that says so."""
     rows: list[Row] = []
@@ -225,17 +239,22 @@ def csv_text(rows: Sequence[Mapping[str, Value]]) -> str:
 MOST_NAMED = 10  # So many runs of a kind are named
 CLAIMS_HEADING = "## What the paper claims"
 CAPTIONS = {
-    "coverage": "Every method over its evaluations: median over seeds and interquartile range. Coverage is "
+    "comparison": "The paper's first figure of results: for each hand the standard sampling schemes, dashed, "
+    "and searches with the least prior. For each seed the mean over those objects that have an S_G and that "
+    "all of these methods were run on; of fewer than two with an S_G success cells, over all such objects. "
+    "Median and interquartile range over seeds.",
+    "variants": "The paper's second figure: each search with each prior, taken over objects alike.",
+    "nu": "How successes of the contact-based methods lean from the surface normal, by hand: mean over "
+    "scenes of the mean over runs. Dashed: pi/4. `nu.csv` has the methods with other priors too: `approach` "
+    "is bound to pi/4, and antipodal hands stand beside the line between their two points, near pi/2.",
+    "voxels": "Cells of 1 cm with a success, by the most robust one in each, in the run with the median "
+    "number of cells. Views of one object have one camera and one scale, whatever hand and method.",
+    "coverage": "Every method on every scene: median over seeds and interquartile range. Coverage is "
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
     "of 1 cm are counted instead and the panel says so. `coverage.csv` has the count as published beside it.",
-    "hands": "The same for each hand: for each seed the mean of its coverage over those objects that have an "
-    "S_G and that all methods were run on; median and interquartile range over seeds.",
-    "priors": "Both prior by prior; grey: the other priors.",
-    "nu": "How successes lean from the surface normal: mean over scenes of the mean over runs. Dashed: pi/4. "
-    "Antipodal hands stand beside the line between their two points, with nu near pi/2 by construction: "
-    "they are in `nu.csv` alone.",
-    "voxels": "Cells of 1 cm with a success, by the most robust one in each, in the run with the median "
-    "number of cells.",
+    "priors": "Hands and scenes prior by prior; grey: the other priors.",
+    "settings": "What was reached by the value of a setting that differs within a method, all else equal, "
+    "after as many evaluations of each run.",
 }
 COUNTED = {"count": "every genome", "redraw": "the simulated"}
 """Meaning of an evaluation, by whether overlaps count."""
@@ -246,6 +265,7 @@ def markdown_page(
     groups: Sequence[RunGroup],
     claims: Sequence[JudgedClaim],
     figures: Mapping[str, str],
+    sweeps: Sequence[SettingSweep] = (),
     without_curves: Sequence[str] = (),
 ) -> str:
     """Write an analysis as a page; `figures` gives the reason why one was left out."""
@@ -256,7 +276,8 @@ def markdown_page(
         f"{CLAIMS_HEADING}\n",
         _claims(claims),
         *(_figure(figure, missing) for figure, missing in figures.items()),
-        "## Methods\n",
+        *_sweeps(sweeps),
+        "## Numbers of each method\n",
         "Median over runs that have begun [first quartile, third quartile]; *n* is the number of runs. "
         "`methods.csv` and `runs.csv` have the numbers. Coverage is of S_G; robust coverage is of its "
         "entries of fitness 2, by successes of fitness 2. *Counted* says what an evaluation is: compare "
@@ -330,6 +351,45 @@ def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
 def _figure(name: str, missing: str) -> str:
     shown = f"Not drawn: {missing}." if missing else f"![{name}]({name}.png)\n\n{CAPTIONS[name]}"
     return f"## {name.capitalize()}\n\n{shown}\n"
+
+
+def _sweeps(sweeps: Sequence[SettingSweep]) -> Iterable[str]:
+    """Yield a table for each setting and scene: a row for each method, a column for each value."""
+    for (setting, scene), here in sweep_panels(sweeps).items():
+        values = sorted({one.value for sweep in here for one in sweep.values})
+        yield f"{scene.words}, {here[0].measure.words}, {run_span(here)}: median [least, greatest].\n"
+        yield markdown_table(
+            (setting, *(f"{value:g}" for value in values), "best", "default over best"),
+            [_sweep_line(sweep, values) for sweep in here],
+        )
+
+
+def _sweep_line(sweep: SettingSweep, values: Sequence[float]) -> tuple[str, ...]:
+    words = PERCENT if sweep.measure is COVERAGE else WHOLE
+    found = {one.value: one for one in sweep.values}
+
+    def cell(one: SettingValue | None) -> str:
+        if one is None:
+            return ""
+        least, median, greatest = map(words, one.range)
+        return f"{median} [{least}, {greatest}]{' default' if one is sweep.default else ''}"
+
+    name = " ".join(sweep.method_variant).rstrip()
+    return name, *(cell(found.get(value)) for value in values), *_best_words(sweep)
+
+
+def _best_words(sweep: SettingSweep) -> tuple[str, str]:
+    """Name the best value, and compare the default with it by their medians and ranges."""
+    best, default = sweep.best, sweep.default
+    if not best.range[1]:
+        return "", "nothing was found"
+    if default is None:
+        return f"{best.value:g}", "not among them"
+    if default is best:
+        return f"{best.value:g}", "it is the best"
+    ratio = default.range[1] / best.range[1]
+    overlap = "overlap" if default.range[2] >= best.range[0] else "do not overlap"
+    return f"{best.value:g}", f"{ratio:.2f}, ranges {overlap}"
 
 
 def _scenes(groups: Sequence[RunGroup]) -> Iterable[str]:

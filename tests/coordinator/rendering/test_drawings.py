@@ -10,6 +10,7 @@ from tests.coordinator.scenes import made_scene
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.stand_ins import stand_in
+from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.rendering.drawings import (
     MISSING_LETTER,
     draw_grasps,
@@ -76,13 +77,26 @@ def test_hands_are_drawn_in_their_settled_poses() -> None:
     assert np.array_equal(settled, commanded)
 
 
-def test_many_cells_are_cut_open_toward_the_viewer() -> None:
-    def shell(step: int) -> Rows:
-        grid = np.stack(np.meshgrid(*[np.arange(-9, 10, step)] * 3), axis=-1).reshape(-1, 3)
-        rows = RowShape(7, 2).empty(len(grid))
-        rows["descriptor"], rows["outcome"] = grid / 100, Outcome.HELD
-        return rows
+def shell(step: int) -> Rows:
+    """Successes in cells that are so many cm apart."""
+    grid = np.stack(np.meshgrid(*[np.arange(-9, 10, step)] * 3), axis=-1).reshape(-1, 3)
+    rows = RowShape(7, 2).empty(len(grid))
+    rows["descriptor"], rows["outcome"] = grid / 100, Outcome.HELD
+    return rows
 
+
+def test_views_beside_each_other_have_one_camera_and_are_cut_open_alike() -> None:
+    scene, few, many = made_scene(), shell(3)[100:300], shell(1)
+    beside = [cells(rows["descriptor"]) for rows in (few, many)]
+    one, other = (view_of_cells(scene, rows, 0.3, SMALL, beside=beside) for rows in (few, many))
+    alone = view_of_cells(scene, few, 0.3, SMALL)
+    assert np.array_equal(one.camera.low, other.camera.low)
+    assert one.camera.step == other.camera.step > alone.camera.step
+    assert not one.is_uncut
+    assert alone.is_uncut
+
+
+def test_many_cells_are_cut_open_toward_the_viewer() -> None:
     scene: Scene = made_scene()
     assert len(shell(3)) < CUT_OPEN_CELLS < len(shell(1))
     assert view_of_cells(scene, shell(3), 0.0, SMALL).is_uncut

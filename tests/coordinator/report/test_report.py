@@ -1,5 +1,6 @@
 import csv
 import json
+from itertools import product
 from pathlib import Path
 
 import matplotlib.image
@@ -51,10 +52,10 @@ def analysed(campaign: Path, **settings: object) -> CampaignReport:
     return write_report(campaign, campaign / "analysis", **settings)  # type: ignore[arg-type]
 
 
-def test_four_figures_with_their_data_and_the_tables_are_written(campaign: Path) -> None:
+def test_the_paper_s_figures_with_their_data_and_the_tables_are_written(campaign: Path) -> None:
     found = analysed(campaign)
-    assert (found.runs, found.unfinished, set(found.left_out)) == (6, 2, {"hands"})
-    for name in ("coverage", "priors", "nu", "voxels"):
+    assert (found.runs, found.unfinished, set(found.left_out)) == (6, 2, {"settings"})
+    for name in ("comparison", "variants", "nu", "voxels", "coverage", "priors"):
         picture = matplotlib.image.imread(found.out / f"{name}.png")
         assert (picture[..., :3].min(axis=-1) < 0.9).mean() > 0.005
         assert "<svg" in (found.out / f"{name}.svg").read_text()
@@ -96,7 +97,7 @@ def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign
 def test_the_same_runs_give_the_same_bytes(campaign: Path) -> None:
     first, second = (write_report(campaign, campaign / name) for name in ("one", "two"))
     names = sorted(file.name for file in first.out.iterdir())
-    assert len(names) == 4 * 3 + 4
+    assert len(names) == 6 * 3 + 4
     for name in names:
         assert (first.out / name).read_bytes() == (second.out / name).read_bytes(), name
 
@@ -132,12 +133,14 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     record(tmp_path / "runs/a", made_scene(), rows, method="contact_rand", evaluations=30)
     earlier = tmp_path / "analysis"
     earlier.mkdir()
-    (earlier / "tables.md").write_text("# a\n\n## What the paper claims\n\n![nu](nu.png)\n")
-    for name in ("nu.png", "nu.csv", "voxels.csv"):
+    (earlier / "tables.md").write_text(
+        "# a\n\n## What the paper claims\n\n![nu](nu.png)\n![hands](hands.png)\n"
+    )
+    for name in ("nu.png", "nu.csv", "hands.png", "voxels.csv"):
         (earlier / name).touch()
     found = analysed(tmp_path)
-    assert set(found.left_out) == {"hands", "priors", "nu", "voxels"}
-    assert sorted(file.name for file in found.out.glob("*.png")) == ["coverage.png"]
+    assert set(found.left_out) == {"variants", "nu", "voxels", "priors", "settings"}
+    assert sorted(file.name for file in found.out.glob("*.png")) == ["comparison.png", "coverage.png"]
     assert not (earlier / "nu.csv").exists()
     assert (earlier / "voxels.csv").exists(), "no earlier analysis says that it drew it"
     assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
@@ -155,9 +158,9 @@ def test_what_an_analysis_wrote_is_what_the_next_one_replaces(campaign, monkeypa
 def test_a_folder_with_files_of_others_is_left_as_it_is(campaign: Path) -> None:
     mine = campaign / "mine"
     mine.mkdir()
-    for name in ("hands.csv", "runs.csv", "tables.md"):
+    for name in ("nu.csv", "runs.csv", "tables.md"):
         (mine / name).write_text("mine")
-    with pytest.raises(OutputError, match=r"holds other files \(hands.csv, runs.csv, tables.md\)"):
+    with pytest.raises(OutputError, match=r"holds other files \(nu.csv, runs.csv, tables.md\)"):
         write_report(campaign, mine)
     assert {file.read_text() for file in mine.iterdir()} == {"mine"}
     with pytest.raises(OutputError, match="holds other files"):
@@ -175,17 +178,82 @@ def test_cells_of_robust_runs_have_an_eta(tmp_path: Path) -> None:
     assert table(out / "runs.csv")[0]["eta"] == "0.5"
 
 
-@pytest.mark.parametrize("methods", [("aimed", "contact_me_scs"), ("me_scs", "contact_me_scs")])
-def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(methods, tmp_path) -> None:
-    sizes = (30, 90) if "aimed" in methods else (90, 30)
-    for method, rows in zip(methods, sizes, strict=True):
+@pytest.mark.parametrize(
+    ("found", "drawn"),
+    [
+        ({"aimed": 30, "contact_me_scs": 90, "approach_me_scs": 90}, {"aimed", "contact_me_scs"}),
+        ({"me_scs": 0, "contact_me_scs": 30}, {"contact_me_scs"}),
+        ({"me_rand": 90, "approach_me_scs": 30}, {"me_rand"}),
+    ],
+)
+def test_the_cells_are_those_of_the_compared_methods_or_of_what_found_the_most(
+    found, drawn, tmp_path
+) -> None:
+    for method, rows in found.items():
         record(tmp_path / method, made_scene(), random_rows(rows), method=method, evaluations=100)
-    assert {row["method"] for row in table(analysed(tmp_path).out / "voxels.csv")} == {methods[0]}
+    assert {row["method"] for row in table(analysed(tmp_path).out / "voxels.csv")} == drawn
+
+
+def test_with_many_hands_the_cells_are_drawn_on_one_object_or_on_those_that_are_named(tmp_path: Path) -> None:
+    scenes = [*product(("panda", "allegro", "jaw"), ("mug", "bowl", "can")), ("jaw", "bowl-2")]
+    for (hand, thing), method in product(scenes, ("contact_rand", "approach_rand")):
+        spec = {"gripper": hand, "object": f"{thing}.stl", "method": method, "evaluations": 20}
+        record(tmp_path / "runs" / f"{hand}-{thing}-{method}", made_scene(), random_rows(20), **spec)
+    assert {row["object"] for row in table(analysed(tmp_path).out / "voxels.csv")} == {"bowl"}
+    lone = table(analysed(tmp_path, methods=["contact_rand"]).out / "voxels.csv")
+    assert {(row["gripper"], row["object"]) for row in lone} == set(scenes)
+    rows = table(analysed(tmp_path, objects=["can", "bowl-2"]).out / "voxels.csv")
+    assert {(row["gripper"], row["object"], row["method"]) for row in rows} == {
+        (hand, thing, method)
+        for hand, thing in scenes if thing in ("can", "bowl-2")
+        for method in ("contact_rand", "approach_rand")
+    }  # fmt: skip
+
+
+def test_a_setting_that_differs_is_drawn_and_tabled_by_its_value(tmp_path: Path) -> None:
+    for sigma, n in ((0.05, 60), (0.1, 40), (0.4, 80)):
+        for seed in (0, 1):
+            settings = {"method": "me_scs", "mutation_sigma": sigma, "seed": seed, "evaluations": 80}
+            rows = random_rows(80, seed=seed)
+            rows["outcome"][n:] = Outcome.MISSED
+            record(tmp_path / f"runs/{sigma}-{seed}", made_scene(), rows, **settings)
+    out = analysed(tmp_path).out
+    rows = table(out / "settings.csv")
+    assert [(row["value"], row["is_default"], row["runs"]) for row in rows] == [
+        ("0.05", "no", "2"), ("0.1", "yes", "2"), ("0.4", "no", "2"),
+    ]  # fmt: skip
+    assert matplotlib.image.imread(out / "settings.png")[..., :3].min() < 0.5
+    page = (out / "tables.md").read_text()
+    assert "| mutation_sigma | 0.05 | 0.1 | 0.4 | best | default over best |" in page
+    default, best = (float(rows[place]["median"]) for place in (1, 2))
+    assert f"| 0.4 | {default / best:.2f}, ranges do not overlap |" in page
+
+
+def test_a_sweep_of_runs_that_found_nothing_has_no_best_value(tmp_path: Path) -> None:
+    rows = random_rows(20)
+    rows["outcome"] = Outcome.MISSED
+    for sigma in (0.1, 0.2):
+        settings = {"method": "me_scs", "mutation_sigma": sigma, "evaluations": 20}
+        record(tmp_path / f"runs/{sigma}", made_scene(), rows, **settings)
+    page = (analysed(tmp_path).out / "tables.md").read_text()
+    assert "| me_scs | 0 [0, 0] default | 0 [0, 0] |  | nothing was found |" in page
+
+
+def test_a_search_of_a_program_s_own_is_drawn_beside_the_others(tmp_path: Path) -> None:
+    for method in ("contact_rand", "custom_contact", "custom_aimed"):
+        record(tmp_path / "runs" / method, made_scene(), random_rows(20), method=method, evaluations=20)
+    found = analysed(tmp_path)
+    assert set(found.left_out) == {"settings"}
+    assert [*dict.fromkeys(row["method"] for row in table(found.out / "variants.csv"))] == [
+        "contact_rand", "custom_aimed", "custom_contact",
+    ]  # fmt: skip
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path) -> None:
     with pytest.raises(UnknownName, match="method in this campaign 'approach_rand'"):
-        analysed(campaign, method="approach_rand")
+        analysed(campaign, methods=["contact_rand", "approach_rand"])
+    with pytest.raises(UnknownName, match="object in this campaign 'mug'"):
+        analysed(campaign, objects=["mug"])
     record(tmp_path / "empty/a", made_scene(), random_rows(0))
     with pytest.raises(FolderError, match="has recorded an evaluation yet"):
         analysed(tmp_path / "empty")
@@ -200,19 +268,19 @@ def test_the_command_prints_the_verdicts(campaign: Path) -> None:
     assert (values["runs"], values["claims"]["c"], set(values["left_out"])) == (
         6,
         "not in this campaign",
-        {"hands"},
+        {"settings"},
     )
     assert {row["method"] for row in table(campaign / "analysis/voxels.csv")} == {"contact_rand"}
 
 
 def test_a_campaign_is_analysed_alike_after_its_runs_were_pruned(campaign: Path) -> None:
-    before = analysed(campaign, method="contact_me_scs")
+    before = analysed(campaign, methods=["contact_me_scs"])
     content = {file.name: file.read_bytes() for file in before.out.iterdir()}
     finished = [folder for folder in search_run_folders(campaign) if run_summary(folder).complete]
     assert len(finished) == 4
     for folder in finished:
         prune_run(folder)
-    after = analysed(campaign, method="contact_me_scs")
+    after = analysed(campaign, methods=["contact_me_scs"])
     assert {file.name: file.read_bytes() for file in after.out.iterdir()} == content
     assert after.without_curves == []
 

@@ -195,8 +195,20 @@ def test_seeds_that_not_every_object_has_are_left_out() -> None:
     assert [run.spec.seed for run in group.runs] == [1]
 
 
-def test_one_object_makes_no_mean() -> None:
-    assert pool(covered("mug", 10, 1), covered("mug", 10, 2, gripper="claw"), made("me_scs", climb(1))) == []
+def test_a_hand_with_one_object_in_common_has_its_scenes() -> None:
+    found = pool(
+        covered("mug", 10, 1),
+        covered("mug", 10, 2, gripper="claw"),
+        covered("bowl", 10, 1, gripper="claw", method="contact_rand"),
+    )
+    assert [group.scene.words for group in found] == ["claw on bowl", "claw on mug", "jaw on mug"]
+
+
+def test_objects_of_which_fewer_than_two_have_a_set_are_pooled_by_their_cells() -> None:
+    (group,) = pool(covered("mug", 10, 1), made("me_scs", climb(1, 3), object="box"))
+    assert measure_of([group]) is CELLS
+    assert CELLS.values(group.runs[0], [10, 20]).tolist() == [1, 2]
+    assert measure_words(CELLS, group) == "success cells of 1 cm, mean over objects: no S_G"
 
 
 def group(*runs):
@@ -275,7 +287,7 @@ def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_i
 
 def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:
     (panel,) = curve_panels(group_runs(RUNS))
-    assert measure_words(panel) == "success cells of 1 cm: no S_G"
+    assert panel.measure_words == "success cells of 1 cm: no S_G"
     assert (panel.end, panel.greatest_value) == (100, 5)
 
 
