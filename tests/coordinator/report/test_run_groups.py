@@ -299,4 +299,4 @@ def test_how_complete_a_set_of_ones_own_is_stands_in_the_heading() -> None:
         target = CoverageTarget(replace(known, by_run=by_run))
         run = made("contact_rand", climb(1), target=target, found=climb(1))
         (panel,) = curve_panels(group_runs([run]))
-        assert measure_words(panel) == f"coverage of S_G{words}"
+        assert panel.measure_words == f"coverage of S_G{words}"
