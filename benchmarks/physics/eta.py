@@ -10,7 +10,7 @@ simulated stays in a folder, and is not simulated again.
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -53,6 +53,15 @@ FRESH = range(51, 101)
 Arrays = dict[str, NDArray[Any]]
 
 
+def kept_arrays(file: Path, make: Callable[[], Arrays]) -> Arrays:
+    """The arrays in an npz file, made where there is none."""
+    if not file.exists():
+        np.savez(file.with_suffix(".part.npz"), allow_pickle=False, **make())
+        file.with_suffix(".part.npz").rename(file)
+    with np.load(file) as arrays:
+        return dict(arrays)
+
+
 @dataclass(frozen=True)
 class Results:
     """What trials (n, t) of grasps ended with."""
@@ -83,12 +92,7 @@ class Study:
 
     def _kept(self, name: str, make: Any) -> Arrays:
         """Arrays of a file, made where there is none."""
-        file = self._folder / f"{self.target}-{name}.npz"
-        if not file.exists():
-            np.savez(file.with_suffix(".part.npz"), allow_pickle=False, **make())
-            file.with_suffix(".part.npz").rename(file)
-        with np.load(file) as arrays:
-            return dict(arrays)
+        return kept_arrays(self._folder / f"{self.target}-{name}.npz", make)
 
     @cached_property
     def grasps(self) -> Arrays:

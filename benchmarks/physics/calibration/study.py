@@ -10,11 +10,10 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from benchmarks.physics.calibration.table import GraspRow, Group, Origin, RunKey, grasp_row
-from benchmarks.physics.eta import evaluated
+from benchmarks.physics.eta import Arrays, evaluated, kept_arrays
 from benchmarks.results.measure import HEX
 from benchmarks.single_run import run as single_run
 from msgspec.structs import replace as changed
@@ -61,7 +60,6 @@ SEEDS = (0, 1, 2)
 EVALUATIONS = {"panda": 3000, "allegro": 1500}
 """Budgets of runs; other hands have the least."""
 ARM_SEED = 1  # Of the arm's errors; the ranking's trials have the mixture's own, 0
-Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -255,12 +253,8 @@ class Study:
 
     def _kept(self, name: str, make: Callable[[], Arrays]) -> Arrays:
         """Arrays of a file, made where there is none."""
-        file = self._folder / f"{self.run.gripper}-{self.run.object}-s{self.run.seed}-{name}.npz"
-        if not file.exists():
-            np.savez(file.with_suffix(".part.npz"), allow_pickle=False, **make())
-            file.with_suffix(".part.npz").rename(file)
-        with np.load(file) as arrays:
-            return dict(arrays)
+        stem = f"{self.run.gripper}-{self.run.object}-s{self.run.seed}-{name}"
+        return kept_arrays(self._folder / f"{stem}.npz", make)
 
     @cached_property
     def scene(self) -> Scene:
