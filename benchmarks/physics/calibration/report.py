@@ -35,7 +35,7 @@ from benchmarks.physics.calibration.survival import (
 )
 from benchmarks.physics.calibration.table import GraspRow, Group
 
-from qdgrasp_coordinator.report.claims import RESAMPLES
+from qdgrasp_coordinator.report.bootstrap import RESAMPLES
 from qdgrasp_coordinator.report.figure_grid import FIGURE_DPI
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.storage import atomic_files
