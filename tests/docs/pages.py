@@ -114,7 +114,7 @@ LONG = re.compile(
     r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
-    r"|qdgrasp resume .*--evaluations|qdgrasp info runs/paper-small"
+    r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
     r"|python examples/own_"
     r"|curl "
 )

@@ -70,6 +70,8 @@ class Prepared:
             shutil.copytree(source, target)
         else:
             shutil.copy(source, target)
+        for other in NEEDED.get(name, ()):
+            self.give(other, to)
 
     def make(self, name: str) -> Path:
         """Make a file or folder unless it is there."""
@@ -182,6 +184,8 @@ def certificates(prepared: Prepared, path: Path) -> None:
             shutil.copy(file, path / "lab-7")
 
 
+NEEDED = {"library.csv": ("parts",)}
+"""Files and folders that one of these names."""
 MAKERS: dict[str, Maker] = {
     "all": runs,
     "S_G_panda_2f.npz": reference("runs/cube"),
