@@ -25,6 +25,10 @@ Accept = Annotated[
     typer.Option(help="Digest of an older evaluation code whose verdicts are the same; may be given again."),
 ]
 Campaigns = Annotated[list[str] | None, typer.Argument(help="Campaigns of the programme; default: all.")]
+Cells = Annotated[
+    list[str] | None,
+    typer.Option("--cell", metavar="TEXT", help="Only runs with it in their name; may be given again."),
+]
 Runs = Annotated[Path, typer.Option(help="Where the folders of runs go.")]
 Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of campaigns or runs.")]
 
@@ -32,15 +36,16 @@ Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders o
 @app.command()
 def run(
     campaigns: Campaigns = None,
+    cell: Cells = None,
     accept: Accept = None,
     table: Table = TABLE,
     home: Home = HOME,
     runs: Runs = ROOT / "runs" / "results",
     workers: options.Workers = None,
 ) -> None:
-    """Carry out what is missing, cheapest first; stopped at any time, the same command goes on."""
+    """Carry out what is missing, the cheapest scene first; stopped at any time, the same command goes on."""
     store = _store(table, home, accept)
-    asked = chosen(store.known, campaigns or ())
+    asked = chosen(store.known, campaigns or (), cell or ())
     with lifetime("qdgrasp results") as stop:
         failures = carry_on(store, asked, runs, LocalJobConfig(workers=workers or options.cores()), stop)
     typer.echo(f"{len(store.missing(asked))} of {len(asked.wanted)} runs are missing.")
@@ -54,10 +59,17 @@ def run(
 
 
 @app.command("list")
-def show(campaigns: Campaigns = None, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
+def show(
+    campaigns: Campaigns = None,
+    cell: Cells = None,
+    accept: Accept = None,
+    table: Table = TABLE,
+    home: Home = HOME,
+) -> None:
     """Print what is missing in the order in which it would be done, and do nothing."""
     store = _store(table, home, accept)
-    left, costs = store.missing(chosen(store.known, campaigns or ())), Costs(store.table.values())
+    asked, costs = chosen(store.known, campaigns or (), cell or ()), Costs(store.table.values())
+    left = store.missing(asked)
     for one in ordered(left, costs):
         typer.echo(f"{costs.seconds(one.key):7.0f} CPU s  {one.key.words}")
     total = sum(costs.seconds(one.key) for one in left)

@@ -26,12 +26,18 @@ class Key(NamedTuple):
     gripper: str
     object: str
     protocol: str
+    """With its engine where that is not Bullet: `physical in mujoco`."""
     method: str
     overlaps: str
     settings: str
     """Whatever else of the spec is not the spec's default: `population=50` of `aimed`, mostly nothing."""
     seed: int
     budget: int
+
+    @property
+    def scene(self) -> tuple[str, str, str]:
+        """Hand, object and protocol."""
+        return self.gripper, self.object, self.protocol
 
     @property
     def words(self) -> str:
@@ -123,18 +129,24 @@ def key(spec: RunSpec) -> Key:
     for name in (spec.gripper, spec.object):
         if Path(name).name != name or Path(name).suffix:
             raise InputError(f"'{name}' is a file of this machine: only runs on named assets have a row.")
-    said = {name: getattr(spec, name) for name in Key._fields if name not in ("settings", "budget")}
-    return Key(**said, settings=_settings(spec), budget=spec.evaluations)
+    said = {name: getattr(spec, name) for name in ("gripper", "object", "method", "overlaps", "seed")}
+    return Key(**said, protocol=spec.protocol_words, settings=_settings(spec), budget=spec.evaluations)
 
 
 def _settings(spec: RunSpec) -> str:
-    """What of a spec no other column says, where it is not the spec's default."""
-    others = [
-        field
+    """What of a spec no other column says, where it is not the spec's default.
+
+    A surface seed that is the run's seed is called so: runs that differ in both alone are alike.
+    """
+    said = {
+        field.name: getattr(spec, field.name)
         for field in msgspec.structs.fields(RunSpec)
-        if field.name not in (*Key._fields, "evaluations") and getattr(spec, field.name) != field.default
-    ]
-    return " ".join(f"{field.name}={getattr(spec, field.name)}" for field in others)
+        if field.name not in (*Key._fields, "engine", "evaluations")
+        and getattr(spec, field.name) != field.default
+    }
+    if said.get("surface_seed") == spec.seed:
+        said["surface_seed"] = "seed"
+    return " ".join(f"{name}={value}" for name, value in said.items())
 
 
 def written(value: object) -> str:

@@ -156,6 +156,17 @@ class TestFiles:
         with pytest.raises(InputError, match=r"No campaign 'log' in the programme; known: .*long"):
             chosen(known, ["log"])
 
+    def test_a_text_chooses_the_runs_that_have_it_in_their_name(self, known) -> None:
+        found = chosen(known, ["hands", "methods"], ["allegro-ycb_mug-approach", "panda-ycb_mug-aimed"])
+        assert {one[:2] for one in found.wanted} == {("allegro", "ycb_mug"), ("panda", "ycb_mug")}
+        assert {one.method for one in found.wanted} == {"approach_rand", "aimed"}
+
+    def test_a_text_that_no_run_has_in_its_name_is_told_with_how_they_are_called(self, known) -> None:
+        with pytest.raises(
+            InputError, match=r"No run has 'bowls' in its name; they are called as 'ref_panda_2f-"
+        ):
+            chosen(known, ["long"], ["bowls"])
+
 
 class TestMissing:
     whole = Programme({"one": (wanted(0), wanted(1)), "two": (wanted(1), wanted(1, evaluations=500))})
@@ -178,10 +189,19 @@ class TestMissing:
 
 
 class TestOrder:
-    def test_what_is_cheaper_comes_first(self) -> None:
+    def test_of_a_scene_what_is_cheaper_comes_first(self) -> None:
         runs = [wanted(0, evaluations=3000), wanted(1), wanted(0, gripper="barrett"), wanted(0)]
         keys = [one.key for one in ordered(runs, Costs([]))]
         assert keys == [runs[3].key, runs[1].key, runs[0].key, runs[2].key]
+
+    def test_scenes_are_done_one_after_the_other_the_cheapest_first(self) -> None:
+        costs = Costs([row("aimed", cpu_seconds=9.0), row("me_scs", cpu_seconds=1.0)])
+        few, many = (
+            [wanted(seed, object=name, overlaps="count", method=method) for method in ("me_scs", "aimed")
+             for seed in range(seeds)]
+            for name, seeds in (("ycb_mug", 2), ("ycb_bowl", 3))
+        )  # fmt: skip
+        assert [one.key for one in ordered(many + few, costs)] == [one.key for one in few + many]
 
     def test_costs_are_those_of_the_runs_most_alike(self) -> None:
         costs = Costs([row(cpu_seconds=7.0), row(cpu_seconds=9.0), row("me_scs", cpu_seconds=2.0)])
@@ -190,6 +210,12 @@ class TestOrder:
         assert costs.seconds(asked._replace(budget=500)) == 4.0
         assert costs.seconds(asked._replace(object="ycb_bowl")) == 8.0
         assert costs.seconds(asked._replace(method="cma_mae")) == 7.0
+
+    def test_another_engine_or_protocol_costs_otherwise(self) -> None:
+        costs = Costs([row(cpu_seconds=7.0), row(protocol="physical in mujoco", cpu_seconds=40.0)])
+        assert costs.seconds(row().key) == 7.0
+        assert costs.seconds(row(protocol="physical in mujoco").key) == 40.0
+        assert costs.seconds(row(protocol="physical").key) == Costs([]).seconds(row().key)
 
     def test_a_hand_that_nobody_knows_costs_something(self) -> None:
         assert Costs([]).seconds(row().key._replace(gripper="claw")) > 0

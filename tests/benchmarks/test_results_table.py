@@ -53,6 +53,19 @@ class TestIdentity:
     def test_what_has_no_column_is_told_where_it_is_not_the_specs_default(self) -> None:
         assert key(RunSpec(gripper="panda", object="mug", population=50)).settings == "population=50"
 
+    def test_an_engine_is_said_with_the_protocol(self) -> None:
+        found = key(RunSpec(gripper="panda", object="mug", protocol="physical", engine="mujoco"))
+        assert (found.protocol, found.settings) == ("physical in mujoco", "")
+        assert found.words.endswith("(physical in mujoco, every pose counted)")
+
+    def test_runs_whose_surface_seed_is_their_seed_differ_in_their_seed_alone(self) -> None:
+        spec = {"gripper": "panda", "object": "mug"}
+        keys = [key(RunSpec(**spec, seed=seed, surface_seed=seed)) for seed in (1, 2)]
+        assert keys[0].settings == "surface_seed=seed"
+        assert keys[0] == keys[1]._replace(seed=1)
+        assert key(RunSpec(**spec, seed=1, surface_seed=2)).settings == "surface_seed=2"
+        assert key(RunSpec(**spec)).settings == ""
+
     @pytest.mark.parametrize("file", ["/home/me/mine.stl", "mine.stl", "here/mine"])
     def test_a_run_on_a_file_has_no_row(self, file: str) -> None:
         with pytest.raises(InputError, match="is a file of this machine"):
