@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from benchmarks.results.assets import FILES, NAME, make_asset
 from benchmarks.results.measure import HEX
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
 from benchmarks.results.work import Store, carry_on
@@ -16,6 +17,7 @@ from qdgrasp_worker.platform import code_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "docs" / "results" / "runs.csv"
+RUNS = ROOT / "runs" / "results"
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 Table = Annotated[Path, typer.Option(help="The table; its page lies beside it.")]
@@ -29,7 +31,7 @@ Cells = Annotated[
     list[str] | None,
     typer.Option("--cell", metavar="TEXT", help="Only runs with it in their name; may be given again."),
 ]
-Runs = Annotated[Path, typer.Option(help="Where the folders of runs go.")]
+Runs = Annotated[Path, typer.Option(help="Where the folders of runs, and of made assets, go.")]
 Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of campaigns or runs.")]
 
 
@@ -40,7 +42,7 @@ def run(
     accept: Accept = None,
     table: Table = TABLE,
     home: Home = HOME,
-    runs: Runs = ROOT / "runs" / "results",
+    runs: Runs = RUNS,
     workers: options.Workers = None,
 ) -> None:
     """Carry out what is missing, the cheapest scene first; stopped at any time, the same command goes on."""
@@ -80,6 +82,14 @@ def show(
 def add(directories: Folders, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
     """Add the finished runs in folders; rows of today's evaluation code give way to their like alone."""
     typer.echo(_store(table, home, accept).add(directories).words)
+
+
+@app.command()
+def assets(runs: Runs = RUNS) -> None:
+    """Make the benchmark's own hands and objects, and print where they are."""
+    for file in FILES:
+        make_asset(runs / NAME / file)
+        typer.echo(str(runs / NAME / file))
 
 
 @app.command()

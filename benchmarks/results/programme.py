@@ -1,12 +1,14 @@
 """The runs that the table of results is to have, and the order in which missing ones are done."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from statistics import median
 
+from benchmarks.results import assets
 from benchmarks.results.table import Key, Row, key
+from msgspec import structs
 
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_protocol.errors import InputError
@@ -99,6 +101,18 @@ def chosen(known: Programme, names: Collection[str], cells: Collection[str] = ()
     )
 
 
+def located(known: Programme, home: Path) -> Programme:
+    """A programme with the files of the benchmark's own hands and objects in their folder below `home`."""
+    return Programme(
+        {name: tuple(map(partial(_located, home), runs)) for name, runs in known.campaigns.items()}
+    )
+
+
+def _located(home: Path, one: Wanted) -> Wanted:
+    places = {key: assets.located(getattr(one.spec, key), home) for key in ("gripper", "object")}
+    return replace(one, spec=structs.replace(one.spec, **places))
+
+
 def _wanted(asked: Campaign) -> tuple[Wanted, ...]:
     return tuple(Wanted(name, spec) for name, spec in asked.runs.items())
 
@@ -110,7 +124,10 @@ def evaluations(runs: Iterable[Wanted]) -> int:
 
 STAGE = 600.0
 """CPU seconds of a stage [s]: after each one the table is written."""
-HAND_MS = {"panda": 10.0, "robotiq": 10.0, "allegro": 30.0, "shadow": 25.0, "barrett": 60.0, "bh280": 80.0}
+HAND_MS = {
+    "panda": 10.0, "robotiq": 10.0, "xarm": 30.0, "pr2": 30.0, "allegro": 30.0, "shadow": 25.0,
+    "barrett": 60.0, "bh280": 80.0,
+}  # fmt: skip
 """What an evaluation is taken to cost [ms] with a hand whose name holds this, while no run is known."""
 UNKNOWN_MS = 50.0
 LIKENESS: tuple[Callable[[Key], tuple[str, ...]], ...] = (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+from benchmarks.results.assets import asset_name, has_own_mass
 from msgspec import Struct
 
 from qdgrasp_coordinator.storage import atomic_files, job_folder
@@ -124,13 +125,28 @@ def key(spec: RunSpec) -> Key:
     Raises
     ------
     InputError
-        Its gripper or object is a file, which a table that others read cannot name.
+        Its gripper or object is a file, which a table that others read cannot name; those of the benchmark
+        are named by their stems.
     """
-    for name in (spec.gripper, spec.object):
-        if Path(name).name != name or Path(name).suffix:
-            raise InputError(f"'{name}' is a file of this machine: only runs on named assets have a row.")
-    said = {name: getattr(spec, name) for name in ("gripper", "object", "method", "overlaps", "seed")}
-    return Key(**said, protocol=spec.protocol_words, settings=_settings(spec), budget=spec.evaluations)
+    said = {name: getattr(spec, name) for name in ("method", "overlaps", "seed")}
+    return Key(
+        **said,
+        gripper=_named(spec.gripper),
+        object=_named(spec.object),
+        protocol=spec.protocol_words,
+        settings=_settings(spec),
+        budget=spec.evaluations,
+    )
+
+
+def _named(name: str) -> str:
+    made = asset_name(name)
+    if made is None and (Path(name).name != name or Path(name).suffix):
+        raise InputError(
+            f"'{name}' is a file of this machine: only runs on named assets, and on those that the benchmark "
+            "makes, have a row."
+        )
+    return made or name
 
 
 def _settings(spec: RunSpec) -> str:
@@ -146,6 +162,8 @@ def _settings(spec: RunSpec) -> str:
     }
     if said.get("surface_seed") == spec.seed:
         said["surface_seed"] = "seed"
+    if has_own_mass(spec):
+        del said["mass"]
     return " ".join(f"{name}={value}" for name, value in said.items())
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.results import work
+from benchmarks.results.assets import NAME
 from benchmarks.results.measure import harvest
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
 from benchmarks.results.table import Key, Row
@@ -28,7 +29,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec, to_toml, to_values
+from qdgrasp_protocol.spec import RunSpec, to_toml
 
 BUNDLE = pack_scene(build_scene(RunSpec(gripper="panda", object="tennis_ball")))
 ROWS = random_rows(300)
@@ -145,8 +146,9 @@ class TestFiles:
             assert names.setdefault(one.name, one.key._replace(budget=0)) == one.key._replace(budget=0)
 
     def test_a_campaign_of_full_specs_has_the_same_names(self, known) -> None:
-        runs = {one.name: to_values(one.spec) for one in known.wanted.values()}
-        assert list(make_campaign({"cross": list(runs.values())}, "all.toml", here=False).runs) == list(runs)
+        runs = {one.name: one.spec for one in known.wanted.values()}
+        source = work.campaign_source(runs.values())
+        assert list(make_campaign(source, "all.toml", here=False).runs) == list(runs)
 
     def test_a_folder_without_campaigns_is_no_programme(self, tmp_path) -> None:
         with pytest.raises(InputError, match="holds no campaigns"):
@@ -157,9 +159,11 @@ class TestFiles:
             chosen(known, ["log"])
 
     def test_a_text_chooses_the_runs_that_have_it_in_their_name(self, known) -> None:
-        found = chosen(known, ["hands", "methods"], ["allegro-ycb_mug-approach", "panda-ycb_mug-aimed"])
-        assert {one[:2] for one in found.wanted} == {("allegro", "ycb_mug"), ("panda", "ycb_mug")}
-        assert {one.method for one in found.wanted} == {"approach_rand", "aimed"}
+        found = chosen(known, ["grasp-bench-1"], ["panda-ycb_bowl", "xarm-ycb_mug-aimed"])
+        scenes = [one[:2] for one in found.wanted]
+        assert {scene: scenes.count(scene) for scene in scenes} == {
+            ("panda", "ycb_bowl"): 20, ("xarm", "ycb_mug"): 5
+        }  # fmt: skip
 
     def test_a_text_that_no_run_has_in_its_name_is_told_with_how_they_are_called(self, known) -> None:
         with pytest.raises(
@@ -288,6 +292,19 @@ class TestCarryingOn:
         failures = work.carry_on(Store(store.file, both, {TODAY}), both, tmp_path, TEAM, Stop())
         assert [str(error)[:22] for error in failures] == ["Unknown gripper 'claw'"]
         assert tried == [wanted_runs(0)]
+
+    def test_what_the_benchmark_makes_is_made_once_it_is_asked_for(
+        self, store, tmp_path, monkeypatch
+    ) -> None:
+        tried: list[Wanted] = []
+        monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
+        asked = Wanted("panda-plate-s0", RunSpec(gripper="panda", object=f"{NAME}/plate.stl", mass=0.065))
+        one = Programme({"some": (asked,)})
+        assert work.carry_on(Store(store.file, one, {TODAY}), one, tmp_path, TEAM, Stop()) == []
+        assert [(run.key, run.spec.object) for run in tried] == [
+            (asked.key, str(tmp_path / NAME / "plate.stl"))
+        ]
+        assert [path.name for path in (tmp_path / NAME).iterdir()] == ["plate.stl"]
 
     def test_a_signal_ends_it_after_the_stage(self, store, tmp_path, monkeypatch) -> None:
         stop, stages_done = Stop(), []

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from benchmarks.results import table
 from benchmarks.results import table as tables
+from benchmarks.results.assets import NAME, OBJECTS
 from benchmarks.results.comparison import arms, comparison_part
 from benchmarks.results.page import coverage_part, cpu_part, page
 from benchmarks.results.programme import Programme, Wanted, programme
 from benchmarks.results.table import COLUMNS, Row, key
+from msgspec.structs import replace
 
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
@@ -66,7 +68,14 @@ class TestIdentity:
         assert key(RunSpec(**spec, seed=1, surface_seed=2)).settings == "surface_seed=2"
         assert key(RunSpec(**spec)).settings == ""
 
-    @pytest.mark.parametrize("file", ["/home/me/mine.stl", "mine.stl", "here/mine"])
+    def test_what_the_benchmark_makes_is_named_by_its_stem_wherever_it_lies(self) -> None:
+        here = RunSpec(gripper=f"{NAME}/xarm.toml", object=f"{NAME}/vase.stl", mass=OBJECTS["vase"].mass)
+        there = replace(here, gripper=f"/data/{NAME}/xarm.toml", object=f"/data/{NAME}/vase.stl")
+        assert key(here) == key(there)
+        assert (key(here).gripper, key(here).object, key(here).settings) == ("xarm", "vase", "")
+        assert key(replace(here, mass=1.0)).settings == "mass=1.0"
+
+    @pytest.mark.parametrize("file", ["/home/me/mine.stl", "mine.stl", "here/mine", f"{NAME}/mine.stl"])
     def test_a_run_on_a_file_has_no_row(self, file: str) -> None:
         with pytest.raises(InputError, match="is a file of this machine"):
             key(RunSpec(gripper="panda", object=file))
