@@ -27,7 +27,7 @@ help:
 	@echo "make chaos   ten runs whose processes are killed and stopped all the time, and scenarios (SEED=, EVALUATIONS=)"
 	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
 	@echo "make scale   how far a coordinator goes, with workers that only answer; ten minutes (runs/scale.json)"
-	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
+	@echo "make results the runs whose results are missing, cheapest scene first; can be stopped (docs/results)"
 	@echo "make lock    write the lock files that images are built from (deploy/container)"
 	@echo "make clean   remove the environment, the site and the caches of the tools"
 

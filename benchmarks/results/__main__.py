@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from benchmarks.results.assets import FILES, NAME, make_asset
 from benchmarks.results.measure import HEX
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
 from benchmarks.results.work import Store, carry_on
@@ -16,6 +17,7 @@ from qdgrasp_worker.platform import code_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "docs" / "results" / "runs.csv"
+RUNS = ROOT / "runs" / "results"
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 Table = Annotated[Path, typer.Option(help="The table; its page lies beside it.")]
@@ -25,22 +27,27 @@ Accept = Annotated[
     typer.Option(help="Digest of an older evaluation code whose verdicts are the same; may be given again."),
 ]
 Campaigns = Annotated[list[str] | None, typer.Argument(help="Campaigns of the programme; default: all.")]
-Runs = Annotated[Path, typer.Option(help="Where the folders of runs go.")]
+Cells = Annotated[
+    list[str] | None,
+    typer.Option("--cell", metavar="TEXT", help="Only runs with it in their name; may be given again."),
+]
+Runs = Annotated[Path, typer.Option(help="Where the folders of runs, and of made assets, go.")]
 Folders = Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of campaigns or runs.")]
 
 
 @app.command()
 def run(
     campaigns: Campaigns = None,
+    cell: Cells = None,
     accept: Accept = None,
     table: Table = TABLE,
     home: Home = HOME,
-    runs: Runs = ROOT / "runs" / "results",
+    runs: Runs = RUNS,
     workers: options.Workers = None,
 ) -> None:
-    """Carry out what is missing, cheapest first; stopped at any time, the same command goes on."""
+    """Carry out what is missing, the cheapest scene first; stopped at any time, the same command goes on."""
     store = _store(table, home, accept)
-    asked = chosen(store.known, campaigns or ())
+    asked = chosen(store.known, campaigns or (), cell or ())
     with lifetime("qdgrasp results") as stop:
         failures = carry_on(store, asked, runs, LocalJobConfig(workers=workers or options.cores()), stop)
     typer.echo(f"{len(store.missing(asked))} of {len(asked.wanted)} runs are missing.")
@@ -54,10 +61,17 @@ def run(
 
 
 @app.command("list")
-def show(campaigns: Campaigns = None, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
+def show(
+    campaigns: Campaigns = None,
+    cell: Cells = None,
+    accept: Accept = None,
+    table: Table = TABLE,
+    home: Home = HOME,
+) -> None:
     """Print what is missing in the order in which it would be done, and do nothing."""
     store = _store(table, home, accept)
-    left, costs = store.missing(chosen(store.known, campaigns or ())), Costs(store.table.values())
+    asked, costs = chosen(store.known, campaigns or (), cell or ()), Costs(store.table.values())
+    left = store.missing(asked)
     for one in ordered(left, costs):
         typer.echo(f"{costs.seconds(one.key):7.0f} CPU s  {one.key.words}")
     total = sum(costs.seconds(one.key) for one in left)
@@ -68,6 +82,14 @@ def show(campaigns: Campaigns = None, accept: Accept = None, table: Table = TABL
 def add(directories: Folders, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
     """Add the finished runs in folders; rows of today's evaluation code give way to their like alone."""
     typer.echo(_store(table, home, accept).add(directories).words)
+
+
+@app.command()
+def assets(runs: Runs = RUNS) -> None:
+    """Make the benchmark's own hands and objects, and print where they are."""
+    for file in FILES:
+        make_asset(runs / NAME / file)
+        typer.echo(str(runs / NAME / file))
 
 
 @app.command()

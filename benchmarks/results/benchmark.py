@@ -42,7 +42,7 @@ from qdgrasp_coordinator.report.tables import markdown_table
 CAMPAIGN = "grasp-bench-1"
 """Beginning of the names of the campaigns whose scenes are the benchmark's."""
 FIGURE = "cells-that-hold"
-PROTOCOL = "physical"
+PROTOCOL = "physical in mujoco"
 TUNING = {("panda", "ycb_rubiks_cube"), ("panda", "ycb_mug"), ("panda", "ycb_power_drill")}
 """Hands and objects on which constants of searches were chosen."""
 TWO_FINGERS = ("panda", "robotiq_2f", "xarm", "pr2")

@@ -43,10 +43,8 @@ class Arm:
 
     @property
     def scene(self) -> tuple[str, str, str]:
-        """Hand, object, and protocol with its engine where that is not Bullet."""
-        engine = settings_of(self.key).get("engine")
-        protocol = f"{self.key.protocol} in {engine}" if engine else self.key.protocol
-        return self.key.gripper, self.key.object, protocol
+        """Hand, object and protocol."""
+        return self.key.scene
 
     @property
     def method(self) -> str:
@@ -93,7 +91,7 @@ def arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
     ]
 
 
-SCENE_SETTINGS = ("engine", "surface_seed", "base")
+SCENE_SETTINGS = ("surface_seed", "base")
 """Settings of a scene rather than of its method."""
 
 

@@ -1,11 +1,14 @@
 """The runs that the table of results is to have, and the order in which missing ones are done."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from statistics import median
 
+from benchmarks.results import assets
 from benchmarks.results.table import Key, Row, key
+from msgspec import structs
 
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_protocol.errors import InputError
@@ -22,7 +25,7 @@ class Wanted:
     """As its campaign calls it; runs that differ in their budget alone share it."""
     spec: RunSpec
 
-    @property
+    @cached_property
     def key(self) -> Key:
         """The key of its row."""
         return key(self.spec)
@@ -34,14 +37,22 @@ class Programme:
 
     campaigns: Mapping[str, tuple[Wanted, ...]]
 
-    @property
+    @cached_property
     def wanted(self) -> dict[Key, Wanted]:
         """Every run once, in the order of the campaigns."""
         return {one.key: one for runs in self.campaigns.values() for one in runs}
 
     def budgets(self, asked: Key) -> set[int]:
         """The budgets that the programme has for a run, whatever its own."""
-        return {one.budget for one in self.wanted if one._replace(budget=asked.budget) == asked}
+        return self._budgets.get(asked._replace(budget=0), set())
+
+    @cached_property
+    def _budgets(self) -> dict[Key, set[int]]:
+        """Budgets by the keys of runs, without their own."""
+        found: dict[Key, set[int]] = {}
+        for one in self.wanted:
+            found.setdefault(one._replace(budget=0), set()).add(one.budget)
+        return found
 
     def missing(self, table: Mapping[Key, Row], current: Collection[str]) -> list[Wanted]:
         """The runs without a row of the evaluation code that counts as today's."""
@@ -66,17 +77,40 @@ def programme(home: Path = HOME) -> Programme:
     return Programme({file.stem: _wanted(read_campaign(file, here=False, is_begun=True)) for file in files})
 
 
-def chosen(known: Programme, names: Collection[str]) -> Programme:
-    """A programme of some of its campaigns; of all where none is named.
+def chosen(known: Programme, names: Collection[str], cells: Collection[str] = ()) -> Programme:
+    """A programme of some of its campaigns, and of the runs with one of these texts in their name.
+
+    Where no campaign is named it is of all, and where there is no text of all runs.
 
     Raises
     ------
     InputError
-        There is no campaign of such a name.
+        There is no campaign of such a name, or no run.
     """
     if unknown := [name for name in names if name not in known.campaigns]:
         raise InputError(f"No campaign '{unknown[0]}' in the programme; known: {', '.join(known.campaigns)}.")
-    return Programme({name: runs for name, runs in known.campaigns.items() if not names or name in names})
+    campaigns = {name: runs for name, runs in known.campaigns.items() if not names or name in names}
+    runs = [one.name for some in campaigns.values() for one in some]
+    if absent := [text for text in cells if not any(text in name for name in runs)]:
+        raise InputError(f"No run has '{absent[0]}' in its name; they are called as '{runs[0]}'.")
+    return Programme(
+        {
+            name: tuple(one for one in some if not cells or any(text in one.name for text in cells))
+            for name, some in campaigns.items()
+        }
+    )
+
+
+def located(known: Programme, home: Path) -> Programme:
+    """A programme with the files of the benchmark's own hands and objects in their folder below `home`."""
+    return Programme(
+        {name: tuple(map(partial(_located, home), runs)) for name, runs in known.campaigns.items()}
+    )
+
+
+def _located(home: Path, one: Wanted) -> Wanted:
+    places = {key: assets.located(getattr(one.spec, key), home) for key in ("gripper", "object")}
+    return replace(one, spec=structs.replace(one.spec, **places))
 
 
 def _wanted(asked: Campaign) -> tuple[Wanted, ...]:
@@ -90,13 +124,16 @@ def evaluations(runs: Iterable[Wanted]) -> int:
 
 STAGE = 600.0
 """CPU seconds of a stage [s]: after each one the table is written."""
-HAND_MS = {"panda": 10.0, "robotiq": 10.0, "allegro": 30.0, "shadow": 25.0, "barrett": 60.0, "bh280": 80.0}
-"""What an evaluation is taken to cost [ms] with a hand whose name holds this, before any run has told."""
+HAND_MS = {
+    "panda": 10.0, "robotiq": 10.0, "xarm": 30.0, "pr2": 30.0, "allegro": 30.0, "shadow": 25.0,
+    "barrett": 60.0, "bh280": 80.0,
+}  # fmt: skip
+"""What an evaluation is taken to cost [ms] with a hand whose name holds this, while no run is known."""
 UNKNOWN_MS = 50.0
 LIKENESS: tuple[Callable[[Key], tuple[str, ...]], ...] = (
-    lambda one: (one.gripper, one.object, one.method, one.overlaps),
-    lambda one: (one.gripper, one.method, one.overlaps),
-    lambda one: (one.gripper, one.overlaps),
+    lambda one: (one.gripper, one.protocol, one.overlaps, one.method, one.object),
+    lambda one: (one.gripper, one.protocol, one.overlaps, one.method),
+    lambda one: (one.gripper, one.protocol, one.overlaps),
 )
 """What makes two runs alike in cost, the closest first."""
 
@@ -127,8 +164,17 @@ def _grouped(
 
 
 def ordered(runs: Iterable[Wanted], costs: Costs) -> list[Wanted]:
-    """Runs by what they will cost, cheapest first; of equally cheap ones each scene's first seeds."""
-    return sorted(runs, key=lambda one: (costs.seconds(one.key), one.key.seed, one.key))
+    """Runs scene by scene, the cheapest scene first; in a scene the cheapest run, then the first seeds."""
+    seconds = {one.key: costs.seconds(one.key) for one in runs}
+    scenes: dict[tuple[str, str, str], float] = {}
+    for run, cost in seconds.items():
+        scenes[run.scene] = scenes.get(run.scene, 0.0) + cost
+
+    def place(one: Wanted) -> tuple[object, ...]:
+        run = one.key
+        return scenes[run.scene], run.scene, seconds[run], run.seed, run
+
+    return sorted(runs, key=place)
 
 
 def stages(runs: Sequence[Wanted], costs: Costs) -> Iterator[list[Wanted]]:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, get_args
 import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
+from benchmarks.results.assets import asset_name, has_own_mass
 from msgspec import Struct
 
 from qdgrasp_coordinator.storage import atomic_files, job_folder
@@ -32,12 +33,18 @@ class Key(NamedTuple):
     gripper: str
     object: str
     protocol: str
+    """With its engine where that is not Bullet: `physical in mujoco`."""
     method: str
     overlaps: str
     settings: str
     """Whatever else of the spec is not the spec's default: `population=50` of `aimed`, mostly nothing."""
     seed: int
     budget: int
+
+    @property
+    def scene(self) -> tuple[str, str, str]:
+        """Hand, object and protocol."""
+        return self.gripper, self.object, self.protocol
 
     @property
     def words(self) -> str:
@@ -148,23 +155,46 @@ def key(spec: RunSpec) -> Key:
     Raises
     ------
     InputError
-        Its gripper or object is a file, which a table that others read cannot name.
+        Its gripper or object is a file, which a table that others read cannot name; those of the benchmark
+        are named by their stems.
     """
-    for name in (spec.gripper, spec.object):
-        if Path(name).name != name or Path(name).suffix:
-            raise InputError(f"'{name}' is a file of this machine: only runs on named assets have a row.")
-    said = {name: getattr(spec, name) for name in Key._fields if name not in ("settings", "budget")}
-    return Key(**said, settings=_settings(spec), budget=spec.evaluations)
+    said = {name: getattr(spec, name) for name in ("method", "overlaps", "seed")}
+    return Key(
+        **said,
+        gripper=_named(spec.gripper),
+        object=_named(spec.object),
+        protocol=spec.protocol_words,
+        settings=_settings(spec),
+        budget=spec.evaluations,
+    )
+
+
+def _named(name: str) -> str:
+    made = asset_name(name)
+    if made is None and (Path(name).name != name or Path(name).suffix):
+        raise InputError(
+            f"'{name}' is a file of this machine: only runs on named assets, and on those that the benchmark "
+            "makes, have a row."
+        )
+    return made or name
 
 
 def _settings(spec: RunSpec) -> str:
-    """What of a spec no other column says, where it is not the spec's default."""
-    others = [
-        field
+    """What of a spec no other column says, where it is not the spec's default.
+
+    A surface seed that is the run's seed is called so: runs that differ in both alone are alike.
+    """
+    said = {
+        field.name: getattr(spec, field.name)
         for field in msgspec.structs.fields(RunSpec)
-        if field.name not in (*Key._fields, "evaluations") and getattr(spec, field.name) != field.default
-    ]
-    return " ".join(f"{field.name}={getattr(spec, field.name)}" for field in others)
+        if field.name not in (*Key._fields, "engine", "evaluations")
+        and getattr(spec, field.name) != field.default
+    }
+    if said.get("surface_seed") == spec.seed:
+        said["surface_seed"] = "seed"
+    if has_own_mass(spec):
+        del said["mass"]
+    return " ".join(f"{name}={value}" for name, value in said.items())
 
 
 def written(value: object) -> str:

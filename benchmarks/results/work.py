@@ -4,13 +4,15 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from benchmarks.results import table as tables
+from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
 from benchmarks.results.measure import harvest
 from benchmarks.results.page import benchmark_arms, page
-from benchmarks.results.programme import Costs, Programme, Wanted, ordered, stages
+from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
 from benchmarks.results.table import Key, Row
 
 import qdgrasp_coordinator
@@ -142,16 +144,22 @@ def carry_on(
     Parameters
     ----------
     runs
-        Where the folders go: one for each version of the code, so that a run goes on with its own.
+        Where the folders go: one for each version of the code, so that a run goes on with its own; and one
+        for the benchmark's own hands and objects.
 
     Returns
     -------
     failures
         Why some of the runs could not be carried out; the others were.
     """
-    lacks = lacking(asked.wanted.values())
+    asked = located(asked, runs)
+    lacks = lacking(store.missing(asked))
     failures: list[QdgraspError] = list(lacks.values())
-    tried = {key for key in asked.wanted if not lacks.keys().isdisjoint((key.gripper, key.object))}
+    tried = {
+        key
+        for key, one in asked.wanted.items()
+        if not lacks.keys().isdisjoint((one.spec.gripper, one.spec.object))
+    }
     while not stop.is_set:
         place = workplace(runs)
         _gather(store, place)
@@ -170,13 +178,18 @@ def carry_on(
 
 
 def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
-    """The hands and objects of runs that are not on this machine, and what is to be said of each."""
+    """The hands and objects of runs that are not on this machine, and what is to be said of each.
+
+    Those of the benchmark are made first.
+    """
     checks: dict[str, Callable[[str], object]] = {one.spec.gripper: find_gripper for one in runs} | {
         one.spec.object: check_object for one in runs
     }
     found: dict[str, InputError] = {}
     for name, check in checks.items():
         try:
+            if asset_name(name):
+                make_asset(Path(name))
             check(name)
         except InputError as error:
             found[name] = error
@@ -228,5 +241,17 @@ def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
     for one in stage:
         if one.name not in runs or runs[one.name].evaluations < one.spec.evaluations:
             runs[one.name] = one.spec
-    source = {"cross": [to_values(spec) for spec in runs.values()]}
-    return make_campaign(source, str(place / CAMPAIGN), taken=())
+    return make_campaign(campaign_source(runs.values()), str(place / CAMPAIGN), taken=())
+
+
+def campaign_source(specs: Collection[RunSpec]) -> dict[str, Any]:
+    """The content of a campaign's file that asks for these runs, by the names that they have.
+
+    The mass of a made object is no part of a name, and so stands in a table of its own.
+    """
+    own = {spec.object: {"mass": spec.mass} for spec in specs if has_own_mass(spec)}
+    runs = [
+        {key: value for key, value in to_values(spec).items() if key != "mass" or spec.object not in own}
+        for spec in specs
+    ]
+    return {"cross": runs, "objects": own}

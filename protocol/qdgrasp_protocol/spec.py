@@ -99,8 +99,12 @@ class ObjectRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Part of a data set, such as train or test."""
 
 
-VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
-"""Unit of a key's value, for errors."""
+VALUE_HINTS = {
+    "mass": " (kg)",
+    "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)",
+    "surface_seed": ", or 'seed' in the file of a campaign alone",
+}
+"""Unit of a key's value, or what else it may be, for errors."""
 GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
 """Keys of a spec's stop criteria besides its budget."""
 STOP_KEYS = ("evaluations", *GOAL_KEYS)

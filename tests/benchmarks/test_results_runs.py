@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.results import work
+from benchmarks.results.assets import NAME
 from benchmarks.results.measure import harvest
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
 from benchmarks.results.table import Key, Row
@@ -28,7 +29,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec, to_toml, to_values
+from qdgrasp_protocol.spec import RunSpec, to_toml
 
 BUNDLE = pack_scene(build_scene(RunSpec(gripper="panda", object="tennis_ball")))
 ROWS = random_rows(300)
@@ -145,8 +146,9 @@ class TestFiles:
             assert names.setdefault(one.name, one.key._replace(budget=0)) == one.key._replace(budget=0)
 
     def test_a_campaign_of_full_specs_has_the_same_names(self, known) -> None:
-        runs = {one.name: to_values(one.spec) for one in known.wanted.values()}
-        assert list(make_campaign({"cross": list(runs.values())}, "all.toml", here=False).runs) == list(runs)
+        runs = {one.name: one.spec for one in known.wanted.values()}
+        source = work.campaign_source(runs.values())
+        assert list(make_campaign(source, "all.toml", here=False).runs) == list(runs)
 
     def test_a_folder_without_campaigns_is_no_programme(self, tmp_path) -> None:
         with pytest.raises(InputError, match="holds no campaigns"):
@@ -155,6 +157,19 @@ class TestFiles:
     def test_an_unknown_campaign_is_told_of(self, known) -> None:
         with pytest.raises(InputError, match=r"No campaign 'log' in the programme; known: .*long"):
             chosen(known, ["log"])
+
+    def test_a_text_chooses_the_runs_that_have_it_in_their_name(self, known) -> None:
+        found = chosen(known, ["grasp-bench-1"], ["panda-ycb_bowl", "xarm-ycb_mug-aimed"])
+        scenes = [one[:2] for one in found.wanted]
+        assert {scene: scenes.count(scene) for scene in scenes} == {
+            ("panda", "ycb_bowl"): 20, ("xarm", "ycb_mug"): 5
+        }  # fmt: skip
+
+    def test_a_text_that_no_run_has_in_its_name_is_told_with_how_they_are_called(self, known) -> None:
+        with pytest.raises(
+            InputError, match=r"No run has 'bowls' in its name; they are called as 'ref_panda_2f-"
+        ):
+            chosen(known, ["long"], ["bowls"])
 
 
 class TestMissing:
@@ -178,10 +193,19 @@ class TestMissing:
 
 
 class TestOrder:
-    def test_what_is_cheaper_comes_first(self) -> None:
+    def test_of_a_scene_what_is_cheaper_comes_first(self) -> None:
         runs = [wanted(0, evaluations=3000), wanted(1), wanted(0, gripper="barrett"), wanted(0)]
         keys = [one.key for one in ordered(runs, Costs([]))]
         assert keys == [runs[3].key, runs[1].key, runs[0].key, runs[2].key]
+
+    def test_scenes_are_done_one_after_the_other_the_cheapest_first(self) -> None:
+        costs = Costs([row("aimed", cpu_seconds=9.0), row("me_scs", cpu_seconds=1.0)])
+        few, many = (
+            [wanted(seed, object=name, overlaps="count", method=method) for method in ("me_scs", "aimed")
+             for seed in range(seeds)]
+            for name, seeds in (("ycb_mug", 2), ("ycb_bowl", 3))
+        )  # fmt: skip
+        assert [one.key for one in ordered(many + few, costs)] == [one.key for one in few + many]
 
     def test_costs_are_those_of_the_runs_most_alike(self) -> None:
         costs = Costs([row(cpu_seconds=7.0), row(cpu_seconds=9.0), row("me_scs", cpu_seconds=2.0)])
@@ -190,6 +214,12 @@ class TestOrder:
         assert costs.seconds(asked._replace(budget=500)) == 4.0
         assert costs.seconds(asked._replace(object="ycb_bowl")) == 8.0
         assert costs.seconds(asked._replace(method="cma_mae")) == 7.0
+
+    def test_another_engine_or_protocol_costs_otherwise(self) -> None:
+        costs = Costs([row(cpu_seconds=7.0), row(protocol="physical in mujoco", cpu_seconds=40.0)])
+        assert costs.seconds(row().key) == 7.0
+        assert costs.seconds(row(protocol="physical in mujoco").key) == 40.0
+        assert costs.seconds(row(protocol="physical").key) == Costs([]).seconds(row().key)
 
     def test_a_hand_that_nobody_knows_costs_something(self) -> None:
         assert Costs([]).seconds(row().key._replace(gripper="claw")) > 0
@@ -262,6 +292,19 @@ class TestCarryingOn:
         failures = work.carry_on(Store(store.file, both, {TODAY}), both, tmp_path, TEAM, Stop())
         assert [str(error)[:22] for error in failures] == ["Unknown gripper 'claw'"]
         assert tried == [wanted_runs(0)]
+
+    def test_what_the_benchmark_makes_is_made_once_it_is_asked_for(
+        self, store, tmp_path, monkeypatch
+    ) -> None:
+        tried: list[Wanted] = []
+        monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
+        asked = Wanted("panda-plate-s0", RunSpec(gripper="panda", object=f"{NAME}/plate.stl", mass=0.065))
+        one = Programme({"some": (asked,)})
+        assert work.carry_on(Store(store.file, one, {TODAY}), one, tmp_path, TEAM, Stop()) == []
+        assert [(run.key, run.spec.object) for run in tried] == [
+            (asked.key, str(tmp_path / NAME / "plate.stl"))
+        ]
+        assert [path.name for path in (tmp_path / NAME).iterdir()] == ["plate.stl"]
 
     def test_a_signal_ends_it_after_the_stage(self, store, tmp_path, monkeypatch) -> None:
         stop, stages_done = Stop(), []

@@ -11,6 +11,7 @@ import pandas
 import pytest
 from benchmarks.results import table
 from benchmarks.results import table as tables
+from benchmarks.results.assets import NAME, OBJECTS
 from benchmarks.results.benchmark import after_equal_cpu, benchmark_part, draw
 from benchmarks.results.comparison import Arm, MethodComparison, arms, comparison_part
 from benchmarks.results.page import coverage_part, cpu_part, page
@@ -58,7 +59,27 @@ class TestIdentity:
     def test_what_has_no_column_is_told_where_it_is_not_the_specs_default(self) -> None:
         assert key(RunSpec(gripper="panda", object="mug", population=50)).settings == "population=50"
 
-    @pytest.mark.parametrize("file", ["/home/me/mine.stl", "mine.stl", "here/mine"])
+    def test_an_engine_is_said_with_the_protocol(self) -> None:
+        found = key(RunSpec(gripper="panda", object="mug", protocol="physical", engine="mujoco"))
+        assert (found.protocol, found.settings) == ("physical in mujoco", "")
+        assert found.words.endswith("(physical in mujoco, every pose counted)")
+
+    def test_runs_whose_surface_seed_is_their_seed_differ_in_their_seed_alone(self) -> None:
+        spec = {"gripper": "panda", "object": "mug"}
+        keys = [key(RunSpec(**spec, seed=seed, surface_seed=seed)) for seed in (1, 2)]
+        assert keys[0].settings == "surface_seed=seed"
+        assert keys[0] == keys[1]._replace(seed=1)
+        assert key(RunSpec(**spec, seed=1, surface_seed=2)).settings == "surface_seed=2"
+        assert key(RunSpec(**spec)).settings == ""
+
+    def test_what_the_benchmark_makes_is_named_by_its_stem_wherever_it_lies(self) -> None:
+        here = RunSpec(gripper=f"{NAME}/xarm.toml", object=f"{NAME}/vase.stl", mass=OBJECTS["vase"].mass)
+        there = structs.replace(here, gripper=f"/data/{NAME}/xarm.toml", object=f"/data/{NAME}/vase.stl")
+        assert key(here) == key(there)
+        assert (key(here).gripper, key(here).object, key(here).settings) == ("xarm", "vase", "")
+        assert key(structs.replace(here, mass=1.0)).settings == "mass=1.0"
+
+    @pytest.mark.parametrize("file", ["/home/me/mine.stl", "mine.stl", "here/mine", f"{NAME}/mine.stl"])
     def test_a_run_on_a_file_has_no_row(self, file: str) -> None:
         with pytest.raises(InputError, match="is a file of this machine"):
             key(RunSpec(gripper="panda", object=file))
@@ -319,8 +340,8 @@ class TestComparisons:
 
 
 BENCH = {
-    "aimed": "aim_for=hold engine=mujoco in_flight=400 population=50 surface_seed=seed",
-    "me_scs": "engine=mujoco surface_seed=seed",
+    "aimed": "aim_for=hold in_flight=400 population=50 surface_seed=seed",
+    "me_scs": "surface_seed=seed",
 }
 
 
@@ -330,7 +351,8 @@ def bench_arms(*ends: tuple[str, str, str, float, float]) -> list[Arm]:
     for gripper, target, method, end, after_cpu in ends:
         rows = {
             seed: row(
-                method, seed, gripper=gripper, object=target, protocol="physical", settings=BENCH[method],
+                method, seed, gripper=gripper, object=target, protocol="physical in mujoco",
+                settings=BENCH[method],
                 robust_cells=round(end * (1 + seed / 100)), robust_niches=9,
                 robust_cells_5s=1, robust_cells_10s=round(after_cpu * (1 + seed / 100)),
             )
@@ -364,7 +386,7 @@ class TestBenchmark:
             ("panda", "ycb_bowl", "aimed", 500, 40), ("panda", "ycb_bowl", "me_scs", 300, 80),
             ("panda", "ycb_banana", "aimed", 100, 40), ("panda", "ycb_banana", "me_scs", 400, 20),
         )  # fmt: skip
-        first = benchmark_part(known).partition("Protocol `physical`")[0]
+        first = benchmark_part(known).partition("Protocol `physical in mujoco`")[0]
         assert "| panda | ycb_bowl | `me_scs` | equal CPU | 0.50 |" in first
         assert "| panda | ycb_banana | `me_scs` | equal evaluations | 0.25 |" in first
         assert first.count("| panda |") == 2

@@ -22,8 +22,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -31,7 +31,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.asset_paths import cache_folder, path_problem
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
@@ -242,8 +242,16 @@ def main() -> None:
     given = np.load(sys.argv[1], allow_pickle=False)
     mesh = coacd.Mesh(given["vertices"], given["faces"])
     found = coacd.run_coacd(mesh, threshold=float(sys.argv[2]), mcts_iterations=COACD_ITERATIONS, seed=0)
-    parts = [simplify_part(hull(np.asarray(points, dtype=np.float64))) for points, _ in found]
-    Path(sys.argv[3]).write_bytes(parts_to_obj(parts))
+    Path(sys.argv[3]).write_bytes(parts_to_obj(solid_parts(points for points, _ in found)))
+
+
+def solid_parts(found: Iterable[ArrayLike]) -> Iterator[Mesh]:
+    """Yield the hulls of parts (v, 3) [m], with few corners each, and none of flat parts."""
+    from scipy.spatial import QhullError
+
+    for points in found:
+        with suppress(QhullError):
+            yield simplify_part(hull(np.asarray(points, dtype=np.float64)))
 
 
 def _end_with_parent() -> None:

@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
-from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter
+from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
@@ -75,17 +75,19 @@ def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
     return f"{mass:.6g}", inertial
 
 
-def mend(
-    robot: Urdf, base: str, folder: str, tell: Tell
-) -> tuple[ET.Element, dict[str, bytes], tuple[str, ...]]:
+Mended = tuple[ET.Element, dict[str, bytes], tuple[str, ...]]
+"""A mended `<robot>`, its meshes by path, and the changes in words."""
+
+
+def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> Mended:
     """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
 
-    Returns the mended `<robot>`, its meshes by path, and the changes in words. Meshes will lie in `folder`,
-    relative to the URDF that will be written. `tell` is called with a sentence before each slow step. Raises
-    `AssetError` if a mesh is missing or cannot be read, or CoACD failed.
+    Meshes will lie in `folder`, relative to the URDF that will be written. `tell` is called with a sentence
+    before each slow step, for which CoACD has `time_limit` [s]. Raises `AssetError` if a mesh is missing or
+    cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
-    splitter = MeshSplitter(hand.path, folder, tell)
+    splitter = MeshSplitter(hand.path, folder, tell, time_limit)
     changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
     if visuals := drop_visuals(hand.element):  # their meshes may be missing
         changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
@@ -201,13 +203,16 @@ def check_replaceable(robot: Urdf, toml: Path) -> None:
 
 
 @contextmanager
-def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool) -> Iterator[MendedCopy]:
+def mended_copy(
+    robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool, time_limit: float = TIME_LIMIT
+) -> Iterator[MendedCopy]:
     """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
 
     It replaces an older copy at once. Where the with-block fails, what was there before is there again.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
-    fingers close beside its line of approach. Raises `AssetError` if a mesh is missing or cannot be read,
-    CoACD failed, or the copy cannot be written; or something else than an older copy is there.
+    fingers close beside its line of approach. A hollow mesh stays a hull where CoACD takes more than
+    `time_limit` [s] by the clock at one concavity. Raises `AssetError` if a mesh is missing or cannot be
+    read, CoACD failed, or the copy cannot be written; or something else than an older copy is there.
     """
     check_replaceable(robot, toml)
     urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)
@@ -218,7 +223,8 @@ def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: b
         for each in (new, old, failed):
             each.mkdir()
         with _writing(urdf):
-            copy = _make_copy(robot, base, new / urdf.name, names[1], tell, may_centre=may_centre)
+            mended = mend(robot, base, names[1], tell, time_limit)
+            copy = _write_copy(mended, base, new / urdf.name, may_centre=may_centre)
         try:
             with _writing(urdf):
                 _move_files(names, toml.parent, old)
@@ -230,11 +236,9 @@ def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: b
             raise
 
 
-def _make_copy(
-    robot: Urdf, base: str, urdf: Path, folder: str, tell: Tell, *, may_centre: bool
-) -> MendedCopy:
-    """Write the copy: its URDF to `urdf`, and its meshes to `folder` beside it."""
-    element, meshes, changes = mend(robot, base, folder, tell)
+def _write_copy(mended: Mended, base: str, urdf: Path, *, may_centre: bool) -> MendedCopy:
+    """Write the copy: its URDF to `urdf`, and its meshes to their paths from there."""
+    element, meshes, changes = mended
     for name, content in meshes.items():
         (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (urdf.parent / name).write_bytes(content)

@@ -73,7 +73,7 @@ def is_solid(corners: Floats) -> bool:
 
 THRESHOLDS = (0.2, 0.1, 0.05)
 """Concavities for CoACD, in the order tried: the first whose parts leave the room is taken."""
-TIME_LIMIT = 600.0  # Time limit of CoACD for one mesh at one concavity [s]
+TIME_LIMIT = 600.0  # Time limit of CoACD for one mesh at one concavity, by the clock [s]
 MILLIMETRES = 0.001
 FEW_TRIANGLES = 4000  # Triangles above which a mesh is thinned before it is split
 NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of this size become one [m]
@@ -83,13 +83,14 @@ class MeshSplitter:
     """Rewrites the collision meshes of the hand whose URDF is at `path`.
 
     The new meshes go to `folder`, relative to the URDF that will be written. `tell` is called with a sentence
-    before each slow step.
+    before each slow step. CoACD has `time_limit` [s] for each.
     """
 
-    def __init__(self, path: Path, folder: str, tell: Tell) -> None:
+    def __init__(self, path: Path, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> None:
         self._path = path
         self._folder = folder
         self._tell = tell
+        self._time_limit = time_limit
         self.files: dict[str, bytes] = {}
         """Contents by the path that the URDF to be written names them with."""
         self._done: dict[tuple[str, str], tuple[str, str]] = {}
@@ -154,7 +155,7 @@ class MeshSplitter:
         thin, percent = thin_mesh(mesh), f"{100 * filled:.0f} %"
         try:
             for threshold in THRESHOLDS:
-                found = decompose(thin, name, threshold, TIME_LIMIT)
+                found = decompose(thin, name, threshold, self._time_limit)
                 left = clearance.fit(found).filled
                 if left <= MUCH_FILLED:
                     break

@@ -69,6 +69,7 @@ SHORT_KEYS = {
 }
 """Short forms of keys in the names of runs."""
 NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's name begins with
+OWN_SEED = "seed"  # Value of `surface_seed` that stands for the run's own seed
 CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """Defaults of a campaign's runs.
 
@@ -386,6 +387,8 @@ def _cross_lists(
         axes = [whole[key] if isinstance(whole[key], list) else [whole[key]] for key in order]
         for each in itertools.product(*axes):
             values = dict(zip(order, each, strict=True))
+            if values.get("surface_seed") == OWN_SEED:
+                values["surface_seed"] = values.get("seed", 0)
             own = objects.get(values.get("object", ""), {})
             known = {key: value for key, value in own.items() if key not in cross}
             for key in OBJECTIVE_KEYS:

@@ -21,6 +21,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     decompose,
     limited_parts,
     simplify_part,
+    solid_parts,
 )
 from qdgrasp_assets.geometry.mesh import Mesh, join, parts_to_obj
 from qdgrasp_assets.geometry.primitives import box, geodesic, heights, hull
@@ -306,6 +307,12 @@ def test_a_box_stays_as_it_is() -> None:
     solid = box((0.1, 0.02, 0.3))
     assert len(simplify_part(solid).vertices) == 8
     assert simplify_part(solid).volume == pytest.approx(solid.volume)
+
+
+def test_a_flat_part_fills_no_room_and_is_left_out() -> None:
+    solid = box((0.1, 0.02, 0.3))
+    (part,) = solid_parts([solid.vertices * (1, 1, 0), solid.vertices])
+    assert part.volume == pytest.approx(solid.volume)
 
 
 def test_a_part_whose_outermost_corners_are_in_one_plane_stays_a_solid() -> None:

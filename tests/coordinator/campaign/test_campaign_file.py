@@ -101,6 +101,20 @@ class TestCrossing:
         with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
             names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
 
+    def test_each_run_may_have_its_own_seed_for_the_surface_points_too(self, tmp_path: Path) -> None:
+        source = {"cross": [CROSS | {"object": "mug", "method": "aimed", "surface_seed": "seed"}]}
+        found = make_campaign(source, "c.toml")
+        assert [(spec.seed, spec.surface_seed) for spec in found.runs.values()] == [(0, 0), (1, 1)]
+        assert list(found.runs) == ["panda-mug-aimed-s0", "panda-mug-aimed-s1-surface1"]
+        (tmp_path / "c.toml").write_text(found.toml)
+        assert read_campaign(tmp_path / "c.toml").runs == found.runs
+
+    def test_such_a_seed_is_for_campaigns_alone(self) -> None:
+        with pytest.raises(ImpossibleValue, match=r"surface_seed.*or 'seed' in the file of a campaign alone"):
+            run_spec({"gripper": "panda", "object": "mug", "surface_seed": "seed"})
+        with pytest.raises(ImpossibleValue, match=r"surface_seed must be .*, got 'seeds'"):
+            make_campaign({"cross": [CROSS | {"surface_seed": "seeds"}]}, "c.toml")
+
     def test_without_a_method_a_run_has_the_default_and_one_generation_in_flight(self) -> None:
         found = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
         (spec,) = found.runs.values()
