@@ -38,7 +38,8 @@ def coverage_part(known: Sequence[Arm]) -> str:
     """The section on coverage."""
     shown = [arm for arm in known if arm.is_default and arm.key.budget >= LEAST]
     return (
-        "## Coverage of the default method\n\n"
+        "## Coverage of S_G by the search for touch\n\n"
+        "`aimed` for touch, the default of version 0.1.0. "
         "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, "
         "and in brackets their range. *Robust*: the share of S_G in whose cells a success of fitness 2 was "
         "found. *Mean best fitness*: the best fitness in a cell with a success, 0 to 2, mean over these "
@@ -161,7 +162,7 @@ def page(known: Programme, table: Mapping[Key, Row]) -> str:
         comparison_part(benchmark, "## The benchmark, scene by scene"),
         claims_part(_arms(known, table, CLAIMS)),
         coverage_part(here),
-        comparison_part(here, "## First touches: the default's search for touch against the others"),
+        comparison_part(here, "## First touches: the search for touch against the others"),
         cpu_part(here),
         _standing(known, table),
     ]
