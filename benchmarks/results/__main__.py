@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 from benchmarks.results.assets import FILES, NAME, make_asset
-from benchmarks.results.measure import HEX
+from benchmarks.results.measure import HEX, codes_here
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
 from benchmarks.results.work import Store, carry_on
 
@@ -13,7 +13,6 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_worker.platform import code_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "docs" / "results" / "runs.csv"
@@ -99,7 +98,7 @@ def page(table: Table = TABLE, home: Home = HOME) -> None:
 
 
 def _store(table: Path, home: Path, accept: list[str] | None) -> Store:
-    current = {digest[:HEX] for digest in (code_digest(), *(accept or ()))}
+    current = codes_here() | {digest[:HEX] for digest in accept or ()}
     return Store(table, programme(home), current)
 
 

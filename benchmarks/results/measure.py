@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -20,8 +20,12 @@ from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.engines import DEFAULT_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.rows import Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.engines import ENGINES
+from qdgrasp_worker.platform import code_digest, worlds
+from qdgrasp_worker.syntax_digest import syntax_digest
 
 Figures = dict[str, str | int | float | None]
 HEX = 16
@@ -53,7 +57,7 @@ def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Reference
         stops = _stops(folder.spec, rows, budgets)
         known = _reference(folder, targets) if stops else None
         for budget, stop in stops.items():
-            said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop])
+            said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop], folder.spec)
             parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
             found = figures(folder, rows[:stop], known) | growth(folder.spec, parts) | costs(parts)
             found["wall_seconds"] = journal.wall_seconds if stop == len(rows) else None
@@ -81,12 +85,32 @@ def _stops(spec: RunSpec, rows: Rows, budgets: set[int]) -> dict[int, int]:
     return stops | ({spec.evaluations: len(rows)} if whole else {})
 
 
-def _origin(journal: Journal, rows: Rows) -> Figures:
+def code_of(platform: Mapping[str, str], engine: EngineChoice | None) -> str:
+    """The beginning of the digest of the code that evaluates in an engine.
+
+    In Bullet it is that of the platform's `code`; in others of it and of the worlds of that engine.
+    """
+    others = [f"{name}_code" for name in engine_names(engine) if name != DEFAULT_ENGINE]
+    code = platform.get("code", "")
+    if not others:
+        return code[:HEX]
+    parts = [code, *(platform.get(name, "") for name in others)]
+    return hashlib.sha256("".join(parts).encode()).hexdigest()[:HEX]
+
+
+def codes_here() -> set[str]:
+    """The same of the code that is here, for each engine."""
+    known = {f"{name}_code": syntax_digest(*worlds(engine)) for name, engine in ENGINES.items()}
+    known["code"] = code_digest()
+    return {code_of(known, name) for name in ENGINES}
+
+
+def _origin(journal: Journal, rows: Rows, spec: RunSpec) -> Figures:
     """By what the rows were made."""
     platform = journal.platform
     return {
         "version": journal.package,
-        "code": platform.get("code", "")[:HEX],
+        "code": code_of(platform, spec.engine),
         "platform": hashlib.sha256(json.dumps(platform, sort_keys=True).encode()).hexdigest()[:HEX],
         "scene": journal.scene[:HEX],
         "journal": hashlib.sha256(rows.tobytes()).hexdigest()[:HEX],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.results import work
 from benchmarks.results.assets import NAME
-from benchmarks.results.measure import harvest
+from benchmarks.results.measure import code_of, harvest
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
 from benchmarks.results.table import Key, Row
 from benchmarks.results.work import Store
@@ -64,6 +64,15 @@ class TestHarvest:
         assert row.grasps >= row.robust > 0
         assert 0 < (row.mean_best or 0) <= 2
         assert row.success_ms == pytest.approx(1000.0)  # read from the blocks
+
+    def test_the_code_of_a_row_is_that_of_its_engine_too(self, tmp_path) -> None:
+        platform = CODE | {"mujoco_code": "a" * 64}
+        in_bullet = record(tmp_path / "bullet", platform=platform)
+        in_mujoco = record(tmp_path / "mujoco", platform=platform, engine="mujoco", protocol="physical")
+        (first,), (second,) = (rows_of(folder.path) for folder in (in_bullet, in_mujoco))
+        assert first.code == TODAY
+        assert second.code not in (TODAY, code_of(CODE | {"mujoco_code": "b" * 64}, "mujoco"))
+        assert code_of(platform, "mujoco") == second.code
 
     def test_a_longer_run_has_the_row_of_the_shorter_one(self, tmp_path) -> None:
         record(tmp_path / "long")

@@ -67,7 +67,8 @@ def test_the_sums_over_the_benchmark_are_those_of_its_runs(runs: pandas.DataFram
 
 
 def test_coverage_is_the_median_over_seeds(runs: pandas.DataFrame) -> None:
-    shown = [line for line in lines(part("Coverage of S_G by the search for touch"), "") if len(line) > len(COVERED)]
+    section = part("Coverage of S_G by the search for touch")
+    shown = [line for line in lines(section, "") if len(line) > len(COVERED)]
     assert shown
     for line in shown[2:]:
         hand, target, protocol, counting, budget = line[: len(COVERED)]
