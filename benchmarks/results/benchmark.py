@@ -38,6 +38,7 @@ from qdgrasp_coordinator.report.figure_grid import (
     plain_axes,
 )
 from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_protocol.text import counted
 
 CAMPAIGN = "grasp-bench-1"
 """Beginning of the names of the campaigns whose scenes are the benchmark's."""
@@ -157,7 +158,8 @@ def _losses(found: Sequence[Contest]) -> Iterator[str]:
             for (one, _), verdict in zip(pairs, verdicts_of(ratios), strict=True)
             if verdict.found.value < 1
         ]  # fmt: skip
-    compared = f"{len(scenes)} comparisons on {len({one.ours.scene for one in scenes})} scenes"
+    places = {one.ours.scene for one in scenes}
+    compared = f"{counted(len(scenes), 'comparison')} on {counted(len(places), 'scene')}"
     if lines:
         yield f"**The default method is behind** in these of {compared}:\n"
         yield markdown_table(LOSS_COLUMNS, lines)
