@@ -14,7 +14,6 @@ from benchmarks.leave_one_out.runs import (
     EVALUATIONS,
     HELD_OUT,
     HELD_OUT_SEEDS,
-    TUNING,
     Key,
     carry_on,
     code_digest,
@@ -22,6 +21,7 @@ from benchmarks.leave_one_out.runs import (
     read,
     tuning_runs,
 )
+from benchmarks.results.programme import TUNING
 from benchmarks.results.table import held
 
 from qdgrasp_coordinator.storage import atomic_files

@@ -19,13 +19,13 @@ from benchmarks.leave_one_out.refit import (
 from benchmarks.leave_one_out.runs import (
     HELD_OUT,
     HELD_OUT_SEEDS,
-    TUNING,
     TUNING_SEEDS,
     Key,
     Table,
     held_out_runs,
     tuning_runs,
 )
+from benchmarks.results.programme import TUNING
 
 from qdgrasp_coordinator.report.tables import markdown_table
 

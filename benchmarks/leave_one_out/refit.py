@@ -11,7 +11,8 @@ from itertools import product
 
 import numpy as np
 from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, Values, variant
-from benchmarks.leave_one_out.runs import HELD_OUT, HELD_OUT_SEEDS, TUNING, Table, tuning_runs
+from benchmarks.leave_one_out.runs import HELD_OUT, HELD_OUT_SEEDS, Table, tuning_runs
+from benchmarks.results.programme import TUNING
 
 from qdgrasp_coordinator.report.bootstrap import (
     ConfidenceInterval,

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import msgspec
 from benchmarks import single_run
 from benchmarks.leave_one_out.grid import TODAY, VARIANTS, patched, values_of
+from benchmarks.results.programme import TUNING, TUNING_HAND
 from benchmarks.results.table import disk_text
 
 from qdgrasp_coordinator.scheduler.pipeline import Flight
@@ -23,9 +24,7 @@ from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.platform import EVALUATION, worlds
 from qdgrasp_worker.syntax_digest import syntax_digest
 
-SCENE = {"gripper": "panda", "protocol": "physical", "engine": "mujoco"}
-TUNING = ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")
-"""The objects on which the constants were chosen."""
+SCENE = {"gripper": TUNING_HAND, "protocol": "physical", "engine": "mujoco"}
 TUNING_SEEDS = (1, 2, 3)
 HELD_OUT = (
     "ycb_banana", "ycb_bleach_cleanser", "ycb_bowl", "ycb_cracker_box", "ycb_spatula", "ycb_tennis_ball"

@@ -7,6 +7,7 @@ each scene is compared at the latest of `CPU_MILESTONES` that all runs of both m
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from benchmarks.results.comparison import (
@@ -15,9 +16,11 @@ from benchmarks.results.comparison import (
     Arm,
     MethodComparison,
     Verdict,
+    compare_methods,
     over_scenes,
     verdicts_of,
 )
+from benchmarks.results.programme import TUNING, TUNING_HAND
 from benchmarks.results.table import CPU_MILESTONES, MILESTONES, Row
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -40,12 +43,8 @@ from qdgrasp_coordinator.report.figure_grid import (
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_protocol.text import counted
 
-CAMPAIGN = "grasp-bench-1"
-"""Beginning of the names of the campaigns whose scenes are the benchmark's."""
 FIGURE = "cells-that-hold"
 PROTOCOL = "physical in mujoco"
-TUNING = {("panda", "ycb_rubiks_cube"), ("panda", "ycb_mug"), ("panda", "ycb_power_drill")}
-"""Hands and objects on which constants of searches were chosen."""
 TWO_FINGERS = ("panda", "robotiq_2f", "xarm", "pr2")
 SUMMARY_COLUMNS = (
     "scenes", "method", "hands", "objects", "runs", "cells that hold", "niches that hold", "CPU s",
@@ -76,7 +75,7 @@ class SceneGroup:
 
 def is_tuning(arm: Arm) -> bool:
     """Whether constants of searches were chosen on its scene."""
-    return (arm.key.gripper, arm.key.object) in TUNING
+    return arm.key.gripper == TUNING_HAND and arm.key.object in TUNING
 
 
 GROUPS = (
@@ -124,13 +123,9 @@ def after_equal_cpu(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray
 
 def contests(group: SceneGroup, known: Sequence[Arm]) -> list[Contest]:
     """The default against every other method on the scenes of a group, by method."""
-    here = group.arms(known)
-    ours = {(arm.scene, arm.key.budget): arm for arm in here if arm.is_default}
     rivals: dict[str, list[MethodComparison]] = {}
-    for arm in here:
-        default = ours.get((arm.scene, arm.key.budget))
-        if default is not None and arm is not default:
-            rivals.setdefault(arm.method, []).append(MethodComparison(default, arm))
+    for one in chain(*compare_methods(group.arms(known)).values()):
+        rivals.setdefault(one.theirs.method, []).append(one)
     return [Contest(group, tuple(found)) for found in rivals.values()]
 
 
@@ -153,12 +148,12 @@ def _losses(found: Sequence[Contest]) -> Iterator[str]:
         lines += [
             (
                 one.ours.key.gripper, one.ours.key.object, one.theirs.method, f"equal {words}",
-                f"{verdict.found.value:.2f}", interval_words(verdict.found), _loss_words(verdict),
+                f"{verdict.found.value:.2f}", interval_words(verdict.found), verdict.words,
             )
             for (one, _), verdict in zip(pairs, verdicts_of(ratios), strict=True)
             if verdict.found.value < 1
         ]  # fmt: skip
-    places = {one.ours.scene for one in scenes}
+    places = {one.ours.key.scene for one in scenes}
     compared = f"{counted(len(scenes), 'comparison')} on {counted(len(places), 'scene')}"
     if lines:
         yield f"**The default method is behind** in these of {compared}:\n"
@@ -169,10 +164,6 @@ def _losses(found: Sequence[Contest]) -> Iterator[str]:
 
 def _ends(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return one.pair(ROBUST_CELLS)
-
-
-def _loss_words(verdict: Verdict) -> str:
-    return "loss" if verdict.words in ("win", "loss") else verdict.words
 
 
 def _summary(known: Sequence[Arm], found: Sequence[Contest], verdicts: Sequence[Verdict]) -> Iterator[str]:
@@ -285,10 +276,10 @@ def _curves(
     With `has_end` the budget is one, where it is the same on all scenes.
     """
     here = group.arms(known)
-    ends = {arm.scene: float(np.median(arm.values("robust_cells"))) for arm in here if arm.is_default}
+    ends = {arm.key.scene: float(np.median(arm.values("robust_cells"))) for arm in here if arm.is_default}
     by_method: dict[str, list[Arm]] = {}
     for arm in here:
-        if ends.get(arm.scene):
+        if ends.get(arm.key.scene):
             by_method.setdefault(arm.method, []).append(arm)
     for method, arms in by_method.items():
         shares = {milestone: _share(arms, ends, name) for name, milestone in milestones.items()}
@@ -308,5 +299,5 @@ def _share(arms: Sequence[Arm], ends: Mapping[tuple[str, str, str], float], name
     if any(len(found) < len(arm.rows) for arm, found in zip(arms, values, strict=True)):
         return None
     return float(
-        np.mean([np.median(found) / ends[arm.scene] for arm, found in zip(arms, values, strict=True)])
+        np.mean([np.median(found) / ends[arm.key.scene] for arm, found in zip(arms, values, strict=True)])
     )

@@ -42,11 +42,6 @@ class Arm:
     """Those that are in the table, by seed."""
 
     @property
-    def scene(self) -> tuple[str, str, str]:
-        """Hand, object and protocol."""
-        return self.key.scene
-
-    @property
     def method(self) -> str:
         """The method, with those of its settings that are not as it has them."""
         aims = "" if self.key.method != DEFAULT or "aim_for" in settings_of(self.key) else " for touch"
@@ -217,7 +212,7 @@ def compare_methods(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[Met
     groups: dict[tuple[str, str, int], list[MethodComparison]] = {}
     for ours in (arm for arm in known if arm.is_default):
         for theirs in known:
-            alike = (ours.scene, ours.key.budget) == (theirs.scene, theirs.key.budget)
+            alike = (ours.key.scene, ours.key.budget) == (theirs.key.scene, theirs.key.budget)
             countings = ours.key.overlaps, theirs.key.overlaps
             if alike and not theirs.is_default and countings != ("count", "redraw"):
                 groups.setdefault((*countings, ours.key.budget), []).append(MethodComparison(ours, theirs))
@@ -263,7 +258,7 @@ def _groups(known: Sequence[Arm]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A difference among others."""
+    """A difference or ratio among others."""
 
     found: ConfidenceInterval
     adjusted: float
@@ -276,7 +271,7 @@ class Verdict:
             return "few seeds"
         if self.adjusted > SIGNIFICANT:
             return "level"
-        return "win" if self.found.value > 0 else "loss"
+        return "win" if self.found.value > self.found.null else "loss"
 
     def cells(self, digits: int) -> tuple[str, str, str, str]:
         """The columns of `VERDICT`."""
@@ -287,7 +282,7 @@ class Verdict:
 
 
 def verdicts_of(family: Sequence[ConfidenceInterval]) -> Iterator[Verdict]:
-    """The verdicts on a family of differences."""
+    """The verdicts on a family of differences or ratios."""
     for found, adjusted in zip(family, holm([one.p_value for one in family]), strict=True):
         yield Verdict(found, float(adjusted))
 

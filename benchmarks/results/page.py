@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from benchmarks.results.benchmark import CAMPAIGN as BENCHMARK
+from benchmarks.results.assets import NAME as BENCHMARK
 from benchmarks.results.benchmark import benchmark_part
 from benchmarks.results.comparison import COUNTING, Arm, arms, comparison_part, spread
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
@@ -72,7 +72,7 @@ def _aim(arm: Arm) -> str:
 
 
 def _targets(arm: Arm) -> dict[int, float]:
-    known = TARGETS.get((*arm.scene, arm.key.overlaps), {})
+    known = TARGETS.get((*arm.key.scene, arm.key.overlaps), {})
     return known if arm.key.budget == LEAST else {}
 
 
@@ -102,8 +102,10 @@ CPU_COLUMNS = (
 
 def cpu_part(known: Sequence[Arm]) -> str:
     """The section on CPU time."""
-    shown = [arm for arm in known if len(arm.values("coverage")) and (arm.is_default or arm.scene == SCENE)]
-    order = sorted(shown, key=lambda arm: (arm.scene != SCENE, -_rate(arm)))
+    shown = [
+        arm for arm in known if len(arm.values("coverage")) and (arm.is_default or arm.key.scene == SCENE)
+    ]
+    order = sorted(shown, key=lambda arm: (arm.key.scene != SCENE, -_rate(arm)))
     return (
         "## Coverage for CPU time\n\n"
         "CPU seconds are those of the workers, shakes and screening included, on shared cores: take them as "
@@ -133,7 +135,7 @@ def _cpu_line(arm: Arm) -> tuple[str, ...]:
 
 def _beside_authors(arm: Arm) -> str:
     """How many times the authors' rate; empty for runs that theirs is not like."""
-    is_alike = (arm.scene, arm.key.budget) == (SCENE, BUDGET)
+    is_alike = (arm.key.scene, arm.key.budget) == (SCENE, BUDGET)
     return f"{100 * _rate(arm) / AUTHORS:.1f}" if is_alike else ""
 
 

@@ -123,7 +123,7 @@ def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
     budgets: dict[int, dict[tuple[str, str, str], dict[str, Arm]]] = {}
     for arm in known:
         if arm.rows and not changed(arm.key):
-            budgets.setdefault(arm.key.budget, {}).setdefault(arm.scene, {})[arm.key.method] = arm
+            budgets.setdefault(arm.key.budget, {}).setdefault(arm.key.scene, {})[arm.key.method] = arm
     for claim in CLAIMS:
         judged = [(methods, True) for methods in claim.methods]
         for methods, is_judged in judged + [(methods, False) for methods in claim.beside]:

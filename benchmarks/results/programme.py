@@ -17,6 +17,10 @@ from qdgrasp_protocol.spec import RunSpec
 HOME = Path(__file__).resolve().parents[2] / "deploy" / "results"
 
 
+TUNING_HAND, TUNING = "panda", ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")
+"""The hand and objects on which constants of searches are chosen; all other scenes are held out."""
+
+
 @dataclass(frozen=True)
 class Wanted:
     """A run of the programme."""

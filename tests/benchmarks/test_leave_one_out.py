@@ -22,7 +22,6 @@ from benchmarks.leave_one_out.refit import (
 from benchmarks.leave_one_out.runs import (
     COLUMNS,
     EVALUATIONS,
-    TUNING,
     TUNING_SEEDS,
     Key,
     Row,
@@ -31,6 +30,7 @@ from benchmarks.leave_one_out.runs import (
     read,
     tuning_runs,
 )
+from benchmarks.results.programme import TUNING
 from tests.coordinator.search.synthetic_scene import shape
 from tests.coordinator.search.test_aimed import build, spec
 

@@ -367,7 +367,7 @@ class TestBenchmark:
         ours, theirs = bench_arms(("panda", "ycb_mug", "aimed", 9, 9), ("panda", "ycb_mug", "me_scs", 9, 9))
         assert (ours.is_default, theirs.is_default) == (True, False)
         assert ours.method == "`aimed`"
-        assert ours.scene == ("panda", "ycb_mug", "physical in mujoco")
+        assert ours.key.scene == ("panda", "ycb_mug", "physical in mujoco")
 
     def test_scenes_held_out_are_summed_up_apart_from_those_of_tuning(self) -> None:
         known = bench_arms(

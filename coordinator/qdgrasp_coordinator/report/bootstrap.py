@@ -39,7 +39,9 @@ class ConfidenceInterval:
     runs: tuple[int, ...]
     """Of each arm, over all scenes."""
     p_value: float = np.nan
-    """Of both sides, of the hypothesis that the mean or difference is 0, or the ratio 1."""
+    """Of both sides, of the hypothesis that the number is `null`."""
+    null: float = 0.0
+    """The number without an effect: 0, of a ratio 1."""
 
     @property
     def is_known(self) -> bool:
@@ -80,7 +82,7 @@ def ratio_interval(
     ]
     found = _interval(some, 2, _upper_share, seed, null=0.5)
     ratio, low, high = (_ratio_of(share) for share in (found.value, found.low, found.high))
-    return ConfidenceInterval(ratio, low, high, found.scenes, found.runs, found.p_value)
+    return ConfidenceInterval(ratio, low, high, found.scenes, found.runs, found.p_value, null=1.0)
 
 
 def _upper_share(mean: RunValues, variance: RunValues) -> ArmEstimates:
@@ -105,7 +107,9 @@ def _interval(
     runs = tuple(sum(len(scene[arm]) for scene in scenes) for arm in range(arms))
     if not scenes:
         return ConfidenceInterval(np.nan, np.nan, np.nan, 0, runs)
-    mean, variance = (np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _error))
+    mean, variance = (
+        np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _variance_of_mean)
+    )
     value, error = (float(number) for number in _estimate(*effect(mean, variance)))
     if min(len(arm) for scene in scenes for arm in scene) < LEAST_RUNS:
         return ConfidenceInterval(value, np.nan, np.nan, len(scenes), runs)
@@ -119,12 +123,12 @@ def _interval(
     )
 
 
-def _error(values: RunValues) -> float:
+def _variance_of_mean(values: RunValues) -> float:
     """Variance of the mean of some runs; 0 of a single one."""
     return float(values.var(ddof=1) / len(values)) if len(values) > 1 else 0.0
 
 
-def _estimate(effects: RunValues, variances: RunValues) -> ArmEstimates:
+def _estimate(effects: RunValues, variances: RunValues) -> tuple[RunValues, RunValues]:
     """The mean over scenes (..., scenes) and its standard error.
 
     The error is that of scenes as they differ, or that of their runs where this is greater.
