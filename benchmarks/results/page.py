@@ -6,10 +6,19 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from benchmarks.results.assets import NAME as BENCHMARK
 from benchmarks.results.benchmark import benchmark_part
-from benchmarks.results.comparison import COUNTING, Arm, arms, comparison_part, spread
+from benchmarks.results.comparison import (
+    ANY,
+    COUNTING,
+    ROBUST_CELLS,
+    Arm,
+    arms,
+    comparison_part,
+    settings_of,
+    spread,
+)
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.paper_claims import claims_part
-from benchmarks.results.programme import Programme
+from benchmarks.results.programme import TUNING, Programme
 from benchmarks.results.table import MILESTONES, Key, Row
 from numpy.typing import NDArray
 
@@ -145,6 +154,60 @@ def _ceilings(arm: Arm) -> NDArray[np.float64]:
     return np.array([100 / (size * cost / 1000) for size, cost in known if size and cost])
 
 
+SWEEP = f"{BENCHMARK}-sweep"
+"""The campaign that chooses the settings of the baselines."""
+SWEEP_COLUMNS = ("method", "population", "sigma", "runs", *TUNING, "share of the best")
+
+
+def sweep_part(known: Sequence[Arm]) -> str:
+    """The section on the settings of the baselines; empty while a run of the sweep is missing."""
+    if not known or any(len(arm.rows) < len(arm.seeds) for arm in known):
+        return ""
+    groups: dict[tuple[str, int, str], dict[str, Arm]] = {}
+    for arm in known:
+        groups.setdefault(_setting(arm), {})[arm.key.object] = arm
+    best = {scene: max(_held(group[scene]) for group in groups.values()) for scene in TUNING}
+    shares = {
+        setting: float(np.mean([_held(group[scene]) / best[scene] for scene in TUNING]))
+        for setting, group in groups.items()
+    }
+    return (
+        "## Settings of the baselines\n\n"
+        "Cells that hold, Panda on the tuning scenes, after as many evaluations: median over seeds, and in "
+        "brackets their range. *Share of the best*: the median over that of the best line on the same "
+        "scene, mean over scenes; the best setting of each method stands out.\n\n"
+        + markdown_table(
+            SWEEP_COLUMNS, [_sweep_line(setting, groups[setting], shares) for setting in sorted(groups)]
+        )
+    )
+
+
+def _sweep_line(
+    setting: tuple[str, int, str], group: Mapping[str, Arm], shares: Mapping[tuple[str, int, str], float]
+) -> tuple[str, ...]:
+    method, population, sigma = setting
+    share = f"{shares[setting]:.0%}"
+    is_best = shares[setting] == max(share for (name, *_), share in shares.items() if name == method)
+    return (
+        f"`{method}`", str(population), sigma, str(sum(len(arm.rows) for arm in group.values())),
+        *(group[scene].words(ROBUST_CELLS.name, digits=0) for scene in TUNING),
+        f"**{share}**" if is_best else share,
+    )  # fmt: skip
+
+
+def _held(arm: Arm) -> float:
+    return float(np.median(arm.values(ROBUST_CELLS.name)))
+
+
+def _setting(arm: Arm) -> tuple[str, int, str]:
+    """Method, population, and sigma where the method mutates."""
+    said = settings_of(arm.key)
+    sigma = (
+        "" if arm.key.method.endswith("cma_mae") else said.get("mutation_sigma", f"{ANY.mutation_sigma:g}")
+    )
+    return arm.key.method, int(said.get("population", ANY.population)), sigma
+
+
 INTRODUCTION = """# Results
 
 Made by `make results-page` from [runs.csv](runs.csv), which has a line for each finished run
@@ -162,6 +225,7 @@ def page(known: Programme, table: Mapping[Key, Row]) -> str:
         INTRODUCTION,
         benchmark_part(benchmark),
         comparison_part(benchmark, "## The benchmark, scene by scene"),
+        sweep_part(_arms(known, table, SWEEP)),
         claims_part(_arms(known, table, CLAIMS)),
         coverage_part(here),
         comparison_part(here, "## First touches: the search for touch against the others"),
@@ -172,8 +236,8 @@ def page(known: Programme, table: Mapping[Key, Row]) -> str:
 
 
 def benchmark_arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
-    """The arms of the benchmark's campaigns."""
-    return _arms(known, table, BENCHMARK)
+    """The arms of the benchmark's campaigns of methods; those of its sweep have a section of their own."""
+    return _arms(known, table, BENCHMARK, without=(SWEEP,))
 
 
 def _arms(

@@ -10,6 +10,8 @@ RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 TWO_FINGERS = ["panda", "robotiq_2f", "xarm", "pr2"]
 COVERED = ("hand", "object", "protocol", "counting", "budget")
 TUNING = ["ycb_rubiks_cube", "ycb_mug", "ycb_power_drill"]
+SWEPT = 3000
+"""Evaluations of a run of the sweep, which is on the tuning scenes too."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,8 @@ def test_the_sums_over_the_benchmark_are_those_of_its_runs(runs: pandas.DataFram
         usual = {"aimed": 50, "contact_cma_mae": 540, "antipodal_cma_mae": 540}.get(name, 500)
         population = int(found[1]) if (found := re.search(r"population=(\d+)", change)) else usual
         said = mine["settings"].str.extract(r"population=(\d+)")[0].fillna(500).astype(int)
-        mine = mine[said == population]
+        is_of_the_sweep = (group == "tuning") & (mine["budget"] == SWEPT)
+        mine = mine[(said == population) & ~is_of_the_sweep]
         per_scene = mine.groupby(["gripper", "object", "budget"])
         medians = per_scene[["robust_cells", "robust_niches", "cpu_seconds", "rate"]].median().mean()
         assert (int(hands), int(objects), int(count)) == (
@@ -64,6 +67,30 @@ def test_the_sums_over_the_benchmark_are_those_of_its_runs(runs: pandas.DataFram
         found_here = [f"{medians['robust_cells']:.0f}", f"{medians['robust_niches']:.0f}"]
         assert [cells, niches] == found_here
         assert [seconds, rate] == [f"{medians['cpu_seconds']:.0f}", f"{medians['rate']:.1f}"]
+
+
+def test_the_sweep_is_the_median_over_seeds_and_the_best_setting_stands_out(runs: pandas.DataFrame) -> None:
+    page = (RESULTS / "index.md").read_text(encoding="utf-8")
+    if "## Settings of the baselines" not in page:
+        pytest.skip("the sweep is not in yet")
+    shown = lines(part("Settings of the baselines"), "`")
+    swept = runs[
+        (runs["protocol"] == "physical in mujoco") & runs["settings"].str.contains("surface_seed=seed")
+        & (runs["gripper"] == "panda") & runs["object"].isin(TUNING) & (runs["budget"] == SWEPT)
+    ].copy()  # fmt: skip
+    swept["population"] = swept["settings"].str.extract(r"population=(\d+)")[0].fillna("500")
+    sigma = swept["settings"].str.extract(r"mutation_sigma=(\S+)")[0].fillna("0.1")
+    swept["sigma"] = sigma.where(~swept["method"].str.endswith("cma_mae"), "")
+    medians = swept.groupby(["method", "population", "sigma", "object"])["robust_cells"].median().unstack()
+    shares = (medians / medians.max())[TUNING].mean(axis=1)
+    assert len(shown) == len(shares)
+    for method, population, sigma_said, _, *cells, share in shown:
+        setting = (method.strip("`"), population, sigma_said)
+        assert [cell.split()[0] for cell in cells] == [
+            f"{medians.loc[setting, scene]:.0f}" for scene in TUNING
+        ]
+        is_best = shares[setting] == shares[setting[0]].max()
+        assert share == (f"**{shares[setting]:.0%}**" if is_best else f"{shares[setting]:.0%}")
 
 
 def test_coverage_is_the_median_over_seeds(runs: pandas.DataFrame) -> None:
