@@ -3,6 +3,7 @@
 from contextlib import closing
 from functools import partial
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,8 +12,9 @@ from tests.worker.genomes import above, decoded, draw, side_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.filters.voxels import VoxelGrid
 from qdgrasp_worker.object_geometry import SurfaceSample
-from qdgrasp_worker.swept_volume import SweptVolumes
+from qdgrasp_worker.swept_volume import SweptVolumes, measure_swept_volume
 
 TIP = np.array([0.0, 0.0, 0.1])
 """Between the tips of the Panda's fingers, hand frame [m]."""
@@ -89,6 +91,26 @@ def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, hand_scene
     synergies, places = len(hand_scene.gripper.synergies) or 1, 5 ** len(hand_scene.gripper.free_joints)
     assert 1 <= len(volumes._found) <= synergies * places
     assert sum(volume.voxels.levels.nbytes for volume in volumes._found.values()) < 50e6
+
+
+def test_scenes_with_one_hand_share_its_volumes_and_those_with_another_do_not(make_scene, monkeypatch):
+    marked = []
+    monkeypatch.setattr(VoxelGrid, "mark", lambda *_: marked.append(1))
+    measure_swept_volume.cache_clear()
+    cube, mug = (make_scene("panda", target, "paper") for target in ("rubiks_cube", "mug"))
+    longer = msgspec.structs.replace(cube.gripper, palm_offset=cube.gripper.palm_offset + 0.01)
+    course = [[0.04 - 0.001 * step] * 2 for step in range(40)]
+    found, counts = [], []
+    for gripper in (cube.gripper, mug.gripper, longer):
+        volumes = SweptVolumes(gripper, lambda *_: course)
+        found.append(volumes._measure(NO_SYNERGY, np.array([], dtype=np.int64)))
+        counts.append(len(marked))
+    other = SweptVolumes(mug.gripper, lambda *_: course[::-1])
+    found.append(other._measure(NO_SYNERGY, np.array([], dtype=np.int64)))
+    measure_swept_volume.cache_clear()  # nothing was marked in these
+    assert found[0] is found[1]
+    assert len({id(each) for each in found}) == 3
+    assert counts[0] == counts[1] < counts[2]
 
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):

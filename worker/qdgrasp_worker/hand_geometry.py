@@ -1,13 +1,18 @@
 """Geometry of the hand: frames and convex parts of its links, and the mounts of its fingers.
 
 Fingers are mounted on links that stand still while they close: the root, and the links of free joints.
+All of it is the hand's alone: scenes with the same hand share it, and what is measured of its closing.
 """
 
+import hashlib
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
+import msgspec
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
@@ -18,6 +23,37 @@ from qdgrasp_worker.filters.voxels import Hull, convex_hulls
 
 Closing = Callable[[Sequence[float], int], list[list[float]]]
 """Courses of a closing hand's joints, by its initial posture and its synergy."""
+
+
+HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
+
+
+@dataclass(frozen=True)
+class SharedHand:
+    """A hand that equals those of other scenes with the same content: a key for what is known of it."""
+
+    digest: bytes
+    gripper: SceneGripper = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, gripper: SceneGripper) -> Self:
+        """The key of a scene's hand."""
+        content = msgspec.msgpack.encode(gripper, order="deterministic")
+        return cls(hashlib.sha256(content).digest(), gripper)
+
+    @property
+    def kinematics(self) -> "HandKinematics":
+        """Its kinematics, one object for all scenes."""
+        return _kinematics(self)
+
+    def postures(self, course: bytes) -> Floats:
+        """The postures (n, j) [rad or m] that are the bytes of a course: a course as a part of a key."""
+        return np.frombuffer(course).reshape(-1, len(self.gripper.joints))
+
+
+@lru_cache(HANDS_KEPT)
+def _kinematics(hand: SharedHand) -> "HandKinematics":
+    return HandKinematics(hand.gripper)
 
 
 class HandKinematics:

@@ -3,12 +3,12 @@
 A hand closes on nothing, once for each synergy and place of its free joints, and its fingers are marked in
 voxels with the time at which the first one comes there. An object in the hand is looked up in them: how much
 of its inside is swept, and from which sides; and which of its surface points each finger would meet first.
-They rank poses, and decide nothing else.
+They rank poses, and decide nothing else. Scenes in which a hand closes alike share its volumes.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.filters.overlap_filter import rotation_matrices, transform_points
 from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid, convex_hulls
-from qdgrasp_worker.hand_geometry import Closing, HandKinematics
+from qdgrasp_worker.hand_geometry import Closing, SharedHand
 from qdgrasp_worker.object_geometry import SurfaceSample
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
@@ -117,12 +117,8 @@ class SweptVolumes:
     """The volumes of a scene's hand, each measured when it is first asked for."""
 
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
-        self._gripper = gripper
-        self._kinematics = HandKinematics(gripper)
-        self._fingers = gripper.finger_links
-        self._plain = {link: simplified_hulls(self._kinematics.hulls[link]) for link in self._fingers}
+        self._hand = SharedHand.of(gripper)
         self._closing = closing
-        self._approach = np.array(gripper.approach_axis)
         self._opened = [joint.opened for joint in gripper.joints]
         names = [joint.name for joint in gripper.joints]
         self._free = [names.index(joint.name) for joint in gripper.free_joints]
@@ -163,14 +159,7 @@ class SweptVolumes:
     @cached_property
     def finger_count(self) -> int:
         """Number of the hand's fingers."""
-        return 1 + max(self._finger_of.values())
-
-    @cached_property
-    def _finger_of(self) -> dict[str, int]:
-        """The finger that each finger link belongs to, counted from 0."""
-        branches = finger_branches(self._kinematics.robot, self._gripper.base_link, set(self._fingers))
-        names = list(dict.fromkeys(branches.get(link, "") for link in self._fingers))
-        return {link: names.index(branches.get(link, "")) for link in self._fingers}
+        return 1 + max(finger_numbers(self._hand).values())
 
     def _by_volume(
         self, grasps: DecodedGrasps, places: NDArray[np.intp]
@@ -196,26 +185,44 @@ class SweptVolumes:
         return self._found[key]
 
     def _measure(self, synergy: int, stops: NDArray[np.int64]) -> SweptVolume:
-        """Close the hand on nothing and mark the way of its fingers."""
+        """Close the hand on nothing and look where its fingers are on the way."""
         posture = np.array(self._opened)
         posture[self._free] = self._low + stops / (FREE_JOINT_PLACES - 1) * (self._high - self._low)
-        frames = self._kinematics.frames(
-            np.array(self._closing(posture.tolist(), synergy))[::STEPS_BETWEEN_LOOKS]
-        )
-        voxels = VoxelGrid(*self._kinematics.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
-        parts = [(link, hull) for link in self._fingers for hull in self._plain[link]]
-        looks = len(next(iter(frames.values())))
-        ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
-        fingers = np.full(len(ways), NO_FINGER, dtype=np.uint8)
-        for i, (link, hull) in enumerate(parts):
-            course = frames[link]
-            # Of several fingers the first counts: an earlier look has a greater level, and `mark` keeps that.
-            levels = 1 + i + len(parts) * np.arange(looks)[::-1]
-            ways[levels] = motion_directions(course, hull, self._approach)
-            fingers[levels] = self._finger_of[link]
-            for frame, level in zip(course, levels.tolist(), strict=True):
-                voxels.mark(hull.moved(frame), level)
-        return SweptVolume(voxels, ways, fingers, len(parts))
+        course = np.array(self._closing(posture.tolist(), synergy), dtype=np.float64)[::STEPS_BETWEEN_LOOKS]
+        return measure_swept_volume(self._hand, course.tobytes())
+
+
+VOLUMES_KEPT = 64  # Swept volumes that a process keeps, the last ones used; 1 MB or less each
+
+
+@lru_cache(VOLUMES_KEPT)
+def measure_swept_volume(hand: SharedHand, course: bytes) -> SweptVolume:
+    """Mark the way of a hand's fingers through the postures of a course (`SharedHand.postures`)."""
+    kinematics, links = hand.kinematics, hand.gripper.finger_links
+    frames = kinematics.frames(hand.postures(course))
+    voxels = VoxelGrid(*kinematics.box(links, frames), VOXEL_PITCH, np.uint16)
+    parts = [(link, hull) for link in links for hull in simplified_hulls(kinematics.hulls[link])]
+    owners, approach = finger_numbers(hand), np.array(hand.gripper.approach_axis)
+    looks = len(next(iter(frames.values())))
+    ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
+    fingers = np.full(len(ways), NO_FINGER, dtype=np.uint8)
+    for i, (link, hull) in enumerate(parts):
+        path = frames[link]
+        # Of several fingers the first counts: an earlier look has a greater level, and `mark` keeps that.
+        levels = 1 + i + len(parts) * np.arange(looks)[::-1]
+        ways[levels] = motion_directions(path, hull, approach)
+        fingers[levels] = owners[link]
+        for frame, level in zip(path, levels.tolist(), strict=True):
+            voxels.mark(hull.moved(frame), level)
+    return SweptVolume(voxels, ways, fingers, len(parts))
+
+
+def finger_numbers(hand: SharedHand) -> dict[str, int]:
+    """The finger that each finger link belongs to, counted from 0."""
+    links = hand.gripper.finger_links
+    branches = finger_branches(hand.kinematics.robot, hand.gripper.base_link, set(links))
+    names = list(dict.fromkeys(branches.get(link, "") for link in links))
+    return {link: names.index(branches.get(link, "")) for link in links}
 
 
 def finger_branches(robot: Urdf, base: str, fingers: set[str]) -> dict[str, str]:

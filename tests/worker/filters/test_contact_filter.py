@@ -25,9 +25,10 @@ from qdgrasp_worker.filters.contact_filter import (
     SweptBox,
     coarseness,
     interpolate_course,
+    measure_zones,
 )
 from qdgrasp_worker.filters.voxels import convex_hulls
-from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
+from qdgrasp_worker.hand_geometry import HandKinematics, SharedHand, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 RADIUS = 0.05
@@ -188,7 +189,7 @@ def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, mak
     assert reach.is_known
     labels = range(len(scene.gripper.synergies)) if scene.gripper.synergies else [-1]
     for synergy in labels:
-        posture = free_posture(reach._gripper, random.random())
+        posture = free_posture(reach._hand.gripper, random.random())
         frames = skeleton.frames(np.array(world.closing(posture, synergy))[::7])
         reach._zones[synergy] = reach._measure(synergy)
         pose = HandPose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], posture, synergy)
@@ -218,9 +219,11 @@ def away(zone, frame, points):
 def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
     monkeypatch.setattr("qdgrasp_worker.filters.contact_filter.MAX_VOXELS", most)
     world = BulletShakenWorld(cube)
-    reach, skeleton = reach_of(cube, world), HandKinematics(cube.gripper)
-    [zone] = reach._measure(-1).values()
-    frames = skeleton.frames(interpolate_course(np.array(world.closing(world.opened, -1))))
+    hand = SharedHand.of(cube.gripper)
+    course = np.array(world.closing(world.opened, -1))
+    [zone] = measure_zones.__wrapped__(hand, (course.tobytes(),)).values()
+    skeleton = hand.kinematics
+    frames = skeleton.frames(interpolate_course(course))
     courses = [along(hull, frames[link][::9]) for link, hulls in skeleton.hulls.items() for hull in hulls]
     swept = np.concatenate(courses)[::5]
     points = np.random.default_rng(0).uniform(-0.2, 0.25, (300, 3))

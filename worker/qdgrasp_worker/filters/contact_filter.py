@@ -19,12 +19,14 @@ It errs on one side only:
   their places.
 - Where a shape or a free joint is not understood, every pose is simulated.
 
-`SweptBox` tells the rest of a closing that is in vain: the object has left the space that the hand passes
-through. Of an object with more surface than hands grasp the balls are larger, so that they stay as many.
+Scenes in which a hand closes alike share its fields. `SweptBox` tells the rest of a closing that is in vain:
+the object has left the space that the hand passes through. Of an object with more surface than hands grasp
+the balls are larger, so that they stay as many.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from math import sqrt
 from typing import Self
@@ -38,7 +40,7 @@ from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid
-from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, HandKinematics, free_posture
+from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, SharedHand, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 Box = tuple[Vector, Vector]  # Low and high corner
@@ -294,10 +296,9 @@ class ContactFilter:
         follows_free_joints: bool,
         sight: float = 0.0,
     ) -> None:
-        self._gripper = gripper
-        self._kinematics = HandKinematics(gripper)
-        self._mounts = FreeJointLinks(gripper, self._kinematics)
-        self.is_known = self._kinematics.is_understood and solid.is_whole and self._mounts.all_still
+        self._hand = SharedHand.of(gripper)
+        self._mounts = FreeJointLinks(gripper, self._hand.kinematics)
+        self.is_known = self._hand.kinematics.is_understood and solid.is_whole and self._mounts.all_still
         """True if all of hand and object is understood; if not, no pose surely misses."""
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
@@ -348,17 +349,30 @@ class ContactFilter:
         return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
-        """Watch the hand close: the zone in the frame of each mount."""
-        passing: dict[str, list[tuple[Hull, Floats]]] = {}
-        for place in FREE_JOINT_PLACES[: 1 + bool(self._gripper.free_joints)]:
-            posture = free_posture(self._gripper, place)
-            frames = self._kinematics.frames(interpolate_course(np.array(self._closing(posture, synergy))))
-            mounts = self._mounts.frames(posture)
-            for link, hulls in self._kinematics.hulls.items():
-                under = self._mounts.mount_of[link]
-                course = np.linalg.inv(mounts[under]) @ frames[link]
-                passing.setdefault(under, []).extend((hull, course) for hull in hulls)
-        return {link: DistanceField.of(courses) for link, courses in passing.items() if courses}
+        """Watch the hand close, with its free joints at each place: the zone in the frame of each mount."""
+        gripper = self._hand.gripper
+        places = FREE_JOINT_PLACES[: 1 + bool(gripper.free_joints)]
+        courses = [np.array(self._closing(free_posture(gripper, place), synergy)) for place in places]
+        return measure_zones(self._hand, tuple(course.tobytes() for course in courses))
+
+
+ZONES_KEPT = 32  # Synergies whose zones a process keeps, the last ones used; about 1 MB each
+
+
+@lru_cache(ZONES_KEPT)
+def measure_zones(hand: SharedHand, courses: tuple[bytes, ...]) -> dict[str, DistanceField]:
+    """The zones of a hand that closes, one course (`SharedHand.postures`) for each of `FREE_JOINT_PLACES`."""
+    kinematics = hand.kinematics
+    mounts = FreeJointLinks(hand.gripper, kinematics)
+    passing: dict[str, list[tuple[Hull, Floats]]] = {}
+    for place, course in zip(FREE_JOINT_PLACES, courses, strict=False):
+        frames = kinematics.frames(interpolate_course(hand.postures(course)))
+        placed = mounts.frames(free_posture(hand.gripper, place))
+        for link, hulls in kinematics.hulls.items():
+            under = mounts.mount_of[link]
+            path = np.linalg.inv(placed[under]) @ frames[link]
+            passing.setdefault(under, []).extend((hull, path) for hull in hulls)
+    return {link: DistanceField.of(paths) for link, paths in passing.items() if paths}
 
 
 def interpolate_course(course: Floats) -> Floats:

@@ -6,6 +6,8 @@ pose is rejected that the simulator lets pass. Few points are looked up for all 
 that are left.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.filters.voxels import Hull, Singles
-from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.hand_geometry import HANDS_KEPT, SharedHand
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 SAMPLE_POINTS = 1024
@@ -25,10 +27,10 @@ SURFACE_SCALE = 0.98  # Scale of a part's surface about its centre: points of th
 class HandSurfaceSamples:
     """Sample points of a hand, link by link."""
 
-    def __init__(self, gripper: SceneGripper) -> None:
-        self._kinematics = HandKinematics(gripper)
+    def __init__(self, hand: SharedHand) -> None:
+        self._kinematics = hand.kinematics
         self._names = list(self._kinematics.hulls)
-        opened = np.array([[joint.opened for joint in gripper.joints]])
+        opened = np.array([[joint.opened for joint in hand.gripper.joints]])
         self._opened = self._kinematics.frames(opened)
         self._links, self._points = self._sample()
 
@@ -68,6 +70,12 @@ class HandSurfaceSamples:
         return placed
 
 
+@lru_cache(HANDS_KEPT)
+def sample_surface(hand: SharedHand) -> HandSurfaceSamples:
+    """The sample points of a hand, drawn once for all scenes."""
+    return HandSurfaceSamples(hand)
+
+
 def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
     """Draw points (n, 3) [m] that are inside a hull, most of them close under its surface."""
     sizes = hull.areas
@@ -105,7 +113,7 @@ class OverlapFilter:
     """
 
     def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:
-        self._skin = HandSurfaceSamples(gripper)
+        self._samples = sample_surface(SharedHand.of(gripper))
         self._inside = solid.inside
         self._follows = follows_free_joints and bool(gripper.free_joints)
         self._opened = np.array([[joint.opened for joint in gripper.joints]], dtype=np.float32)
@@ -128,7 +136,7 @@ class OverlapFilter:
 
     def _look(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
         postures = grasps.joints[places] if self._follows else self._opened
-        points = self._skin.points(postures, stage)
+        points = self._samples.points(postures, stage)
         x, y, z = transform_points(
             points, rotation_matrices(grasps.quaternions[places]), grasps.positions[places]
         )
