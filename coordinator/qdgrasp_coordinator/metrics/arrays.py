@@ -6,6 +6,7 @@ the time that numpy takes to move them field by field.
 """
 
 import math
+import os
 import resource
 import zipfile
 import zlib
@@ -52,7 +53,8 @@ def bounded_memory(path: Path) -> Iterator[None]:
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[DATA_PAGES])
     size = sum(file.stat().st_size for file in (path.rglob("*") if path.is_dir() else [path]))
-    most = pages * resource.getpagesize() + LEAST_ROOM + MOST_UNFOLDING * size
+    stacks = (IO_THREADS + (os.cpu_count() or 1)) * threads_stack()
+    most = pages * resource.getpagesize() + LEAST_ROOM + MOST_UNFOLDING * size + stacks
     if soft != resource.RLIM_INFINITY:
         most = min(most, soft)
     resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
@@ -60,6 +62,12 @@ def bounded_memory(path: Path) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def threads_stack() -> int:
+    """The bytes that a new thread has for its stack."""
+    stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    return DEFAULT_STACK if stack == resource.RLIM_INFINITY else stack
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
@@ -75,6 +83,8 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np
 
 DATA_PAGES = 5  # The place in `statm` of the pages that RLIMIT_DATA limits
 LEAST_ROOM, MOST_UNFOLDING = 1 << 27, 20  # Bytes for any file, and for each of its own
+IO_THREADS = 8  # Threads that Arrow reads with, besides one for each core
+DEFAULT_STACK = 1 << 23  # Bytes of a thread's stack where no limit is set, and more than that
 LARGEST_ARRAYS = 1 << 28  # Bytes of all arrays in a file that is read
 LARGEST_HEADER = 10_000  # Characters of an array's header
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

@@ -2,11 +2,13 @@
 
 import json
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from tests.common import PATIENCE
 from tests.coordinator.export.foreign_files import (
     COM,
     ISAAC,
@@ -24,6 +26,7 @@ from qdgrasp_coordinator.export.exporter import export_run
 from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
 from qdgrasp_coordinator.export.importer import ObjectFrame
+from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 
@@ -229,3 +232,18 @@ def test_what_is_no_file_is_refused_and_not_waited_for(panda, tmp_path: Path) ->
 def test_what_is_only_written_is_told_by_its_name(run: RunFolder, panda, tmp_path: Path, name: str) -> None:
     export_run(run, tmp_path / "f", name)
     check_refusal(panda, tmp_path / "f", "which is not read back; export parquet instead")
+
+
+def test_a_reader_may_start_the_threads_of_a_machine_with_many_cores(tmp_path: Path, monkeypatch) -> None:
+    cores = 24
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    file = tmp_path / "small"
+    file.touch()
+    together = threading.Barrier(cores + 1)
+    with bounded_memory(file):
+        threads = [threading.Thread(target=together.wait) for _ in range(cores)]
+        for thread in threads:
+            thread.start()
+        together.wait(PATIENCE)
+        for thread in threads:
+            thread.join(PATIENCE)
