@@ -115,7 +115,7 @@ LONG = re.compile(
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
     r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
-    r"|python examples/own_"
+    r"|python examples/(own_|in_mujoco)"
     r"|curl "
 )
 """Lines that take long: `make test-docs` and `make test-slow` run them, `make test` does not."""

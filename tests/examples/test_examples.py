@@ -1,6 +1,7 @@
 """The scripts of examples/, as a user starts them, and the demo."""
 
 import ast
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -8,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from docs.demo import MARKER, clear
+from tests.assets import example_hands
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import ROUTER, WORKER, Commands, end_of, says
 
@@ -86,6 +89,25 @@ def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands)
     for process in (worker, router):
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE) in {0, 128 + signal.SIGTERM}
+
+
+def test_an_exported_grasp_is_held_by_the_hand_of_a_urdf_in_mujoco(
+    scripts: Scripts, commands: Commands
+) -> None:
+    home = commands.home
+    (home / "jaw.urdf").write_text(example_hands.JAW_URDF)
+    (home / "jaw.toml").write_text(example_hands.JAW_TOML)
+    trimesh.creation.box((0.04, 0.06, 0.12)).export(home / "part.stl")
+    scene = ("--gripper", "jaw.toml", "--object", "part.stl", "--mass", 0.3, "--engine", "mujoco")
+    commands.succeed(
+        "run", *scene, "--evaluations", 60, "--workers", 1, "--listen", own_endpoint(), "--out", "run"
+    )
+    commands.succeed("export", "run", "--format", "csv", "--top", 1, "-o", "best.csv")
+    said = scripts("in_mujoco.py", "jaw.urdf", "part.stl", "best.csv")
+    found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, the object moved ([\d.]+) mm\n", said)
+    assert found, said
+    assert int(found[1]) >= 2
+    assert float(found[2]) < 15
 
 
 def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
