@@ -225,7 +225,7 @@ def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurem
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 security_app = typer.Typer(
-    no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
+    name="security", no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
 )
 
 Days = Annotated[int, typer.Option(min=1, max=36500, help="How long certificates are good [days].")]
