@@ -170,7 +170,10 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
         admitted = choice.limits.admitted(good.rows, good.scene)
         if admitted.any():
             highest = good.confidence[admitted].max()
-            return f"{folder.path} has no grasp of this quality: the best has {highest:.3g} (--min-quality)."
+            return (
+                f"{folder.path} has no grasp of this confidence: the best has {highest:.3g} "
+                "(--min-confidence)."
+            )
         return (
             f"{folder.path} has no grasp within these limits: {choice.limits.reason(good.rows, good.scene)}."
         )
