@@ -93,7 +93,7 @@ results-page: $(VENV)/.ready
 LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \
   --custom-compile-command "make lock" $(UPGRADE)
 lock: $(VENV)/.ready
-	$(LOCK) pyproject.toml --output-file deploy/container/requirements.txt
+	$(LOCK) pyproject.toml --extra all --output-file deploy/container/requirements.txt
 	$(LOCK) deploy/container/worker.in --constraints deploy/container/requirements.txt \
 	  --output-file deploy/container/worker.txt
 	$(LOCK) deploy/container/build.in --output-file deploy/container/build.txt

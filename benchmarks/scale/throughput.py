@@ -132,14 +132,14 @@ class Watched:
     @property
     def remark(self) -> str:
         whole, ribs = (1e6 * share.seconds / self.rows for share in (self.whole, self.ribs))
-        return f"ask and tell {whole:.2f} us, of which pyribs {ribs:.2f} us"
+        return f"ask and tell {whole:.2f} us" + (f", of which pyribs {ribs:.2f} us" if ribs else "")
 
 
 def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
     """What of pyribs a search has, and which calls it makes."""
-    if hasattr(search, "_emitters"):
-        return [(search._archive, ("add",)), *((emitter, ("ask", "tell")) for emitter in search._emitters)]
-    return [(search.archive._grid, ("add", "data", "retrieve"))] if hasattr(search, "archive") else []
+    if not hasattr(search, "_emitters"):
+        return []
+    return [(search._archive, ("add",)), *((emitter, ("ask", "tell")) for emitter in search._emitters)]
 
 
 def measure_searching(seconds: float) -> Iterator[ScaleFigure]:

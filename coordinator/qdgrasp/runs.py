@@ -21,6 +21,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -111,7 +112,9 @@ class Run:
         """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.
 
         The columns are those of `qdgrasp export --format parquet`, with poses in the object's `frame`.
+        It needs the extra `qdgrasp[export]`.
         """
+        check_packages("Run.tables", "pyarrow")
         with self._folder.journal() as journal:
             chosen = choose_grasps(GraspReader(self._folder, journal), GraspChoice(min_fitness))
             for part in chosen:

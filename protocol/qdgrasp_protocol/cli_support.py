@@ -5,12 +5,14 @@ import signal
 import sys
 import threading
 import time
+from copy import copy
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
@@ -18,25 +20,37 @@ from qdgrasp_protocol.process import STOP_SIGNALS, SUPERVISED
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable_lines
 
+PROCESSES = "Processes and links"
+"""Heading of options in the help of commands."""
+
 ConnectOption = Annotated[
     str | None,
     typer.Option(
         help="Endpoint of the router, or several separated by commas: when one is lost, another takes over; "
-        "default: port 7447 on loopback."
+        "default: port 7447 on loopback.",
+        rich_help_panel=PROCESSES,
     ),
 ]
-WaitOption = Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")]
+WaitOption = Annotated[
+    float,
+    typer.Option(min=0, help="Seconds to wait for the router at the start.", rich_help_panel=PROCESSES),
+]
 SecurityOption = Annotated[
     Path | None,
     typer.Option(
         envvar=SECURITY_VARIABLE,
         metavar="DIR",
         help="Folder of certificates, as `qdgrasp security init` writes one: links are encrypted.",
+        rich_help_panel=PROCESSES,
     ),
 ]
 InsecureOption = Annotated[
     bool,
-    typer.Option("--insecure", help="Listen also where strangers get to, without encryption."),
+    typer.Option(
+        "--insecure",
+        help="Listen also where strangers get to, without encryption.",
+        rich_help_panel=PROCESSES,
+    ),
 ]
 
 
@@ -47,7 +61,7 @@ def echo(text: str, *, err: bool = False) -> None:
 
 def _print_version(context: typer.Context, wanted: bool) -> None:
     if wanted:
-        echo(f"{context.info_name} {version('qdgrasp')}")
+        echo(f"{context.find_root().info_name} {version('qdgrasp')}")
         raise typer.Exit
 
 
@@ -55,7 +69,84 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
 ]
-"""The --version option of every stand-alone command, handled before the command's function."""
+"""The --version option of every program, handled before its function."""
+
+HELP_COLUMNS = 120  # Columns of a help text, at most
+Sections = dict[str, list[tuple[str, str]]]
+"""Lines of a help text, each a name and what it means, by the heading that they stand below."""
+
+
+class HelpCommand(TyperCommand):
+    """A command with --version, and a section of help for each `rich_help_panel` of its options."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters of the command, --version and --help last."""
+        return with_version(super().get_params(ctx), ctx)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections, in the order in which their first options stand in the command."""
+        write_sections(formatter, option_sections(self, ctx))
+
+
+class HelpGroup(TyperGroup):
+    """Commands with --version, and a section of their help for each `rich_help_panel` of theirs."""
+
+    panels: tuple[str, ...] = ()
+    """Headings of the sections in their order; others follow."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters of the group, --version and --help last."""
+        return with_version(super().get_params(ctx), ctx)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, and then the options."""
+        sections: Sections = {panel: [] for panel in self.panels}
+        width = max(map(len, self.commands))
+        for name, command in self.commands.items():
+            panel = getattr(command, "rich_help_panel", None) or "Commands"
+            line = name.ljust(width), command.get_short_help_str(sys.maxsize)
+            sections.setdefault(panel, []).append(line)
+        write_sections(formatter, sections | option_sections(self, ctx))
+
+
+def grouped_help(app: typer.Typer, cls: type[HelpGroup] = HelpGroup) -> None:
+    """Have every command of an app say its version, and group its help."""
+    app.info.cls = cls
+    app.info.context_settings = {"max_content_width": HELP_COLUMNS}
+    for command in app.registered_commands:
+        command.cls = HelpCommand
+    for group in app.registered_groups:
+        if group.typer_instance:
+            grouped_help(group.typer_instance)
+
+
+def with_version(parameters: list[Any], context: Any) -> list[Any]:
+    """Return the parameters of a command with its program's --version among them, before --help."""
+    shown = [each for each in context.find_root().command.params if "--version" in each.opts]
+    if context.parent is None or not shown:
+        return parameters
+    version_ = copy(shown[0])
+    version_.expose_value = False
+    return [*parameters[:-1], version_, parameters[-1]]
+
+
+def option_sections(command: TyperCommand | TyperGroup, context: Any) -> Sections:
+    """Return the help of a command's arguments and options, by their panels."""
+    sections: Sections = {"Arguments": [], "Options": []}
+    for each in command.get_params(context):
+        usual = f"{each.param_type_name.capitalize()}s"
+        if line := each.get_help_record(context):
+            sections.setdefault(getattr(each, "rich_help_panel", None) or usual, []).append(line)
+    return sections
+
+
+def write_sections(formatter: Any, sections: Sections) -> None:
+    """Write the sections of a help text that have lines, each with its heading."""
+    for heading, lines in sections.items():
+        if not lines:
+            continue
+        with formatter.section(heading):
+            formatter.write_dl(lines)
 
 
 BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none

@@ -30,6 +30,7 @@
         * SecurityError          certificates or keys that cannot be used
         * MissingRequirement     something that a run needs is not on this machine
         * MissingEngine          Bullet is to simulate where PyBullet is not installed
+        * MissingPackage         a package of an extra is needed where it is not installed
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
             * PlatformDiffers        a worker's platform is not the job's

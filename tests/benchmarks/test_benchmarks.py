@@ -253,13 +253,13 @@ def test_a_coordinator_is_compared_with_itself_beside_monitors() -> None:
 
 
 def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:
-    asked = spec("contact_me_scs", 500)
+    asked = spec("cma_mae", 60)
     search = Watched(method(asked.method).build(asked, plain(SHAPE.genes)))
     for generation in range(3):
-        told = rows(500, np.random.default_rng(generation))
+        told = rows(60, np.random.default_rng(generation))
         told["genome"] = search.ask(generation)
         search.tell(generation, told)
-    assert search.rows == 3 * 500
+    assert search.rows == 3 * 60
     assert 0 < search.ribs.seconds < search.whole.seconds
 
 

@@ -18,6 +18,7 @@ from tests.coordinator.monitor.sample_jobs import values, views
 from tests.deploy.commands import COMMANDS, DEPLOY, understood
 
 from qdgrasp_coordinator.monitor.prometheus import exposition
+from qdgrasp_protocol.extras import EXTRAS
 from qdgrasp_protocol.session import parse_endpoints
 from qdgrasp_worker.device import DEVICE_MODULE
 
@@ -150,6 +151,11 @@ def test_records_outlive_their_containers() -> None:
 
 
 PROJECT = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+EVERY = [
+    *PROJECT["project"]["dependencies"],
+    *(each for name in EXTRAS if name != "gpu" for each in PROJECT["project"]["optional-dependencies"][name]),
+]
+"""What the head's image needs: the package with its extra `all`."""
 LOCKS = ("requirements.txt", "worker.txt", "build.txt")
 ENTRY = re.compile(
     r"^([A-Za-z0-9_.-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", re.MULTILINE
@@ -180,7 +186,7 @@ def test_every_line_of_a_lock_is_one_version_with_its_hashes(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "needed"),
     [
-        ("requirements.txt", [Requirement(text) for text in PROJECT["project"]["dependencies"]]),
+        ("requirements.txt", [Requirement(text) for text in EVERY]),
         ("worker.txt", asked("worker.in")),
         ("build.txt", asked("build.in")),
     ],

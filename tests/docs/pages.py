@@ -95,7 +95,8 @@ def words(line: Line) -> list[str]:
 
 ELSEWHERE = {
     r"make ": "Make's targets are what `make` itself, CI and the tests run",
-    r"python3\.11 -m venv": "installs the package from the network",
+    r"python3\.11 -m venv|/opt/qdgrasp/bin/pip": "installs the package from the network",
+    r"sh deploy/container/trim\.sh|/opt/qdgrasp/bin/qdgrasp-worker": "needs an environment from the network",
     r"\. \.venv/bin/activate": "enters the environment, in which tests are already",
     r"python -m (tests|benchmarks|docs)\b": "runs for minutes to hours; the modules have tests of their own",
     r"systemctl ": "needs systemd and root; the units have tests of their own (tests/deploy)",

@@ -1,10 +1,8 @@
 """Devices that evaluate many rows together."""
 
-from importlib.util import find_spec
 from typing import NamedTuple, Self
 
-from qdgrasp_protocol.engines import DEVICE_ENGINE
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.extras import EXTRAS, check_packages
 
 DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
 MOST_WORLDS = 4096  # As many as a generation has genomes at most
@@ -22,9 +20,5 @@ class Device(NamedTuple):
     @classmethod
     def find(cls, name: str, worlds: int | None = None) -> Self:
         """A device by its name; None: as many worlds as fill it. An InputError without the packages."""
-        if find_spec("mujoco_warp") is None:
-            raise InputError(
-                f"--device {name} needs the packages of the engine {DEVICE_ENGINE}, which are not installed: "
-                "pip install 'qdgrasp[gpu]'."
-            )
+        check_packages(f"--device {name}", *EXTRAS["gpu"])
         return cls(name, worlds or (CPU_WORLDS if name == "cpu" else MOST_WORLDS))

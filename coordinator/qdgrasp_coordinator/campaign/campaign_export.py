@@ -47,6 +47,7 @@ from qdgrasp_coordinator.storage.outputs import LOCK, RUNS, OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, ENGINES
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, OutputError, UnknownName
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_protocol.text import counted
@@ -173,6 +174,7 @@ def export_campaign(
     digests. `shares` split objects without a split of their own. Runs that cannot be read are left out, and
     named in the card. Raises InputError where it cannot be begun or written, or where there is no run.
     """
+    check_packages("A data set", "pyarrow")  # of its index
     folder, form, object_frame = open_campaign(campaign), format_of(name), frame_of(frame)
     wanted = form.failures(negatives)
     if meshes not in (COPY, NAME):

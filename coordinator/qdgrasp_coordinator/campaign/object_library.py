@@ -23,6 +23,7 @@ from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
 from qdgrasp_protocol.text import counted
@@ -336,6 +337,7 @@ def _toml_rows(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def _parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
+    check_packages(str(path), "pyarrow")
     from pyarrow import ArrowException, parquet  # takes its time
 
     try:

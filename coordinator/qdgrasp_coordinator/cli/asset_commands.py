@@ -81,7 +81,9 @@ def draw_asset(asset: Gripper | ObjectModel, name: str, folder: SharedFolder) ->
     return drawn.path
 
 
-asset_app = typer.Typer(no_args_is_help=True, help="Grippers and objects: list, fetch and check them.")
+asset_app = typer.Typer(
+    name="asset", no_args_is_help=True, help="Grippers and objects: list, fetch and check them."
+)
 
 
 @asset_app.command("list")

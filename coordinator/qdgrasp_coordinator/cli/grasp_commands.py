@@ -46,7 +46,15 @@ def export(
         int, typer.Option(min=0, max=6, help="Disturbances survived, at least; 0 takes all successes.")
     ] = 1,
     min_quality: Annotated[
-        float, typer.Option(min=0, max=1, metavar="Q", help="Least quality: eta, or the share survived.")
+        float,
+        typer.Option(
+            "--min-confidence",
+            "--min-quality",
+            min=0,
+            max=1,
+            metavar="Q",
+            help="Least confidence: eta, or the share of disturbances survived.",
+        ),
     ] = 0.0,
     top: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, penetration.")

@@ -130,7 +130,9 @@ QUESTIONS = (
 )
 
 
-gripper_app = typer.Typer(no_args_is_help=True, help="Hands of one's own: make their files, and check them.")
+gripper_app = typer.Typer(
+    name="gripper", no_args_is_help=True, help="Hands of one's own: make their files, and check them."
+)
 
 
 @gripper_app.command()

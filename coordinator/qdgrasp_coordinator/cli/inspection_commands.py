@@ -42,6 +42,7 @@ from qdgrasp_coordinator.verification.verify import (
 )
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.extras import EXTRAS, check_packages
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted, parse_numbers, printable
 
@@ -324,6 +325,7 @@ def view(
     Example: qdgrasp view runs/demo
     """
     host, port = host_and_port(web)
+    check_packages("The page", *EXTRAS["monitor"])
     with lifetime("qdgrasp-view") as stop:
         from qdgrasp_coordinator.monitor.records import FolderIndex
         from qdgrasp_coordinator.monitor.web.routes import folder_site

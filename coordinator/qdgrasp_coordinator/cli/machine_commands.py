@@ -52,7 +52,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-PACKAGES = ("eclipse-zenoh", "numpy", "ribs", "trimesh", "msgpack", "coacd")
+PACKAGES = ("eclipse-zenoh", "numpy", "trimesh", "msgpack", "coacd")
 OLDEST_PYTHON = (3, 11)
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
 SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
@@ -225,7 +225,7 @@ def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurem
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 security_app = typer.Typer(
-    no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
+    name="security", no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
 )
 
 Days = Annotated[int, typer.Option(min=1, max=36500, help="How long certificates are good [days].")]

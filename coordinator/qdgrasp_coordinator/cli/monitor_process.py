@@ -25,6 +25,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.cli_support import echo, run_command
 from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.extras import EXTRAS, check_packages
 from qdgrasp_protocol.process import Stop, configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -91,6 +92,8 @@ def monitor(
     Example: qdgrasp-monitor runs/mugs
     """
     check_flags(typed_flags(context))
+    if web is not None:
+        check_packages("--web", *EXTRAS["monitor"])
     configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
     place = JobPlace.of(directory, connect, security)
     endpoint = place.endpoint
@@ -179,7 +182,7 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
-    """Serve the page; its libraries are loaded for it alone."""
+    """Serve the page; its packages are loaded for it alone."""
     from qdgrasp_coordinator.monitor.web.routes import live_site
     from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
     from qdgrasp_coordinator.monitor.web.server import serve as serve_site

@@ -23,7 +23,7 @@ from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.text import counted
 
 object_app = typer.Typer(
-    no_args_is_help=True, help="Objects of one's own: check them, and repair their meshes."
+    name="object", no_args_is_help=True, help="Objects of one's own: check them, and repair their meshes."
 )
 
 

@@ -7,29 +7,62 @@ from typing import Annotated, Any
 import typer
 
 from qdgrasp_protocol.build_messages import MeshPreparation
+from qdgrasp_protocol.cli_support import PROCESSES
 from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 
+MESH_FILE, SEARCH, EVALUATION = "Mesh file of an object", "Search", "Evaluation of a pose"
+END, CHOICE = "End, besides the budget", "Choice of grasps"
+"""Headings of options in the help of commands."""
+
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
-Mass = Annotated[float | None, typer.Option(help="Mass of the object [kg]; needed for a mesh file.")]
+Mass = Annotated[
+    float | None,
+    typer.Option(help="Mass of the object [kg]; needed for a mesh file.", rich_help_panel=MESH_FILE),
+]
 Scale = Annotated[
-    float | None, typer.Option(metavar="S", help="Metres to a unit of the mesh file; default 1.")
+    float | None,
+    typer.Option(
+        metavar="S", help="Metres to a unit of the mesh file; default 1.", rich_help_panel=MESH_FILE
+    ),
 ]
 Units = Annotated[
-    str | None, typer.Option(metavar="mm|cm|m|in", help="The unit of the mesh file, for --scale.")
+    str | None,
+    typer.Option(
+        metavar="mm|cm|m|in", help="The unit of the mesh file, for --scale.", rich_help_panel=MESH_FILE
+    ),
 ]
-Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
+Friction = Annotated[
+    float | None, typer.Option(help="Lateral friction of the object; default 0.5.", rich_help_panel=MESH_FILE)
+]
 Simplify = Annotated[
     int | None,
-    typer.Option(metavar="N", min=20, max=500_000, help="Simplify the mesh to at most N triangles."),
+    typer.Option(
+        metavar="N",
+        min=20,
+        max=500_000,
+        help="Simplify the mesh to at most N triangles.",
+        rich_help_panel=MESH_FILE,
+    ),
 ]
 Remesh = Annotated[
-    bool, typer.Option("--remesh", help="Make a new closed surface around what the mesh file holds.")
+    bool,
+    typer.Option(
+        "--remesh",
+        help="Make a new closed surface around what the mesh file holds.",
+        rich_help_panel=MESH_FILE,
+    ),
 ]
-Hull = Annotated[bool, typer.Option("--hull", help="Take the convex hull of the mesh in its place.")]
+Hull = Annotated[
+    bool,
+    typer.Option("--hull", help="Take the convex hull of the mesh in its place.", rich_help_panel=MESH_FILE),
+]
 Glued = Annotated[
-    bool, typer.Option("--glued", help="Bodies that are apart are meant to be one rigid object.")
+    bool,
+    typer.Option(
+        "--glued", help="Bodies that are apart are meant to be one rigid object.", rich_help_panel=MESH_FILE
+    ),
 ]
 SkipUnusable = Annotated[
     bool,
@@ -40,11 +73,16 @@ ProtocolOption = Annotated[
     typer.Option(
         "--protocol",
         help="Evaluation protocol: paper, physical, released, robust; default paper, of `run` physical.",
+        rich_help_panel=EVALUATION,
     ),
 ]
 BaseOption = Annotated[
     str | None,
-    typer.Option("--base", help="What the trials of robust disturb: paper or physical; default paper."),
+    typer.Option(
+        "--base",
+        help="What the trials of robust disturb: paper or physical; default paper.",
+        rich_help_panel=EVALUATION,
+    ),
 ]
 EngineOption = Annotated[
     str | None,
@@ -52,36 +90,104 @@ EngineOption = Annotated[
         "--engine",
         help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
         "released has bullet alone, physical also mujoco-warp; default bullet.",
+        rich_help_panel=EVALUATION,
     ),
 ]
 Trials = Annotated[
     str | None,
     typer.Option(
         help="Trials of a success under robust: all (100), or sequential: 10, and more where it competes for "
-        "its cell; default all, sequential with --aim-for eta --protocol robust and no SPEC."
+        "its cell; default all, sequential with --aim-for eta --protocol robust and no SPEC.",
+        rich_help_panel=EVALUATION,
     ),
 ]
 Finalists = Annotated[
     int | None,
-    typer.Option(metavar="N", help="With sequential trials: the N best of all instead of those of cells."),
+    typer.Option(
+        metavar="N",
+        help="With sequential trials: the N best of all instead of those of cells.",
+        rich_help_panel=EVALUATION,
+    ),
 ]
 AimFor = Annotated[
     str | None,
-    typer.Option(help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold."),
+    typer.Option(
+        help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold.",
+        rich_help_panel=SEARCH,
+    ),
 ]
 Diversity = Annotated[
     str | None,
-    typer.Option(help="What tells grasps apart: position, orientation, posture; default position."),
+    typer.Option(
+        help="What tells grasps apart: position, orientation, posture; default position.",
+        rich_help_panel=SEARCH,
+    ),
 ]
 GraspsPerCell = Annotated[
-    int | None, typer.Option(metavar="N", min=1, max=60, help="Different grasps that fill a cell of 1 cm.")
+    int | None,
+    typer.Option(
+        metavar="N", min=1, max=60, help="Different grasps that fill a cell of 1 cm.", rich_help_panel=SEARCH
+    ),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of the search; default 0.", rich_help_panel=SEARCH)]
+WarmStarts = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="RUN",
+        help="Begin with what this run of the same hand learned; repeatable.",
+        rich_help_panel=SEARCH,
+    ),
+]
+OverlapsMode = Annotated[
+    str | None,
+    typer.Option(
+        help="count: every pose is an evaluation; redraw: simulated ones are; default: the method's.",
+        rich_help_panel=SEARCH,
+    ),
+]
+Population = Annotated[
+    int | None,
+    typer.Option(
+        help="Genomes in a generation; default: the method's, see `qdgrasp methods`.",
+        rich_help_panel=SEARCH,
+    ),
+]
+MutationSigma = Annotated[
+    float | None,
+    typer.Option(help="Standard deviation of the Gaussian mutation; default 0.1.", rich_help_panel=SEARCH),
+]
+MutationProbability = Annotated[
+    float | None,
+    typer.Option(help="Probability that a gene is mutated; default 0.3.", rich_help_panel=SEARCH),
+]
+GenerationsInFlight = Annotated[
+    int | None,
+    typer.Option(
+        help="Generations asked before the first is told; default: the method's.",
+        rich_help_panel=SEARCH,
+    ),
+]
+InFlight = Annotated[
+    int | None,
+    typer.Option(
+        help="Most genomes in flight, which become more as the run goes on; default: the method's.",
+        rich_help_panel=SEARCH,
+    ),
+]
+SurfaceSeed = Annotated[
+    int | None,
+    typer.Option(help="Seed of the surface points; default 0.", rich_help_panel=MESH_FILE),
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 Successes = Annotated[
-    int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")
+    int | None,
+    typer.Option(min=1, help="End with so many successes; default: with the budget.", rich_help_panel=END),
 ]
 Grasps = Annotated[
-    int | None, typer.Option(metavar="N", min=1, help="End with so many grasps; default: with the budget.")
+    int | None,
+    typer.Option(
+        metavar="N", min=1, help="End with so many grasps; default: with the budget.", rich_help_panel=END
+    ),
 ]
 Saturation = Annotated[
     float | None,
@@ -90,17 +196,28 @@ Saturation = Annotated[
         min=0,
         help="End when 1000 simulated evaluations found new niches with a grasp at this share of the mean "
         "rate, below 1; 0: never.",
+        rich_help_panel=END,
     ),
 ]
 NoNewCell = Annotated[
-    int | None, typer.Option(metavar="N", min=1, help="End when N evaluations in a row found no new cell.")
+    int | None,
+    typer.Option(
+        metavar="N", min=1, help="End when N evaluations in a row found no new cell.", rich_help_panel=END
+    ),
 ]
 Seconds = Annotated[
     float | None,
-    typer.Option(min=0, help="Stop after so many seconds; what is recorded stays, and can be gone on with."),
+    typer.Option(
+        min=0,
+        help="Stop after so many seconds; what is recorded stays, and can be gone on with.",
+        rich_help_panel=END,
+    ),
 ]
 BatchSize = Annotated[
-    int | None, typer.Option("--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.")
+    int | None,
+    typer.Option(
+        "--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.", rich_help_panel=PROCESSES
+    ),
 ]
 Checked = Annotated[
     float,
@@ -110,32 +227,55 @@ Checked = Annotated[
         min=0,
         max=1,
         help="Share of the rows that a second worker evaluates too.",
+        rich_help_panel=PROCESSES,
     ),
 ]
 Listen = Annotated[
     str | None,
-    typer.Option(help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one."),
+    typer.Option(
+        help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one.",
+        rich_help_panel=PROCESSES,
+    ),
 ]
-DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
-Job = Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")]
+DiskWait = Annotated[
+    float, typer.Option(min=0, help="Seconds to wait for room on a full disk.", rich_help_panel=PROCESSES)
+]
+Job = Annotated[
+    str | None, typer.Option(help="Name on the bus; default: the folder's name.", rich_help_panel=PROCESSES)
+]
 MaxPenetration = Annotated[
-    float | None, typer.Option(min=0, metavar="MM", help="Deepest penetration after closing [mm], at most.")
+    float | None,
+    typer.Option(
+        min=0, metavar="MM", help="Deepest penetration after closing [mm], at most.", rich_help_panel=CHOICE
+    ),
 ]
 MaxMotion = Annotated[
     float | None,
-    typer.Option(min=0, metavar="MM", help="Way of the object in the hand while it closed [mm], at most."),
+    typer.Option(
+        min=0,
+        metavar="MM",
+        help="Way of the object in the hand while it closed [mm], at most.",
+        rich_help_panel=CHOICE,
+    ),
 ]
 MinMargin = Annotated[
-    float | None, typer.Option(min=0, metavar="E", help="Ferrari-Canny margin of the contacts, at least.")
+    float | None,
+    typer.Option(
+        min=0, metavar="E", help="Ferrari-Canny margin of the contacts, at least.", rich_help_panel=CHOICE
+    ),
 ]
 MinLinks = Annotated[
-    int | None, typer.Option(min=0, metavar="N", help="Finger links that touch after closing, at least.")
+    int | None,
+    typer.Option(
+        min=0, metavar="N", help="Finger links that touch after closing, at least.", rich_help_panel=CHOICE
+    ),
 ]
 HoldsIn = Annotated[
     str | None,
     typer.Option(
         metavar="ENGINE",
         help="Only grasps that hold in this engine too, by `verify --engine` (bullet, mujoco).",
+        rich_help_panel=CHOICE,
     ),
 ]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]

@@ -62,7 +62,9 @@ def coverage(
 
 
 reference_app = typer.Typer(
-    no_args_is_help=True, help="Reference sets of graspable positions: build them from runs."
+    name="reference",
+    no_args_is_help=True,
+    help="Reference sets of graspable positions: build them from runs.",
 )
 Complete = Annotated[
     float,

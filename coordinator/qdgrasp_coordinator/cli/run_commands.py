@@ -73,6 +73,9 @@ def run(
     ] = None,
     gripper: options.Gripper = None,
     object_: options.Object = None,
+    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
+    workers: options.Workers = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
     mass: options.Mass = None,
     scale: options.Scale = None,
     units: options.Units = None,
@@ -81,65 +84,45 @@ def run(
     remesh: options.Remesh = False,
     hull: options.Hull = False,
     glued: options.Glued = False,
-    method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
+    surface_seed: options.SurfaceSeed = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help=f"Search method; default {DEFAULT_METHOD}.", rich_help_panel=options.SEARCH),
+    ] = None,
+    seed: options.Seed = None,
+    aim_for: options.AimFor = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
+    warm_start: options.WarmStarts = None,
+    overlaps: options.OverlapsMode = None,
+    population: options.Population = None,
+    mutation_sigma: options.MutationSigma = None,
+    mutation_probability: options.MutationProbability = None,
+    generations_in_flight: options.GenerationsInFlight = None,
+    in_flight: options.InFlight = None,
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
     engine: options.EngineOption = None,
     trials: options.Trials = None,
     finalists: options.Finalists = None,
-    aim_for: options.AimFor = None,
-    diversity: options.Diversity = None,
-    grasps_per_cell: options.GraspsPerCell = None,
-    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     successes: options.Successes = None,
     grasps: options.Grasps = None,
     no_new_cell: options.NoNewCell = None,
     saturation: options.Saturation = None,
     seconds: options.Seconds = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
-    overlaps: Annotated[
-        str | None,
-        typer.Option(
-            help="count: every pose is an evaluation; redraw: simulated ones are; default: the method's."
-        ),
-    ] = None,
-    population: Annotated[
-        int | None,
-        typer.Option(help="Genomes in a generation; default: the method's, see `qdgrasp methods`."),
-    ] = None,
-    mutation_sigma: Annotated[
-        float | None, typer.Option(help="Of the Gaussian mutation; default 0.1.")
-    ] = None,
-    mutation_probability: Annotated[float | None, typer.Option(help="Of each gene; default 0.3.")] = None,
-    generations_in_flight: Annotated[
-        int | None, typer.Option(help="Generations asked before the first is told; default: the method's.")
-    ] = None,
-    in_flight: Annotated[
-        int | None,
-        typer.Option(
-            help="Most genomes in flight, which become more as the run goes on; default: the method's."
-        ),
-    ] = None,
-    surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
-    warm_start: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN", help="Begin with what this run of the same hand learned; repeatable."),
-    ] = None,
-    workers: options.Workers = None,
+    job: options.Job = None,
     batch_size: options.BatchSize = None,
     checked: options.Checked = CHECKED_SHARE,
+    disk_wait: options.DiskWait = 60.0,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
-    job: options.Job = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
-    disk_wait: options.DiskWait = 60.0,
 ) -> None:
     """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
 
-    Example: qdgrasp run --gripper panda --object mug --evaluations 10000 --seed 1
+    Example: qdgrasp run --gripper panda --object mug --evaluations 3000
 
-    Example: qdgrasp run --gripper panda --object bowl --warm-start runs/panda-mug-aimed-s1
+    Example: qdgrasp run --gripper panda --object bowl --warm-start runs/mug
     """
     flags = options.given(
         gripper=gripper,

@@ -21,6 +21,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
 
@@ -36,6 +37,8 @@ class ExportFormat:
     places: PosePlaces
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
+    packages: tuple[str, ...] = ()
+    """Packages of extras that write it."""
 
     def failures(self, negatives: int | None) -> int:
         """Return how many failures are written at most, where so many are asked for."""
@@ -81,9 +84,9 @@ FORMATS = {
         ExportFormat(
             "isaac", _at_once(isaac_moveit.write_isaac), ".yaml", ISAAC_PLACES, default_failures=None
         ),
-        ExportFormat("acronym", _at_once(acronym.write), ".h5", ACRONYM_PLACES),
+        ExportFormat("acronym", _at_once(acronym.write), ".h5", ACRONYM_PLACES, packages=("h5py",)),
         ExportFormat("graspgen", graspgen.write, "", GRASPGEN_PLACES, default_failures=ALL_FAILURES),
-        ExportFormat("parquet", tabular.write_parquet, ".parquet", PARQUET_PLACES),
+        ExportFormat("parquet", tabular.write_parquet, ".parquet", PARQUET_PLACES, packages=("pyarrow",)),
         ExportFormat("webdataset", tabular.write_tar, ".tar", PARQUET_PLACES),
         ExportFormat(
             "moveit", _at_once(isaac_moveit.write_moveit), ".yaml", MOVEIT_PLACES, default_failures=None
@@ -94,9 +97,10 @@ FORMATS = {
 
 
 def format_of(name: str) -> ExportFormat:
-    """Return the format of that name; raises UnknownName."""
+    """Return the format of that name; raises UnknownName or MissingPackage."""
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
+    check_packages(f"The format {name}", *FORMATS[name].packages)
     return FORMATS[name]
 
 
@@ -166,7 +170,10 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
         admitted = choice.limits.admitted(good.rows, good.scene)
         if admitted.any():
             highest = good.confidence[admitted].max()
-            return f"{folder.path} has no grasp of this quality: the best has {highest:.3g} (--min-quality)."
+            return (
+                f"{folder.path} has no grasp of this confidence: the best has {highest:.3g} "
+                "(--min-confidence)."
+            )
         return (
             f"{folder.path} has no grasp within these limits: {choice.limits.reason(good.rows, good.scene)}."
         )

@@ -32,6 +32,7 @@ from qdgrasp_coordinator.export.imported_grasps import (
 )
 from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few
@@ -76,6 +77,8 @@ class ImportFormat(NamedTuple):
     fits: Callable[[bytes], bool]
     """Returns True for the first bytes of a file of this format."""
     read: Callable[[Path], ImportedGrasps]
+    packages: tuple[str, ...] = ()
+    """Packages of extras that read it."""
 
 
 def read_grasp_file(path: Path) -> ImportedGrasps:
@@ -83,6 +86,7 @@ def read_grasp_file(path: Path) -> ImportedGrasps:
     head = _read_head(path)
     for reader in READERS:
         if reader.fits(head):
+            check_packages(str(path), *reader.packages)
             try:
                 with bounded_memory(path):
                     imported = reader.read(path)
@@ -98,6 +102,7 @@ def read_dataset(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
 
     `gripper` and `object_` are as its index has them. Raises UnreadableGrasps.
     """
+    check_packages(f"The data set {folder}", "pyarrow")
     import pyarrow as pa
 
     try:
@@ -173,8 +178,8 @@ def _refuse_csv(path: Path) -> ImportedGrasps:
 
 READERS = (
     ImportFormat(lambda head: head.startswith(b"# qdgrasp: "), _refuse_csv),
-    ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read),
-    ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet),
+    ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read, ("h5py",)),
+    ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet, ("pyarrow",)),
     ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
     ImportFormat(lambda head: b"\0" not in head, isaac_moveit.read_isaac),
 )

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,13 @@ def shortest_decimals(numbers: NDArray[np.floating]) -> list[str]:
 
     Always with a point and never with an exponent: `1e-05` is a word, not a number, to readers of YAML 1.1.
     """
-    import pyarrow as pa  # several times as fast as numpy
+    words: list[str]
+    if find_spec("pyarrow"):  # the same words, sooner
+        import pyarrow as pa
 
-    words: list[str] = pa.array(np.ascontiguousarray(numbers)).cast(pa.string()).to_pylist()
+        words = pa.array(np.ascontiguousarray(numbers)).cast(pa.string()).to_pylist()
+    else:
+        words = [str(number) for number in numbers]
     return [word if "." in word and "e" not in word else _without_exponent(word) for word in words]
 
 
@@ -52,7 +57,7 @@ def grasp_decimals(
 
 
 def _without_exponent(word: str) -> str:
-    """Rewrite a word of Arrow's that has an exponent, or no point."""
+    """Rewrite a word that has an exponent, or no point."""
     if "e" in word:
         return np.format_float_positional(float(word), trim="0")
     return f"{word}.0" if word[-1].isdecimal() else word  # nan and inf

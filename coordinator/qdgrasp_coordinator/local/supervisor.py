@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -23,6 +22,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
 from qdgrasp_protocol.errors import EndpointError, InputError, MessageError
+from qdgrasp_protocol.extras import EXTRAS, check_packages
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
@@ -87,11 +87,8 @@ def check_engines(specs: Iterable[RunSpec]) -> None:
                 "those started here, or start none here (workers 0) and `qdgrasp-worker --device cuda` "
                 "elsewhere."
             )
-        if spec.engine == DEVICE_ENGINE and find_spec("mujoco_warp") is None:
-            raise InputError(
-                f"The engine {DEVICE_ENGINE} needs packages that are not installed here: "
-                "pip install 'qdgrasp[gpu]'."
-            )
+        if spec.engine == DEVICE_ENGINE:
+            check_packages(f"The engine {DEVICE_ENGINE}", *EXTRAS["gpu"])
 
 
 News = Sample | EndpointError | None

@@ -282,16 +282,16 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         int, "Settled rows that are not known to be on disk: how far the recorder is behind."
     ] = 0
     requeued: Annotated[
-        int, "Batches that were queued again, as their worker was lost, in this coordinator's turn."
+        int, "Batches that were queued again, as their worker was lost, in this epoch of the coordinator."
     ] = 0
     doubled: Annotated[
         int,
-        "Batches that were leased to a second worker, as the first has held them for long, in this turn.",
+        "Batches that were leased to a second worker, as the first has held them for long, in this epoch.",
     ] = 0
-    checked: Annotated[int, "Rows that a second worker has evaluated, in this turn."] = 0
-    differing: Annotated[int, "Rows to which workers answered differently, in this turn."] = 0
+    checked: Annotated[int, "Rows that a second worker has evaluated, in this epoch."] = 0
+    differing: Annotated[int, "Rows to which workers answered differently, in this epoch."] = 0
     strays: Annotated[
-        int, "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
+        int, "Results that were dropped in this epoch: late, duplicate, unknown, or of somebody else's batch."
     ] = 0
     workers: Annotated[int, "Workers that are there, and make progress."]
     wanted_workers: Annotated[
@@ -350,7 +350,9 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
 
     job: Annotated[str, "Its name."]
-    epoch: Annotated[int, "The coordinator's turn; 0 before it has one: no recorder has answered yet."]
+    epoch: Annotated[
+        int, "The number of the coordinator in the life of its job; 0: no recorder has answered yet."
+    ]
     since: Annotated[datetime, Meta(tz=True), "When this coordinator started."]
     host: Annotated[str, "The coordinator's."]
     pid: Annotated[int, "Of the coordinator's process."]

@@ -310,7 +310,7 @@ class JobScheduler:
         self.start_epoch(opened.epoch)
         self.workers.platform = opened.platform
         self._on_epoch(opened.epoch, opened.identity)
-        how = f"takes over with turn {opened.epoch}" if opened.epoch > 1 else "begins"
+        how = f"takes over with epoch {opened.epoch}" if opened.epoch > 1 else "begins"
         self.events.note("job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}.")
 
     def _on_not_opened(self, reason: Exception) -> None:

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.search.archive import PositionBox, cell_grid
+from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -35,10 +36,12 @@ F_MIN = -1.0  # The threshold of an empty cell
 
 
 def check(spec: RunSpec) -> None:
-    """Refuse by `ImpossibleValue` a spec that the emitters cannot be asked with.
+    """Refuse a spec that the emitters cannot be asked with (`ImpossibleValue`).
 
-    They share the population, and are told before they are asked again.
+    Also where pyribs is not installed (`MissingPackage`). They share the population, and are told before
+    they are asked again.
     """
+    check_packages(f"The method {spec.method}", "ribs")
     if spec.population % EMITTERS or spec.population < 2 * EMITTERS:
         expected = (
             f"a multiple of {EMITTERS}, at least {2 * EMITTERS}, for {spec.method} ({EMITTERS} emitters)"
@@ -97,7 +100,18 @@ class CmaMae:
 
 
 def _grid(low: NDArray[np.int64], high: NDArray[np.int64], genes: int, seed: int) -> "GridArchive":
-    return cell_grid(genes, low, high, learning_rate=ALPHA, threshold_min=F_MIN, seed=seed)
+    """Make a pyribs archive whose measures are cells, so that its bins are those of `cells`."""
+    from ribs.archives import GridArchive  # takes 1-2 s, which only a process that searches so should pay
+
+    ranges = list(zip(low - 0.5, high + 0.5, strict=True))
+    return GridArchive(
+        solution_dim=genes,
+        dims=high - low + 1,
+        ranges=ranges,
+        learning_rate=ALPHA,
+        threshold_min=F_MIN,
+        seed=seed,
+    )
 
 
 def _emitter(archive: "GridArchive", start: ArrayLike, share: int, seed: int) -> "EvolutionStrategyEmitter":

@@ -1,16 +1,22 @@
 """Entry points of the commands, and the modules that they load first."""
 
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
 from qdgrasp import entry
+from qdgrasp_coordinator.cli import main
 
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
 """Packages that take a tenth of a second or more to import; commands import them where needed."""
@@ -96,3 +102,66 @@ def test_a_command_without_a_word_behind_it_shows_its_help() -> None:
     done = subprocess.run([sys.executable, "-m", "qdgrasp"], capture_output=True, check=False, text=True)
     assert done.returncode == 2
     assert done.stderr.startswith("Usage: qdgrasp [OPTIONS] COMMAND")
+
+
+def pages() -> Iterator[list[str]]:
+    """The words of every command of `qdgrasp` and of its groups."""
+    for name, command in typer.main.get_command(main.app).commands.items():  # type: ignore[attr-defined]
+        yield [name]
+        yield from ([name, each] for each in getattr(command, "commands", {}))
+
+
+@pytest.mark.parametrize("words", list(pages()), ids=" ".join)
+def test_every_command_and_group_of_qdgrasp_says_the_version_of_the_program(words: list[str]) -> None:
+    said = CliRunner().invoke(main.app, [*words, "--version"], prog_name="qdgrasp")
+    assert (said.exit_code, said.output) == (0, f"qdgrasp {version('qdgrasp')}\n")
+
+
+def headings(text: str) -> dict[str, list[str]]:
+    """The first words of the lines of a help text, by the heading that they stand below."""
+    sections = re.split(r"^(\S[^\n]*):\n", text, flags=re.MULTILINE)[1:]
+    return {
+        heading: re.findall(r"^  (\S+)", lines, re.MULTILINE)
+        for heading, lines in zip(sections[::2], sections[1::2], strict=True)
+    }
+
+
+def test_the_help_has_every_command_below_a_heading_and_the_first_ones_first() -> None:
+    shown = headings(CliRunner().invoke(main.app, ["--help"], env={"COLUMNS": "80"}).output)
+    assert list(shown) == [*main.PANELS, "Options"]
+    commands = [name for panel in main.PANELS for name in shown[panel]]
+    assert sorted(commands) == sorted(typer.main.get_command(main.app).commands)  # type: ignore[attr-defined]
+    assert shown["Start here"][:2] == ["doctor", "run"]
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_help_of_commands_keeps_to_the_terminal_and_cuts_no_sentence(columns: int) -> None:
+    for words in ([], ["run"], ["gripper"]):
+        lines = (
+            CliRunner()
+            .invoke(main.app, [*words, "--help"], terminal_width=columns, max_content_width=columns)
+            .output.splitlines()
+        )
+        assert max(map(len, lines)) <= columns
+        assert not [line for line in lines if line.endswith("...") and "Usage" not in line]
+
+
+def test_the_help_of_a_run_begins_with_the_options_that_most_runs_have() -> None:
+    shown = headings(CliRunner().invoke(main.app, ["run", "--help"]).output)
+    assert shown["Options"][:5] == ["--gripper", "--object", "--evaluations", "--workers", "--out"]
+    assert list(shown)[:2] == ["Arguments", "Options"]
+    assert {"--method", "--seed"} <= set(shown["Search"])
+    assert {"--security", "--listen"} <= set(shown["Processes and links"])
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_words_of_commands_are_completed_in_a_shell(shell: str) -> None:
+    def said(how: str, **asked: str) -> str:
+        environment = os.environ | {"_QDGRASP_COMPLETE": f"{how}_{shell}"} | asked
+        code = "import sys; sys.argv = ['qdgrasp']; from qdgrasp.entry import qdgrasp; qdgrasp()"
+        line = [sys.executable, "-c", code]
+        return subprocess.run(line, capture_output=True, check=False, text=True, env=environment).stdout
+
+    assert "complete_" + shell in said("source")
+    words = {"COMP_WORDS": "qdgrasp rer", "COMP_CWORD": "1", "_TYPER_COMPLETE_ARGS": "qdgrasp rer"}
+    assert "rerank" in said("complete", **words, _TYPER_COMPLETE_FISH_ACTION="get-args")

@@ -109,7 +109,7 @@ def test_coverage_is_drawn_where_there_is_a_set(campaign: Path) -> None:
     curves = table(out / "coverage.csv")
     assert {row["measure"] for row in curves} == {"coverage"}
     (whole,) = [row for row in table(out / "runs.csv") if row["run"] == "jaw-block-contact_me_scs-s0"]
-    assert (float(whole["coverage"]), float(whole["robust"])) == (1.0, 1.0)
+    assert (float(whole["coverage"]), float(whole["robust_coverage"])) == (1.0, 1.0)
 
 
 def test_the_estimate_of_a_set_of_ones_own_stands_beside_coverage(campaign: Path) -> None:

@@ -12,10 +12,10 @@ from tests.worker.genomes import draw
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol import extras
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
-from qdgrasp_worker import device
 from qdgrasp_worker.device import CPU_WORLDS, Device
 from qdgrasp_worker.engines.lockstep import BufferSizes, FingerControls, displacement
 from qdgrasp_worker.engines.lockstep_evaluator import BUFFER_FACTOR, LEAST_BUFFERS, LockstepEvaluator
@@ -157,10 +157,10 @@ def test_a_worker_without_a_device_refuses_such_a_scene():
 
 
 def test_a_device_needs_its_packages_and_has_worlds_that_fill_it(monkeypatch):
-    monkeypatch.setattr(device, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"--device cuda needs .* pip install 'qdgrasp\[gpu\]'"):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"cuda needs mujoco_warp, .*`pip install 'qdgrasp\[gpu\]'`"):
         Device.find("cuda")
-    monkeypatch.setattr(device, "find_spec", lambda name: name)
+    monkeypatch.setattr(extras, "find_spec", lambda name: name)
     assert Device.find("cuda:1") == ("cuda:1", MAX_POPULATION)
     assert Device.find("cpu") == ("cpu", CPU_WORLDS)
     assert Device.find("cpu", 3).worlds == 3

@@ -140,7 +140,7 @@ def _legend(counts: dict[str, int], width: int, glyphs: Glyphs) -> Text:
 def outcome_counts(figures: JobStatus) -> dict[str, int]:
     """Return the numbers of a job's genomes by the stage that they reached, from worst to best."""
     numbers = {
-        "no pose": figures.dead_ends,
+        "dead end": figures.dead_ends,
         "overlap": figures.overlaps,
         "no contact": figures.simulated - figures.successes,
         "dropped": figures.successes - figures.grasps,

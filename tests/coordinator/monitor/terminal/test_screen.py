@@ -1,9 +1,11 @@
 """The screen on a terminal, in the room that it has, and what keys change of it."""
 
 import io
+import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import reduce
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import pytest
@@ -355,7 +357,7 @@ def test_parts_share_the_room_and_the_first_come_first(room: int, wishes: list[t
 def test_every_genome_ends_at_one_stage() -> None:
     found = figures(dead_ends=5, overlaps=10, simulated=100, successes=60, grasps=40, robust=25)
     assert charts.outcome_counts(found) == {
-        "no pose": 5, "overlap": 10, "no contact": 40, "dropped": 20, "shaken": 15, "held": 25,
+        "dead end": 5, "overlap": 10, "no contact": 40, "dropped": 20, "shaken": 15, "held": 25,
     }  # fmt: skip
     assert sum(charts.outcome_counts(found).values()) == 115
 
@@ -371,8 +373,14 @@ def test_a_bar_is_as_wide_as_it_is_to_be_and_shows_whatever_is_there(numbers: li
 def test_all_stages_are_named_beside_their_bar(width: int) -> None:
     bar, legend = charts.outcome_lines(job(), width, UNICODE)
     assert bar.cell_len == width
-    for name in ("no pose", "overlap", "no contact", "dropped", "shaken", "held"):
+    for name in ("dead end", "overlap", "no contact", "dropped", "shaken", "held"):
         assert name in legend.plain
+
+
+def test_the_stages_are_called_as_in_the_glossary() -> None:
+    glossary = (Path(__file__).parents[4] / "docs" / "glossary.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^\| outcome \|.*", glossary, re.MULTILINE)
+    assert {name for name in charts.outcome_counts(job().figures) if f"`{name}`" not in line} == set()
 
 
 @pytest.mark.parametrize(("evaluations", "full"), [(0, 0), (50_000, 0.5), (100_000, 1), (120_000, 1)])

@@ -37,7 +37,7 @@ export class SummaryPanel {
 
   #origin(job, run, now) {
     const { host, epoch, since, version } = job.meta;
-    const coordinator = `coordinator on ${host}, turn ${epoch}, up ${span(now - Date.parse(since) / 1000)}, version ${version}`;
+    const coordinator = `coordinator on ${host}, epoch ${epoch}, up ${span(now - Date.parse(since) / 1000)}, version ${version}`;
     const what = run && `${run.method} with ${run.gripper} on ${run.object}, seed ${run.seed}, protocol ${run.protocol}`;
     setText(this.find("origin"), what || coordinator);
   }

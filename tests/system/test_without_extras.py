@@ -1,0 +1,144 @@
+"""Without the packages of extras: the main job to its end, and a sentence for each feature that needs one."""
+
+import os
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+from tests.golden.runs import RECORDED
+from tests.system.commands import Commands, end_of
+from typer.testing import CliRunner
+
+import qdgrasp as api
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.cli.monitor_process import app as monitor_app
+from qdgrasp_coordinator.export.text_format import shortest_decimals
+from qdgrasp_protocol.extras import EXTRAS, MissingPackage
+
+ROOT = Path(__file__).parents[2]
+IMPORTED = {
+    "prometheus-client": "prometheus_client",
+    "mujoco-warp": "mujoco_warp",
+    "warp-lang": "warp",
+    "mujoco": "",  # the same modules as mujoco-core, which is no extra
+}
+"""What packages with another name are imported as."""
+FOREIGN = {"numba", "pandas", "sklearn"}
+"""What pyribs alone brings."""
+SCENE = ("--gripper", "panda", "--object", "tennis_ball")
+CAMPAIGN = '[defaults]\ngripper = "panda"\nevaluations = 20\n[[cross]]\nobject = ["tennis_ball"]\n'
+LEFT_OUT = sorted({*(name for names in EXTRAS.values() for name in names), *FOREIGN})
+
+
+@pytest.fixture
+def without_extras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder with a run and files of each kind that is read; no package of an extra can be imported."""
+    for name in LEFT_OUT:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(RECORDED / "finished", "finished")
+    Path("grasps.h5").write_bytes(b"\x89HDF\r\n\x1a\nmore")
+    Path("grasps.parquet").write_bytes(b"PAR1 more")
+    Path("objects.parquet").write_bytes(b"PAR1 more")
+    Path("dataset").mkdir()
+    Path("campaign.toml").write_text(
+        CAMPAIGN.replace('gripper = "panda"', 'gripper = "panda"\nmethod = "cma_mae"')
+    )
+    Path("library.toml").write_text(CAMPAIGN.replace('["tennis_ball"]', '["objects.parquet"]'))
+    return tmp_path
+
+
+EXPORT = ("export", "finished", "-o", "made", "--format")
+IMPORT = ("import", *SCENE, "-o", "made.npz")
+
+
+@pytest.mark.parametrize(
+    ("words", "need", "package", "extra"),
+    [
+        (("run", *SCENE, "--method", "cma_mae", "--out", "made"), "The method cma_mae", "ribs", "cma"),
+        (("campaign", "campaign.toml", "--out", "made"), "The method cma_mae", "ribs", "cma"),
+        (("campaign", "library.toml", "--out", "made"), "objects.parquet", "pyarrow", "export"),
+        ((*EXPORT, "acronym"), "The format acronym", "h5py", "export"),
+        ((*EXPORT, "parquet"), "The format parquet", "pyarrow", "export"),
+        ((*IMPORT, "grasps.h5"), "grasps.h5", "h5py", "export"),
+        ((*IMPORT, "grasps.parquet"), "grasps.parquet", "pyarrow", "export"),
+        ((*IMPORT, "dataset", "--of", "tennis_ball"), "The data set dataset", "pyarrow", "export"),
+        (("view", "finished", "--no-open"), "The page", "prometheus_client", "monitor"),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_a_feature_names_the_extra_that_it_needs_and_writes_nothing(
+    without_extras: Path, words: tuple[str, ...], need: str, package: str, extra: str
+) -> None:
+    before = sorted(without_extras.rglob("*"))
+    check_refusal(CliRunner().invoke(app, list(words)).exception, need, package, extra)
+    assert sorted(without_extras.rglob("*")) == before
+
+
+def check_refusal(refused: BaseException | None, need: str, package: str, extra: str) -> None:
+    assert isinstance(refused, MissingPackage), refused
+    assert refused.exit_code == 2
+    said = f"{need} needs {package}, which is not installed here; "
+    assert said + f"install it with `pip install 'qdgrasp[{extra}]'`." in str(refused)
+
+
+@pytest.mark.usefixtures("without_extras")
+def test_the_page_of_the_monitor_and_tables_in_programs_name_their_extras_too() -> None:
+    asked = CliRunner().invoke(monitor_app, ["--web", "127.0.0.1:0"])
+    check_refusal(asked.exception, "--web", "prometheus_client", "monitor")
+    with pytest.raises(MissingPackage, match=r"^Run\.tables needs pyarrow"):
+        next(api.open("finished").tables())
+
+
+def test_a_data_set_names_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from qdgrasp_coordinator.campaign.campaign_export import export_campaign
+
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingPackage) as refused:
+        export_campaign(tmp_path, tmp_path / "made", "csv", None)  # type: ignore[arg-type]  # not looked at
+    check_refusal(refused.value, "A data set", "pyarrow", "export")
+
+
+def test_numbers_are_the_same_words_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = np.random.default_rng(0)
+    some = generator.normal(size=2000) * 10.0 ** generator.integers(-12, 20, 2000)
+    numbers = np.concatenate([some, [0.0, -0.0, 1e16, 1e-5, 16777217.0, np.nan, np.inf, -np.inf]])
+    with_arrow = [shortest_decimals(numbers.astype(kind)) for kind in (np.float32, np.float64)]
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert [shortest_decimals(numbers.astype(kind)) for kind in (np.float32, np.float64)] == with_arrow
+
+
+def test_the_extras_are_those_of_the_distribution() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    listed = project["optional-dependencies"]
+    for extra, packages in EXTRAS.items():
+        names = [Requirement(text).name for text in listed[extra]]
+        assert {IMPORTED.get(name, name) for name in names} - {""} == set(packages)
+    (every,) = map(Requirement, listed["all"])
+    assert every.extras == {*EXTRAS, "worker"} - {"gpu"}
+    assert "qdgrasp[all]" in listed["dev"]
+    base = {Requirement(text).name for text in project["dependencies"]}
+    assert not base & {name for names in EXTRAS.values() for name in names}
+
+
+def test_the_main_job_does_without_the_packages_of_extras(qdgrasp: Commands) -> None:
+    (qdgrasp.home / "absent").mkdir()
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({LEFT_OUT}))"
+    (qdgrasp.home / "absent" / "sitecustomize.py").write_text(blocked)
+    paths = os.pathsep.join([str(qdgrasp.home / "absent"), os.environ.get("PYTHONPATH", "")])
+
+    def said(*words: object) -> str:
+        return end_of(qdgrasp.start(*words, PYTHONPATH=paths))[0]
+
+    search = ("--method", "antipodal_me_scs", "--population", 10, "--evaluations", 40, "--workers", 1)
+    said("run", *SCENE, "--protocol", "physical", "--engine", "mujoco", *search, "--out", "run")
+    assert "40 evaluations" in said("info", "run")
+    said("render", "run", "--grasp", 0, "-o", "drawn.png")
+    for name, out in (("csv", "g.csv"), ("isaac", "g.yaml"), ("moveit", "m.yaml"), ("webdataset", "g.tar")):
+        said("export", "run", "--format", name, "-o", out)
+    assert all((qdgrasp.home / name).stat().st_size for name in ("drawn.png", "g.csv", "g.yaml", "g.tar"))
+    assert "ok      packages" in said("doctor")
