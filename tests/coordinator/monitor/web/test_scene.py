@@ -378,6 +378,15 @@ def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
     alone.wait_for_function(f"(before) => {scale} < before / 1.1", arg=first)
 
 
+def test_around_a_large_object_voxels_are_drawn_large_enough_to_be_seen(alone: Page) -> None:
+    """Squares have a quarter more than the edge of a cube, which is at least 5 pixels."""
+    sizes = alone.evaluate("""() => {
+      const { renderer, objects } = view, { right, up, toward } = renderer.projection;
+      return [100, 400, 4000].map((scale) => objects.voxels.aim({ right, up, toward, scale, plain: true }));
+    }""")
+    assert sizes == pytest.approx([1.25 * 5, 1.25 * 5, 1.25 * 0.0078 * 4000])
+
+
 def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
     finest, coarsest, again = alone.evaluate(
         """async () => {

@@ -166,7 +166,7 @@ export class Renderer {
     const width = Math.max(1, Math.round(projection.width * scale)), height = Math.max(1, Math.round(projection.height * scale));
     if (this.canvas.width !== width || this.canvas.height !== height) webgl.setSize(width, height, false);
     const now = performance.now() / 1000, { right, up, toward } = projection;
-    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, now, ...looks }) ?? 0;
+    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, page: projection.scale, now, ...looks }) ?? 0;
     const band = Math.ceil(size / 2); // a voxel whose middle is beyond the edge may still be seen
     webgl.setViewport(-band, -band, width + 2 * band, height + 2 * band);
     webgl.render(this.scene, projection.around(0, 0, projection.width + (2 * band) / scale, projection.height + (2 * band) / scale));
