@@ -79,14 +79,24 @@ def common_camera(
 
 def draw_hands(hands: PlacedHands, camera: ParallelCamera) -> Iterator[NDArray[np.uint8]]:
     """Yield a picture (rows, columns, 3) of the object with each hand alone, on white."""
-    body = object_mesh(hands.scene)
-    alone, distance = LayeredImage(camera), SurfaceDistanceGrid(body)
-    paint_solid(alone, RayMesh(body), rgb(CLAY))
+    for image in paint_hands(hands, camera, SurfaceDistanceGrid(object_mesh(hands.scene))):
+        yield np.rint(255 * image.composed()).astype(np.uint8)
+
+
+def paint_hands(
+    hands: PlacedHands, camera: ParallelCamera, distance: SurfaceDistanceGrid
+) -> Iterator[LayeredImage]:
+    """Yield the image of the object with each hand alone; the next one takes its place.
+
+    `distance` are distances from the object's surface.
+    """
+    image = LayeredImage(camera)
+    paint_solid(image, RayMesh(object_mesh(hands.scene)), rgb(CLAY))
     for links in hands.links():
-        alone.translucent.clear()
+        image.translucent.clear()
         for link in links:
-            paint_link(alone, link, distance)
-        yield np.rint(255 * alone.composed()).astype(np.uint8)
+            paint_link(image, link, distance)
+        yield image
 
 
 class PanelLabel(NamedTuple):

@@ -20,7 +20,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
-    FAR,
     RAYS_PER_PIXEL,
     Floats,
     LayeredImage,
@@ -151,12 +150,16 @@ def object_picture(scene: Scene, pixels: int) -> bytes:
     side = RAYS_PER_PIXEL * pixels
     image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
     paint_solid(image, RayMesh(body), rgb(CLAY))
-    cells = (pixels, RAYS_PER_PIXEL, pixels, RAYS_PER_PIXEL)
-    covered = (image.depth < 2 * FAR).reshape(cells).mean(axis=(1, 3))
-    colour = (image.composed() - 1) / np.maximum(covered, 1e-3)[:, :, None] + 1  # without the white ground
-    layers = np.concatenate([np.clip(colour, 0, 1), covered[:, :, None]], axis=2)
+    return clear_png(image)
+
+
+def clear_png(image: LayeredImage) -> bytes:
+    """Return an image on a transparent ground, as a PNG."""
+    light, dark = image.composed(), image.composed(ground=0.0)
+    covered = 1 - (light - dark).mean(axis=2, keepdims=True)
+    layers = np.concatenate([dark / np.maximum(covered, 1e-3), covered], axis=2)
     file = io.BytesIO()
-    Image.fromarray(np.rint(255 * layers).astype(np.uint8)).save(file, format="PNG")
+    Image.fromarray(np.rint(255 * np.clip(layers, 0, 1)).astype(np.uint8)).save(file, format="PNG")
     return file.getvalue()
 
 

@@ -229,7 +229,7 @@ def test_the_hand_is_closed_and_opened_by_keys_and_contacts_are_there_when_it_is
 
 
 def test_kinds_may_be_left_out(page: Page) -> None:
-    page.get_by_role("button", name="all survived").click()
+    page.locator("#scene-key").get_by_role("button", name="all survived").click()
     expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
     page.get_by_role("button", name="Next grasp").click()
     expect(page.locator("#grasp h4")).to_have_text("Grasp 4")
@@ -469,7 +469,7 @@ def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(filtere
 
 
 def test_a_kind_that_is_left_out_uncovers_what_else_is_in_its_cells(filtered: Page) -> None:
-    filtered.get_by_role("button", name="all survived").click()
+    filtered.locator("#scene-key").get_by_role("button", name="all survived").click()
     expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
     kinds(filtered).to_have_text(["2", "1", "\N{EN DASH}"])
 
