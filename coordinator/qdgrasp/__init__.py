@@ -4,12 +4,14 @@ What a program needs of it (docs/python.md):
 
 * `open(path)`            a run's folder: its spec, its scene, its figures, its grasps as arrays; or a
                          campaign's: its runs, one after the other
+* `Hand(gripper)`         a hand: its joints, its shapes as a scene
 * `evaluate(...)`         scores of hand poses
 * `Evaluations(...)`      rows of genomes, whenever an optimiser of one's own wants some
 * `optimise(search, ...)` a run with a search of one's own, asked and told in order, and its folder
 * `serve(evaluator)`      an evaluator of one's own, as a worker on the bus
 
-`Place` says where that is done. Nothing is loaded before it is used.
+`Place` says where that is done. Nothing is loaded before it is used. Notebooks show runs, campaigns, grasps
+and hands as pictures with their key figures.
 """
 
 TYPE_CHECKING = False  # that of `typing`, which takes longer to load than all that is here
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from qdgrasp.backend import Place
     from qdgrasp.evaluations import Evaluations, evaluate
     from qdgrasp.evaluator_worker import serve
+    from qdgrasp.hand import Hand
     from qdgrasp.optimisation import Search, optimise
     from qdgrasp.runs import CampaignRuns, Run, open  # noqa: A004  # said as qdgrasp.open
     from qdgrasp_assets.scene import Scene
@@ -32,6 +35,7 @@ HOMES = {
     "Genomes": "qdgrasp_protocol.rows",
     "Grasp": "qdgrasp_coordinator.export.grasp_set",
     "Grasps": "qdgrasp_coordinator.export.grasp_set",
+    "Hand": "qdgrasp.hand",
     "Hands": "qdgrasp_worker.runtime.evaluator_api",
     "InputError": "qdgrasp_protocol.errors",
     "Layout": "qdgrasp_protocol.rows",
@@ -57,6 +61,7 @@ __all__ = [
     "Genomes",
     "Grasp",
     "Grasps",
+    "Hand",
     "Hands",
     "InputError",
     "Layout",

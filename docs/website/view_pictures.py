@@ -38,12 +38,18 @@ def address(commands: Commands, run: str) -> str:
 
 
 def grasp(chromium: Any, place: str, out: Path) -> None:
-    """A chosen grasp with its frames, on a desk."""
+    """A chosen grasp with its frames, and two grasps beside each other, on a desk."""
     page = opened(chromium, place, color_scheme="light")
-    for key in ("n", *["+"] * 3):
+    for key in ("n", "+", "+"):
         page.locator("#scene").press(key)
     page.locator("#grasp h4").wait_for()
     take(page, out / "grasp-desktop-light.png")
+    page = opened(chromium, place, color_scheme="light")
+    page.keyboard.press("n")
+    page.get_by_role("button", name="Keep beside").click()
+    page.locator("#scene-best button").nth(4).click()
+    page.get_by_role("button", name="Draw the frames").click()
+    take(page, out / "pair-desktop-light.png")
 
 
 def filtered(chromium: Any, place: str, out: Path) -> None:

@@ -97,6 +97,8 @@ ELSEWHERE = {
     r"make ": "Make's targets are what `make` itself, CI and the tests run",
     r"python3\.11 -m venv|/opt/qdgrasp/bin/pip": "installs the package from the network",
     r"sh deploy/container/trim\.sh|/opt/qdgrasp/bin/qdgrasp-worker": "needs an environment from the network",
+    r"pip install viser": "installs the package from the network",
+    r"python examples/viser_grasps\.py": "needs viser; tests/examples has a stand-in of it",
     r"\. \.venv/bin/activate": "enters the environment, in which tests are already",
     r"python -m (tests|benchmarks|docs)\b": "runs for minutes to hours; the modules have tests of their own",
     r"systemctl ": "needs systemd and root; the units have tests of their own (tests/deploy)",

@@ -13,10 +13,14 @@ import trimesh
 from docs.demo import MARKER, clear
 from tests.assets import example_hands
 from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.coordinator.export.conftest import random_rows
+from tests.coordinator.recorded_runs import record
+from tests.coordinator.scenes import made_scene
 from tests.system.commands import ROUTER, WORKER, Commands, end_of, says
 
 import qdgrasp
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.rows import Outcome
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -69,6 +73,48 @@ def test_a_search_of_ones_own_makes_a_run_whose_grasps_are_arrays(scripts: Scrip
         assert f"{grasp.number}: {grasp.outcome.name} at " in said
     with np.load(scripts.home / "mine-robust.npz") as kept:
         assert kept["poses"].tobytes() == run.grasps(min_fitness=2).settled_poses("mesh").tobytes()
+
+
+VISER = """
+class Handle:
+    def __init__(self, value):
+        self.value = value
+    def on_update(self, call):
+        return call
+    def remove(self):
+        print("removed")
+class ViserServer:
+    def __init__(self, host, port):
+        print("served at", host, port)
+        self.scene = self.gui = self.initial_camera = self
+    def set_up_direction(self, direction): pass
+    def add_frame(self, name, **looks): pass
+    def add_dropdown(self, name, labels):
+        return Handle(labels[0])
+    def add_checkbox(self, name, value):
+        return Handle(value)
+    def add_mesh_trimesh(self, name, mesh):
+        print(name, len(mesh.faces))
+        return Handle(name)
+    def sleep_forever(self): pass
+"""
+"""What the example uses of viser, which is not installed with this package."""
+
+
+def test_grasps_are_shown_with_viser(scripts: Scripts) -> None:
+    record(
+        scripts.home / "mug",
+        made_scene(),
+        random_rows(made_scene(), [Outcome.HELD] * 3),
+        method="contact_rand",
+    )
+    (scripts.home / "viser.py").write_text(VISER)
+    said = scripts("viser_grasps.py", "mug", 8123).splitlines()
+    assert said[0] == "served at 127.0.0.1 8123"
+    assert sorted(line.split()[0] for line in said[1:]) == [
+        *("/hand/left_finger", "/hand/palm", "/hand/right_finger", "/object")
+    ]
+    assert all(int(line.split()[1]) == 12 for line in said[1:])
 
 
 def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands) -> None:

@@ -207,18 +207,34 @@ RenderFlag = Literal["all", "closing", "shakes"]
 
 def render(
     directory: options.RunDir,
-    grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
     out: Annotated[
         Path,
         typer.Option(
             "--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif); its folder is made."
         ),
     ],
+    grasp: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")
+    ] = None,
+    grasps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHICH",
+            help="Several beside each other: best:12, diverse:12, random:12, or rows' numbers: 3,17,22.",
+        ),
+    ] = None,
     trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
     what: Annotated[
         RenderFlag | None, typer.Option(help="Which part of the evaluation a film has; default: all.")
     ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Width and height [pixels].")] = "640x560",
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH",
+            show_default=False,
+            help="Width and height [pixels]; default: 640x560, with --grasps 320x280 of each.",
+        ),
+    ] = None,
     view: Annotated[
         str | None,
         typer.Option(
@@ -233,37 +249,62 @@ def render(
     pregrasp: Annotated[
         bool, typer.Option("--pregrasp", help="Draw the open hand in its commanded pose, before closing.")
     ] = False,
+    no_labels: Annotated[
+        bool, typer.Option("--no-labels", help="Draw no words: neither names of frames nor lines below.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
-    """Carry one evaluation of a run out again and draw it, with its contacts and frames.
+    """Carry one evaluation of a run out again and draw it, with its contacts and frames;
+    or draw several grasps beside each other.
 
     Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
     was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. What is seen
     is compared with what is recorded: where they differ that is said, and the exit code is 1.
 
+    With --grasps nothing is carried out again: each hand is drawn as it is recorded after closing, all from
+    one side and at one scale, each above its number, outcome, score and margin.
+
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
-    """
+
+    Example: qdgrasp render runs/demo --grasps best:12 -o sheet.png
+    """  # noqa: D205  # typer joins the lines
+    if (grasp is None) == (grasps is None):
+        raise InputError("Name one row with --grasp N, or several with --grasps, as in --grasps best:12.")
     from qdgrasp_coordinator.verification.evaluation_picture import (
         LARGEST,  # what draws takes its time to load
+        SMALLEST,
         difference_reason,
         write_evaluation,
     )
     from qdgrasp_coordinator.verification.replay_client import ReplayOptions, replay_target
 
+    if grasps is not None:
+        alone = options.given(trial=trial, what=what, parts=parts or None)
+        if alone:
+            raise InputError(f"--{next(iter(alone))} is about one evaluation; leave it out with --grasps.")
+        _render_sheet(
+            directory, grasps, OutFile(out, suffixes=(".png",), force=force), size, view, pregrasp, no_labels
+        )
+        return
     output = OutFile(out, suffixes=tuple(LARGEST), force=force)
     output.check()
-    is_film = out.suffix.lower() == ".gif"
+    suffix = out.suffix.lower()
+    is_film = suffix == ".gif"
     if what is not None and not is_film:
         raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
     if pregrasp and is_film:
         raise InputError(f"--pregrasp draws one picture, and {out} is a film: name a .png.")
     wish = ReplayOptions(
-        _picture_size(size, out), _camera_view(view), (what or "all") if is_film else None, parts, pregrasp
+        _picture_size(size or "640x560", SMALLEST, LARGEST[suffix], f" for a {suffix}"),
+        _camera_view(view),
+        (what or "all") if is_film else None,
+        parts,
+        pregrasp,
     )
-    shown = replay_target(RunFolder.open(directory), grasp, trial)
+    shown = replay_target(RunFolder.open(directory), grasp or 0, trial)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
-        unlike = write_evaluation(shown, wish, output, stop)
+        unlike = write_evaluation(shown, wish, output, stop, has_labels=not no_labels)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
@@ -273,17 +314,45 @@ def render(
         raise typer.Exit(1)
 
 
-def _picture_size(text: str, out: Path) -> "PictureSize":
-    from qdgrasp_coordinator.verification.evaluation_picture import LARGEST, SMALLEST
-    from qdgrasp_coordinator.verification.replay_client import PictureSize
+def _render_sheet(
+    directory: Path,
+    grasps: str,
+    output: OutFile,
+    size: str | None,
+    view: str | None,
+    pregrasp: bool,
+    no_labels: bool,
+) -> None:
+    from qdgrasp_coordinator.verification.grasp_sheet import (
+        LARGEST_PANEL,  # what draws takes its time to load
+        SMALLEST_PANEL,
+        SheetChoice,
+        write_sheet,
+    )
 
-    largest = LARGEST[out.suffix.lower()]
+    output.check()
+    choice = SheetChoice.parse(grasps)
+    panel = _picture_size(size or "320x280", SMALLEST_PANEL, LARGEST_PANEL, " with --grasps")
+    camera = _camera_view(view)
+    chosen = choice.read(RunFolder.open(directory))
+    with lifetime("qdgrasp render") as stop:
+        title = choice.title(chosen)
+        write_sheet(
+            chosen, title, panel, output, stop, view=camera, pregrasp=pregrasp, has_labels=not no_labels
+        )
+        if stop.is_set:
+            raise typer.Exit(stop.exit_code)
+    numbers = ", ".join(map(str, chosen.numbers.tolist()))
+    echo(f"{title}; drawn in {output.path}: {numbers}")
+
+
+def _picture_size(text: str, smallest: "PictureSize", largest: "PictureSize", of: str) -> "PictureSize":
     words = text.lower().split("x")
     if len(words) == 2 and all(word.isdecimal() for word in words):
-        size = PictureSize(*map(int, words))
-        if SMALLEST.width <= size.width <= largest.width and SMALLEST.height <= size.height <= largest.height:
+        size = type(smallest)(*map(int, words))
+        if smallest.width <= size.width <= largest.width and smallest.height <= size.height <= largest.height:
             return size
-    raise ImpossibleValue("--size", text, f"{SMALLEST} to {largest} for a {out.suffix.lower()}")
+    raise ImpossibleValue("--size", text, f"{smallest} to {largest}{of}")
 
 
 def _camera_view(text: str | None) -> tuple[float, float] | None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,17 @@ from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
+if TYPE_CHECKING:
+    from trimesh import Scene as TrimeshScene
+
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 
 
 class Grasp(NamedTuple):
     """One grasp: two poses of the hand's root link in the frame of the object's mesh file.
 
-    The commanded pose goes with the joints `pregrasp`, the settled pose with the joints `joints`.
+    The commanded pose goes with the joints `pregrasp`, the settled pose with the joints `joints`. A notebook
+    shows it as a picture with its key figures.
     """
 
     number: int
@@ -69,6 +73,51 @@ class Grasp(NamedTuple):
     """Trials that it is of."""
     confidence: float
     """0 to 1."""
+    grasps: "Grasps"
+    """The grasps of which it is one."""
+    place: int
+    """Its place in them."""
+
+    @property
+    def arrays(self) -> "Grasps":
+        """The same grasp as arrays of one line, with everything else that is known of it."""
+        return self.grasps[np.array([self.place])]
+
+    def scene(self, frame: Frame = MESH, *, closed: bool = True) -> "TrimeshScene":
+        """Return hand and object as a scene of trimesh, in metres.
+
+        Parameters
+        ----------
+        frame
+            The world of the scene: "mesh", the frame of the object's mesh file, or "com", the same axes at
+            its centre of mass.
+        closed
+            True: the hand as it settled, with `joints`; False: open in the commanded pose, with `pregrasp`.
+
+        Returns
+        -------
+        scene
+            Nodes `object`; `hand`, the frame of the hand's root link; and below it `hand/LINK`, the collision
+            shapes of each link.
+
+        Raises
+        ------
+        UnknownName
+            There is no such frame.
+
+        Examples
+        --------
+        >>> grasp = next(iter(qdgrasp.open("runs/mug").grasps(top=1)))
+        >>> grasp.scene().export("grasp.glb")
+        """
+        from qdgrasp_coordinator.export.grasp_pictures import grasp_scene  # takes its time to load
+
+        return grasp_scene(self.arrays, frame_of(frame), closed=closed)
+
+    def _repr_html_(self) -> str:
+        from qdgrasp_coordinator.export.grasp_pictures import grasp_card  # takes its time to load
+
+        return grasp_card(self.arrays)
 
 
 CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
@@ -95,7 +144,8 @@ class GraspContacts(NamedTuple):
 class Grasps:
     """Evaluations of one scene, as arrays of n lines.
 
-    Indexed by a number it gives one grasp, by a slice, mask or array several.
+    Indexed by a number it gives one grasp, by a slice, mask or array several. A notebook shows the first few
+    of them as a picture.
     """
 
     scene: Scene
@@ -161,6 +211,8 @@ class Grasps:
             eta_error=float(self.eta_error[place]),
             trials=int(self.trials[place]),
             confidence=float(self.confidence[place]),
+            grasps=self,
+            place=int(place),
         )
 
     @cached_property
@@ -314,6 +366,21 @@ class Grasps:
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the commanded poses as homogeneous matrices."""
         return to_matrices(self.poses(frame))
+
+    def to_pandas(self, frame: Frame = MESH) -> Any:
+        """Return the grasps as a `pandas.DataFrame`, a line each.
+
+        The columns are those of `qdgrasp export --format parquet` (docs/formats.md), with poses in the
+        object's `frame`. Raises InputError where pandas is not installed, UnknownName for another frame.
+        """
+        from qdgrasp_coordinator.export.tabular import data_frame, grasp_table  # pyarrow takes its time
+
+        return data_frame(grasp_table(self, frame_of(frame), {}))
+
+    def _repr_html_(self) -> str:
+        from qdgrasp_coordinator.export.grasp_pictures import grasps_card  # takes its time to load
+
+        return grasps_card(self)
 
 
 def join_grasps(parts: Sequence[Grasps]) -> Grasps:

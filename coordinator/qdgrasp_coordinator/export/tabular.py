@@ -10,6 +10,7 @@ import tarfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
@@ -30,6 +31,7 @@ from qdgrasp_coordinator.export.imported_grasps import (
 )
 from qdgrasp_coordinator.export.metadata import GraspMetadata
 from qdgrasp_coordinator.export.text_format import shortest_decimals
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
 
 JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
@@ -214,6 +216,22 @@ def write_parquet(path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> 
     with ParquetShard(path) as shard:
         for part in chosen:
             shard.add(grasp_table(part, metadata.frame, {METADATA_KEY: metadata.json}))
+
+
+def load_pandas() -> Any:
+    """Return the package pandas; InputError with how to get it where it is not installed."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise InputError(
+            "to_pandas() needs pandas, which is not installed: `pip install pandas` brings it."
+        ) from None
+
+
+def data_frame(table: Any) -> Any:
+    """Return a table of Arrow as a `pandas.DataFrame`; InputError where there is no pandas."""
+    load_pandas()
+    return table.to_pandas()
 
 
 def grasp_table(

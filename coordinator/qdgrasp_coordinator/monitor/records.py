@@ -105,6 +105,9 @@ class Records(Protocol):
     def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
         """Return the verdicts of other engines on successes of a run, read anew when they change."""
 
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return what a run was asked for, in words by their names, as far as it is known."""
+
 
 @dataclass(frozen=True)
 class FolderJob:
@@ -243,6 +246,13 @@ class BusRecords:
         """Return none: the recorder does not tell them."""
         return {}
 
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return what the recorder lists of the run's spec; nothing before it has counted the run."""
+        entry = self.entry(job, run)
+        names = ("gripper", "object", "method", "protocol", "seed")
+        found = {name: str(getattr(entry, name)) for name in names} if entry else {}
+        return found | ({"evaluations": str(entry.budget)} if entry else {})
+
     def _entries(self, job: str, parameters: str) -> RunListings:
         answer = self._bus.ask(Keys(job).entries, parameters=parameters)
         try:
@@ -303,3 +313,12 @@ class FolderRecords:
     def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
         """Read the tables in the folder."""
         return other_tables(self._index.run(job, run))
+
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return the spec in the folder, but for tables and poses in it."""
+        values = msgspec.structs.asdict(self._index.run(job, run).spec)
+        return {
+            name.replace("_", " "): printable(str(value))
+            for name, value in values.items()
+            if isinstance(value, str | int | float)
+        }

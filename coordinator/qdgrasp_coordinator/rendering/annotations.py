@@ -1,10 +1,12 @@
 """Draws frames, the approach axis, contacts and labels over a rendered picture.
 
-Labels stand beside what they name, none over another; lines are supersampled.
+Labels stand beside what they name, none over another, and none over the hand or the object; lines are
+supersampled.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -18,7 +20,6 @@ from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.replay_messages import ContactPoint, Pose, ReplayCamera, ReplayFrame
 
 EDGE_MARGIN = 4  # Pixels between words and the edge of the picture
-LABEL_MARGIN = 1.0  # Pixels around words that belong to them
 LINE_HEIGHT = 1.05  # Height of a line, in heights of its letters
 Anchor: TypeAlias = Literal["l", "m", "r"]
 """Alignment: words begin at their spot, have their middle there, or end there."""
@@ -59,32 +60,72 @@ class Label:
     spots: Sequence[LabelSpot]
     """Places where it may stand, best first."""
     is_needed: bool = True
-    """True: it may cover dots, and takes its first spot if none is free; False: it is left out."""
+    """True: it may cover dots, and goes where there is room if no spot is free; False: it is left out."""
+    named: tuple[float, float] | None = None
+    """Column and row of what it names, to which a thin line leads from afar; None: its first spot."""
+
+
+class CoveredArea:
+    """The pixels (rows, columns) of a picture in which hand or object is seen."""
+
+    def __init__(self, is_covered: NDArray[np.bool_]) -> None:
+        self.height, self.width = is_covered.shape
+        # counts of covered pixels above and left of each corner: a box takes four of them (Crow 1984)
+        self._counts = np.zeros((self.height + 1, self.width + 1), np.int64)
+        self._counts[1:, 1:] = is_covered.cumsum(axis=0).cumsum(axis=1)
+
+    def overlaps(self, box: PixelBox) -> bool:
+        """Return whether a covered pixel is in a box."""
+        left, right = np.clip([np.floor(box.left), np.ceil(box.right)], 0, self.width).astype(int)
+        top, bottom = np.clip([np.floor(box.top), np.ceil(box.bottom)], 0, self.height).astype(int)
+        counts = self._counts
+        return bool(counts[bottom, right] - counts[top, right] - counts[bottom, left] + counts[top, left])
+
+    def spots_around(self, spot: LabelSpot, step: float) -> Iterator[LabelSpot]:
+        """Yield places all over the picture, `step` pixels apart, the nearest ones first."""
+        sides = (np.arange(step, side - step / 2, step) for side in (self.width, self.height))
+        places = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+        order = np.argsort(np.hypot(*(places - [spot.x, spot.y]).T), kind="stable")
+        yield from (LabelSpot(x, y, "m") for x, y in places[order].tolist())
 
 
 def arrange_labels(
     labels: Iterable[Label],
     lines: Iterable[PixelBox],
     dots: Iterable[PixelBox],
-    width: float,
+    covered: CoveredArea,
     length: Callable[[Label], float],
 ) -> Iterator[tuple[Label, LabelSpot]]:
     """Yield labels with their spots, needed ones first, each at its first spot that is free.
 
-    No label stands on the boxes `lines`, and none that may be left out on the boxes `dots`: in a film dots
-    come and go, and names stay. No letter lies beyond the `width` of the picture; `length` returns that of a
-    label.
+    No label stands on what is `covered`, none on the boxes `lines`, and none that may be left out on the
+    boxes `dots`: in a film dots come and go, and names stay. A needed label with no free spot stands at the
+    nearest place with room, if need be over lines. No letter lies beyond the width of the picture; `length`
+    returns that of a label.
     """
     taken, dots = list(lines), list(dots)
     for label in sorted(labels, key=lambda label: not label.is_needed):
-        others = taken if label.is_needed else taken + dots
-        spots = [_shifted_inside(spot, length(label), width) for spot in label.spots]
-        free = [
-            spot for spot in spots if not any(map(_label_box(label, spot, length(label)).overlaps, others))
-        ]
-        for spot in free[:1] or spots[: label.is_needed]:
-            taken.append(_label_box(label, spot, length(label)))
+        everywhere = covered.spots_around(label.spots[0], label.size) if label.is_needed else ()
+        wide, others = length(label), taken if label.is_needed else taken + dots
+        spots = (_shifted_inside(spot, wide, covered.width) for spot in chain(label.spots, everywhere))
+        spot = _chosen_spot(label, spots, wide, covered, others)
+        if spot is not None:
+            taken.append(_label_box(label, spot, wide))
             yield label, spot
+
+
+def _chosen_spot(
+    label: Label, spots: Iterable[LabelSpot], length: float, covered: CoveredArea, taken: Sequence[PixelBox]
+) -> LabelSpot | None:
+    """Return the first free spot; without one, of a needed label, the first uncovered one."""
+    over_lines = None
+    for spot in spots:
+        box = _label_box(label, spot, length)
+        if not covered.overlaps(box):
+            if not any(map(box.overlaps, taken)):
+                return spot
+            over_lines = over_lines or spot
+    return over_lines if label.is_needed else None
 
 
 def _shifted_inside(spot: LabelSpot, length: float, width: float) -> LabelSpot:
@@ -95,21 +136,29 @@ def _shifted_inside(spot: LabelSpot, length: float, width: float) -> LabelSpot:
 
 def _label_box(label: Label, spot: LabelSpot, length: float) -> PixelBox:
     left, half = spot.x - ANCHOR_SHARES[spot.anchor] * length, LINE_HEIGHT * label.size / 2
-    top, bottom = spot.y - half - LABEL_MARGIN, spot.y + half + LABEL_MARGIN
-    return PixelBox(left - LABEL_MARGIN, top, left + length + LABEL_MARGIN, bottom)
+    halo = _halo(label.size)
+    return PixelBox(left - halo, spot.y - half - halo, left + length + halo, spot.y + half + halo)
+
+
+def _halo(size: int) -> int:
+    """Return the width of the rim around letters that belongs to them [pixels]."""
+    return max(1, size // 7)
 
 
 SUPERSAMPLING = 3  # Factor by which lines are drawn finer than they are shown
 FONT_FILE = "DejaVuSans.ttf"
+LEAST_LETTERS = 7  # The smallest letters [pixels]
+LEADER_FROM, LEADER_WIDTH = 1.5, 1.0  # Distance of words with a leader [their heights]; its width [pixels]
 LINE_BOX_STEP = 2.0  # Spacing of the boxes along a line that words keep clear of [pixels]
 HALO_COLOUR = "white"  # Colour behind words, so that they can be read over anything
 PixelPoint = tuple[float, float]  # Column and row
 
 
 class Canvas:
-    """A picture (rows, columns, 3), uint8, that is drawn over."""
+    """A picture (rows, columns, 3), uint8, that is drawn over; words keep off what is `covered`."""
 
-    def __init__(self, image: NDArray[np.uint8]) -> None:
+    def __init__(self, image: NDArray[np.uint8], covered: CoveredArea) -> None:
+        self._covered = covered
         self._image = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
         columns, rows = self._image.size
         self._lines = Image.new("RGBA", (SUPERSAMPLING * columns, SUPERSAMPLING * rows))
@@ -158,22 +207,39 @@ class Canvas:
         """Write words where there is room for them."""
         self._labels.append(label)
 
-    def composed(self) -> Image.Image:
+    def composed(self, *, has_words: bool = True) -> Image.Image:
         """Return the picture with all that was drawn over it, words on top."""
-        whole = Image.alpha_composite(self._image, self._lines.resize(self._image.size, Image.Resampling.BOX))
-        pen = ImageDraw.Draw(whole)
+        sketch = ImageDraw.Draw(self._image)
 
         def length(label: Label) -> float:
-            return pen.textlength(label.words, label_font(label.size))
+            return sketch.textlength(label.words, label_font(label.size))
 
-        placed = arrange_labels(self._labels, self._clear, self._dots, self._image.width, length)
+        labels = self._labels if has_words else ()
+        placed = list(arrange_labels(labels, self._clear, self._dots, self._covered, length))
         for label, spot in placed:
-            font, halo = label_font(label.size), max(1, label.size // 7)
+            self._draw_leader(label, spot, length(label))
+        whole = Image.alpha_composite(self._image, self._lines.resize(self._image.size, Image.Resampling.BOX))
+        pen = ImageDraw.Draw(whole)
+        for label, spot in placed:
             pen.text(
-                spot[:2], label.words, label.colour, font, anchor=f"{spot.anchor}m",
-                stroke_width=halo, stroke_fill=HALO_COLOUR,
+                spot[:2], label.words, label.colour, label_font(label.size), anchor=f"{spot.anchor}m",
+                stroke_width=_halo(label.size), stroke_fill=HALO_COLOUR,
             )  # fmt: skip
         return whole.convert("RGB")
+
+    def _draw_leader(self, label: Label, spot: LabelSpot, length: float) -> None:
+        """Draw a thin line from words that stand far from what they name to its place."""
+        box, (x, y) = _label_box(label, spot, length), label.named or label.spots[0][:2]
+        near = min(max(x, box.left), box.right), min(max(y, box.top), box.bottom)
+        if np.hypot(x - near[0], y - near[1]) > LEADER_FROM * label.size:
+            self.draw_line(near, (x, y), label.colour, LEADER_WIDTH)
+
+
+def fitting_size(pen: ImageDraw.ImageDraw, words: str, size: int, width: float, extra: float = 0.0) -> int:
+    """Return the letters up to `size` in which words and `extra` letters beside them fit."""
+    while size > LEAST_LETTERS and pen.textlength(words, label_font(size)) + extra * size > width:
+        size -= 1
+    return size
 
 
 def label_font(size: int) -> ImageFont.FreeTypeFont:
@@ -230,7 +296,7 @@ class SceneAnnotations:
         canvas.reserve_line(palm, far)
         beside = LABEL_OFFSET * self._size
         spots = [LabelSpot(far[0] + beside, far[1], "l"), LabelSpot(far[0] - beside, far[1], "r")]
-        canvas.add_label(Label("approach", self._size, APPROACH_COLOUR, spots))
+        canvas.add_label(Label("approach", self._size, APPROACH_COLOUR, spots, named=far))
         for touch in shot.touches:
             point, hue = np.array(touch.point), contact_colour(shot, touch)
             start, end = self._project(np.array([point, point + NORMAL_LENGTH * np.array(touch.normal)]))
@@ -253,7 +319,7 @@ class SceneAnnotations:
         x, y = np.array(origin) + 2 * LABEL_OFFSET * self._size * away
         side: Anchor = "r" if away[0] < 0 else "l"
         spots = [LabelSpot(x, y + step * self._size, side) for step in LABEL_SHIFTS]
-        canvas.add_label(Label(name, self._size, INK, spots))
+        canvas.add_label(Label(name, self._size, INK, spots, named=origin))
 
     def _project(self, points: Floats) -> list[PixelPoint]:
         return [(column, row) for column, row in self._camera.pixels(points).tolist()]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import cache
 from itertools import cycle
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -140,6 +141,7 @@ def _draw_cells(axes: Axes, view: RenderedView) -> None:
     show_view(axes, view)
     cells = counted(len(view.shown), "cell", told="{:,}".format)
     heading = f"{cells} of 1 cm where the hand had a success"
+    heading += "" if view.block == 1 else f", in blocks of {view.block} cm"
     axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
     survived = survival(view.shown)
     for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
@@ -207,8 +209,8 @@ PaintedMesh = tuple[Mesh, Floats]  # A mesh and its colour (3,)
 Point3 = NDArray[np.floating]
 
 
-def draw_gripper(gripper: SceneGripper, path: Path) -> None:
-    """Draw a hand open and closed, its approach axis upward, to a PNG file.
+def draw_gripper(gripper: SceneGripper, path: Path | BinaryIO) -> None:
+    """Draw a hand open and closed, its approach axis upward: a PNG, to a path or an open file.
 
     Fingers are coloured, the palm is clay. Axes stand in the base frame; the arrow goes from the palm as far
     as the stand-off's range reaches. The bar across it is as long as the jaw of a two-finger hand opens,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.grippers.collision_shapes import CollisionShape, shapes
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
@@ -31,6 +32,13 @@ class HandGeometry:
     def is_finger(self, shape: CollisionShape) -> bool:
         """Return whether the contact of a shape makes a success."""
         return shape.link in self.gripper.finger_links
+
+    def link_meshes(self) -> dict[str, Mesh]:
+        """Return the shapes of each link that has any, joined, in the link's frame [m]."""
+        found: dict[str, list[Mesh]] = {}
+        for shape in self.shapes:
+            found.setdefault(shape.link, []).append(Mesh(shape.vertices, shape.faces))
+        return {name: join(parts) for name, parts in found.items()}
 
     def place_meshes(self, base_to_object: Floats, joints: Floats) -> Iterator[tuple[CollisionShape, Floats]]:
         """Yield each shape with its vertices (v, 3) [m] in the object's CoM frame.

@@ -232,9 +232,12 @@ class LayeredImage:
             (hits.pixels, hits.depth, np.column_stack([colour, opacity]).astype(np.float32))
         )
 
-    def composed(self) -> Floats:
-        """Lay the layers from back to front: an image (rows, columns, 3) in [0, 1]."""
-        colour = self.colour.copy()
+    def composed(self, ground: float = 1.0) -> Floats:
+        """Lay the layers from back to front: an image (rows, columns, 3) in [0, 1].
+
+        `ground` is the brightness of what lies behind everything.
+        """
+        colour = np.where(self.depth[:, None] < 2 * FAR, self.colour, np.float32(ground))
         for pixels, paint in self._from_back_to_front():
             opacity = paint[:, 3:]
             colour[pixels] = colour[pixels] * (1 - opacity) + paint[:, :3] * opacity

@@ -20,7 +20,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
-    FAR,
     RAYS_PER_PIXEL,
     Floats,
     LayeredImage,
@@ -111,6 +110,8 @@ FINGER_HUES = (
 """Colours of hands in turn: neighbours are told apart with any colour vision."""
 FADE_DISTANCE = 0.06  # A palm fades with its distance from the object, to 1/e of itself at this one [m]
 CUBE_EDGE = 0.0072  # Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart
+LEAST_CUBE = 5.0
+"""Pixels along the edge of a cube, at least: around a large object cubes stand for blocks of cells."""
 CUT_OPEN_CELLS = 600
 """With more cells, those toward the viewer's right are left out to show the inside."""
 
@@ -136,6 +137,8 @@ class RenderedView:
     shown: Rows
     is_uncut: bool = True
     """True: nothing was left out to show the inside."""
+    block: int = 1
+    """A cube stands for the cells in a block of so many along each side."""
 
 
 def object_picture(scene: Scene, pixels: int) -> bytes:
@@ -147,12 +150,16 @@ def object_picture(scene: Scene, pixels: int) -> bytes:
     side = RAYS_PER_PIXEL * pixels
     image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
     paint_solid(image, RayMesh(body), rgb(CLAY))
-    cells = (pixels, RAYS_PER_PIXEL, pixels, RAYS_PER_PIXEL)
-    covered = (image.depth < 2 * FAR).reshape(cells).mean(axis=(1, 3))
-    colour = (image.composed() - 1) / np.maximum(covered, 1e-3)[:, :, None] + 1  # without the white ground
-    layers = np.concatenate([np.clip(colour, 0, 1), covered[:, :, None]], axis=2)
+    return clear_png(image)
+
+
+def clear_png(image: LayeredImage) -> bytes:
+    """Return an image on a transparent ground, as a PNG."""
+    light, dark = image.composed(), image.composed(ground=0.0)
+    covered = 1 - (light - dark).mean(axis=2, keepdims=True)
+    layers = np.concatenate([dark / np.maximum(covered, 1e-3), covered], axis=2)
     file = io.BytesIO()
-    Image.fromarray(np.rint(255 * layers).astype(np.uint8)).save(file, format="PNG")
+    Image.fromarray(np.rint(255 * np.clip(layers, 0, 1)).astype(np.uint8)).save(file, format="PNG")
     return file.getvalue()
 
 
@@ -170,7 +177,7 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
     paint_solid(image, RayMesh(body), rgb(CLAY))
     distance = SurfaceDistanceGrid(body)
     for link in links:
-        _paint_link(image, link, distance)
+        paint_link(image, link, distance)
     return RenderedView(image.composed(), image.camera, chosen)
 
 
@@ -185,19 +192,38 @@ def view_of_cells(
     """Render the object, and a cube for the cell of each of the rows `best` (n,).
 
     The rows are in distinct cells. The cubes have the colours `hues` (n, 3) RGB; None: those of their
-    fitness. Cells `beside` it (m, 3), of other views of the object, are in the image's bounds, and it is cut
-    open where one of these views is.
+    fitness. Where a cube would be narrower than `LEAST_CUBE`, it stands for a block of cells, in the colour
+    of the best of them. Cells `beside` it (m, 3), of other views of the object, are in the image's bounds,
+    and it is cut open where one of these views is.
     """
     places = cells(best["descriptor"][:, :3])
     hues = hues_of_survival(survival(best)) if hues is None else hues
     body, views = object_mesh(scene), [places, *beside]
     image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, pixels))
-    right, _, toward = image.camera.project(places / PER_METRE).T
+    block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
+    blocks, hues = _in_blocks(places, survival(best), hues, block)
+    right, _, toward = image.camera.project(blocks / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
     cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
     clay = np.tile(rgb(CLAY), (len(body.faces), 1))
-    paint_solid(image, RayMesh(join([body, _cubes(places[kept])])), np.concatenate([clay, cubes]))
-    return RenderedView(image.composed(), image.camera, best, bool(kept.all()))
+    solid = join([body, _cubes(blocks[kept], block * CUBE_EDGE)])
+    paint_solid(image, RayMesh(solid), np.concatenate([clay, cubes]))
+    return RenderedView(image.composed(), image.camera, best, bool(kept.all()), block)
+
+
+def _in_blocks(
+    places: NDArray[np.integer], best: NDArray[np.uint8], hues: Floats, block: int
+) -> tuple[NDArray[np.floating], Floats]:
+    """Return the middles (m, 3) [cells] of blocks that have a cell, and their colours (m, 3).
+
+    `places`, `best` and `hues` (n, 3), (n,), (n, 3) are cells with their survival and colours; a block has
+    the colour of its best cell, of equals the first.
+    """
+    order = np.argsort(-best.astype(int), kind="stable")
+    corners = (places[order] // block).astype(np.int64)
+    _, first = np.unique(cell_keys(corners), return_index=True)
+    first.sort()
+    return corners[first] * block + (block - 1) / 2, hues[order[first]]
 
 
 def hues_of_survival(best: NDArray[np.uint8]) -> Floats:
@@ -273,7 +299,7 @@ def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
     image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
 
 
-def _paint_link(image: LayeredImage, link: DrawnLink, distance: SurfaceDistanceGrid) -> None:
+def paint_link(image: LayeredImage, link: DrawnLink, distance: SurfaceDistanceGrid) -> None:
     """Paint fingers nearly solid, the palm like glass that fades away from the object."""
     hits = RayMesh(link.mesh).cast_from(image.camera)
     edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
@@ -287,9 +313,9 @@ def _paint_link(image: LayeredImage, link: DrawnLink, distance: SurfaceDistanceG
     image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
 
 
-def _cubes(places: NDArray[np.integer]) -> Mesh:
-    """Return a cube around the middle of each cell (n, 3)."""
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * CUBE_EDGE / 2
+def _cubes(places: NDArray[np.integer] | NDArray[np.floating], edge: float = CUBE_EDGE) -> Mesh:
+    """Return a cube with this edge [m] around the middle of each cell (n, 3)."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * edge / 2
     vertices = (places[:, None] / PER_METRE + corners).reshape(-1, 3)
     return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE_FACES).reshape(-1, 3))
 

@@ -18,7 +18,13 @@ from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.rendering.drawings import OUTLINE, axes_triad, show_view
 from qdgrasp_coordinator.rendering.ray_renderer import Floats
-from qdgrasp_coordinator.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
+from qdgrasp_coordinator.rendering.views import (
+    RenderedView,
+    best_azimuth,
+    best_in_cells,
+    hues_of_survival,
+    view_of_cells,
+)
 from qdgrasp_coordinator.report.bootstrap import LEAST_RUNS, ConfidenceInterval
 from qdgrasp_coordinator.report.claims import near_nu_interval
 from qdgrasp_coordinator.report.figure_grid import (
@@ -446,15 +452,16 @@ def _draw_cells(
     run += "" if one.run.complete else ", unfinished"
     show_view(axes, view, "bicubic")
     axes_triad(axes, view, length=TRIAD_LENGTH)
-    panel_heading(axes, heading, _voxel_counts(one, view.is_uncut), run, color=hue)
+    panel_heading(axes, heading, _voxel_counts(one, view), run, color=hue)
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
     return np.asarray(matplotlib.colormaps["viridis_r"](eta)[:, :3], dtype=np.float32)
 
 
-def _voxel_counts(one: RunVoxels, is_uncut: bool) -> str:
-    found, cut = counted(len(one.best), "cell", told="{:,}".format), "" if is_uncut else "; cut open"
+def _voxel_counts(one: RunVoxels, view: RenderedView) -> str:
+    found, cut = counted(len(one.best), "cell", told="{:,}".format), "" if view.is_uncut else "; cut open"
+    cut += "" if view.block == 1 else f"; blocks of {view.block} cm"
     if one.eta is None:
         return f"{found}, {int((survival(one.best) == ROBUST).sum()):,} robust{cut}"
     return f"{found}, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.rendering import annotations
-from qdgrasp_coordinator.rendering.annotations import INK, Canvas, label_font
+from qdgrasp_coordinator.rendering.annotations import INK, Canvas, CoveredArea, fitting_size, label_font
 from qdgrasp_coordinator.report import row_report
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.verification import comparison
@@ -90,17 +91,18 @@ SMALLEST, LARGEST = PictureSize(320, 240), {".png": PictureSize(3840, 2160), ".g
 """Least size of a picture, and the greatest by file ending: a film has some ninety frames."""
 FAINT = "#5c646d"
 MARGIN = 10  # Pixels beside and between words
-LEAST_LETTERS = 7  # The smallest letters [pixels]
 PALETTE_IMAGES = 8  # Frames that a film's colours are taken from
 PALETTE_COLOURS = 128  # Colours of a film besides those of marks and words
+WHITE = 255  # Of the ground, on which nothing is drawn
 LEGEND_GAP = 12  # Least difference of a film's colours from those of marks, in red, green or blue, of 255
 
 
 class PictureLayout:
-    """Division of a picture of some size: the scene above, words below."""
+    """Division of a picture of some size: the scene above, words below unless it has none."""
 
-    def __init__(self, size: PictureSize) -> None:
+    def __init__(self, size: PictureSize, *, has_labels: bool = True) -> None:
         self.size = size
+        self.has_labels = has_labels
         self.large = max(12, min(size.width // 40, size.height // 32))
         """Height of the title's letters; those of other words are smaller [pixels]."""
         self.small = round(0.8 * self.large)
@@ -109,6 +111,8 @@ class PictureLayout:
     @property
     def scene(self) -> PictureSize:
         """Size of the replayed scene."""
+        if not self.has_labels:
+            return self.size
         caption = 2 * MARGIN + sum(map(self._step, self._rows))
         return PictureSize(self.size.width, self.size.height - caption)
 
@@ -129,14 +133,30 @@ def replay_pictures(
     """Yield each frame of a replay with annotations and caption."""
     shots = replay.answer.shots
     marks = annotations.SceneAnnotations(gripper, replay.answer.camera, layout.small)
+    covered = CoveredArea(_is_drawn(replay.frames))
     legend = [
+        *annotations.AXIS_COLOURS.items(),
         ("approach axis", annotations.APPROACH_COLOUR),
         *((annotations.CONTACT_WORDS[hue], hue) for hue in annotations.contact_colours(shots)),
     ]
     for frame, shot in zip(replay.frames, shots, strict=True):
-        canvas = Canvas(frame)
+        canvas = Canvas(frame, covered)
         marks.draw(canvas, shot)
-        yield _with_words(canvas.composed(), caption, shot, legend, layout)
+        if layout.has_labels:
+            yield _with_words(canvas.composed(), caption, shot, legend, layout)
+        else:
+            yield canvas.composed(has_words=False)
+
+
+def _is_drawn(frames: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Flag the pixels (rows, columns) that hand or object cover in any frame.
+
+    In a film words then move little while the hand does.
+    """
+    is_drawn = np.zeros(frames.shape[1:3], dtype=bool)
+    for frame in frames:
+        is_drawn |= (frame < WHITE).any(axis=-1)
+    return is_drawn
 
 
 def write_pictures(path: Path, images: Iterator[Image.Image], shots: Sequence[ReplayFrame]) -> None:
@@ -161,23 +181,16 @@ def _with_words(
     lines = [caption.title, *caption.lines, caption.phase(shot)]
     sizes = [layout.large, *[layout.small] * len(lines)]
     for height, size, words in zip(layout.heights, sizes, lines, strict=False):
-        font = label_font(_fitting_size(pen, words, size, layout.size.width - 2 * MARGIN))
+        font = label_font(fitting_size(pen, words, size, layout.size.width - 2 * MARGIN))
         pen.text((MARGIN, height), words, INK if words is caption.title else FAINT, font, anchor="lm")
     _write_legend(pen, layout, legend)
     return whole
 
 
-def _fitting_size(pen: ImageDraw.ImageDraw, words: str, size: int, width: float, extra: float = 0.0) -> int:
-    """Return the letters up to `size` in which words and `extra` letters beside them fit."""
-    while size > LEAST_LETTERS and pen.textlength(words, label_font(size)) + extra * size > width:
-        size -= 1
-    return size
-
-
 def _write_legend(pen: ImageDraw.ImageDraw, layout: PictureLayout, legend: Sequence[tuple[str, str]]) -> None:
     """Draw what the colours mean, side by side in the last line, in letters as small as needed."""
     height, x, line = layout.heights[-1], float(MARGIN), " ".join(word for word, _ in legend)
-    size = _fitting_size(pen, line, layout.small, layout.size.width, 3 * len(legend))
+    size = fitting_size(pen, line, layout.small, layout.size.width, 3 * len(legend))
     for words, colour in legend:
         pen.ellipse([x, height - size // 3, x + 2 * (size // 3), height + size // 3], fill=colour)
         pen.text((x + size, height), words, FAINT, label_font(size), anchor="lm")
@@ -210,14 +223,16 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
     return palette
 
 
-def write_evaluation(shown: ReplayTarget, options: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
-    """Replay a row and write its picture or film, `options.size` with its caption.
+def write_evaluation(
+    shown: ReplayTarget, options: ReplayOptions, out: OutFile, stop: Stop, *, has_labels: bool = True
+) -> list[str]:
+    """Replay a row and write its picture or film of `options.size`, with words or without.
 
     Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
     and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
     happen, or the file cannot be written, and NotReplayed if it could not be replayed.
     """
-    layout = PictureLayout(options.size)
+    layout = PictureLayout(options.size, has_labels=has_labels)
     with replay_evaluation(shown, replace(options, size=layout.scene), stop) as replay:
         if replay is None:
             return []

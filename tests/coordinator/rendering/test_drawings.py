@@ -2,8 +2,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
+import msgspec
 import numpy as np
 import pytest
+import trimesh
+from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 from tests.coordinator.scenes import made_scene
 
@@ -20,7 +23,13 @@ from qdgrasp_coordinator.rendering.drawings import (
     project_point,
 )
 from qdgrasp_coordinator.rendering.ray_renderer import fit_camera
-from qdgrasp_coordinator.rendering.views import CUT_OPEN_CELLS, best_in_cells, view_of_cells, view_of_hands
+from qdgrasp_coordinator.rendering.views import (
+    CUT_OPEN_CELLS,
+    LEAST_CUBE,
+    best_in_cells,
+    view_of_cells,
+    view_of_hands,
+)
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 
@@ -101,6 +110,26 @@ def test_many_cells_are_cut_open_toward_the_viewer() -> None:
     assert len(shell(3)) < CUT_OPEN_CELLS < len(shell(1))
     assert view_of_cells(scene, shell(3), 0.0, SMALL).is_uncut
     assert not view_of_cells(scene, shell(1), 0.0, SMALL).is_uncut
+
+
+def test_around_an_object_of_a_metre_cells_are_drawn_in_blocks_that_are_seen() -> None:
+    box = trimesh.creation.box((1.0, 0.6, 0.3))
+    shape = {
+        "mesh_vertices": box.vertices.astype("<f4").tobytes(),
+        "mesh_faces": box.faces.astype("<u4").tobytes(),
+    }
+    small = made_scene()
+    large = msgspec.structs.replace(small, object=msgspec.structs.replace(small.object, **shape))
+    rows = RowShape(7, 2).empty(4)
+    rows["descriptor"] = [[-0.4, 0, 0.2], [0.4, 0, 0.2], [0.0, 0.2, 0.2], [0.41, 0, 0.2]]
+    rows["outcome"] = [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.HELD]
+    view = view_of_cells(large, rows, 0.3, 400)
+    red, _, blue = np.moveaxis(view.image, -1, 0)
+    pieces, count = label(blue > red + 0.2)
+    assert count == 3  # the dropped one stands in a block with the last one, which held
+    assert np.bincount(pieces.ravel())[1:].min() >= LEAST_CUBE**2 / 2
+    assert view.block > 1
+    assert view_of_cells(small, rows[2:3], 0.3, 400).block == 1
 
 
 def test_a_cell_shows_its_fittest_success() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageColor
+from scipy.ndimage import binary_erosion
 from tests.coordinator.report.test_row_report import run_of
 from tests.coordinator.scenes import jaw, made_scene
 
@@ -182,6 +183,32 @@ def test_a_caption_calls_a_failure_a_row(tmp_path: Path) -> None:
 def test_a_frame_says_what_happens_in_it(held: ReplayTarget, phase: Phase, step: int, words: str) -> None:
     caption = ReplayCaption.of(held, [shot(), shot("shake z", step=204)], [])
     assert caption.phase(shot(phase, step=step)) == words
+
+
+def test_no_word_covers_hand_or_object(held: ReplayTarget) -> None:
+    """What words change of a body are thin lines that lead to what they name."""
+    shots = [shot(), shot("shake z")]
+    width, height = LAYOUT.scene
+    rows, columns = np.indices((height, width))
+    body = np.hypot(columns - 0.55 * width, rows - 0.5 * height) < 0.3 * height
+    made = replay(*shots)
+    made.frames[:] = np.where(body, GREY, 255)[:, :, None]
+    caption = ReplayCaption.of(held, shots, [])
+    bare = PictureLayout(LAYOUT.scene, has_labels=False)
+    with_words, without = (
+        [np.array(image)[:height] for image in replay_pictures(made, jaw("jaw"), caption, layout)]
+        for layout in (LAYOUT, bare)
+    )
+    for image, other in zip(with_words, without, strict=True):
+        changed = (image != other).any(axis=-1)
+        assert changed[~body].sum() > 500
+        assert not binary_erosion(changed & body, np.ones((3, 3))).any()
+        assert binary_erosion(changed & ~body, np.ones((3, 3))).any()
+
+
+def test_a_picture_without_labels_has_the_size_that_is_asked_for(held: ReplayTarget) -> None:
+    layout = PictureLayout(SIZE, has_labels=False)
+    assert layout.scene == SIZE
 
 
 def film(held: ReplayTarget) -> tuple[list[ReplayFrame], list[Image.Image]]:

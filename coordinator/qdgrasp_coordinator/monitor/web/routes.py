@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from asyncio import CancelledError
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,10 +129,18 @@ def _picture_route(runs: RunCaches) -> BaseRoute:
     limiter = CapacityLimiter(MAX_PICTURE_THREADS)
 
     async def picture(request: Request) -> Response:
-        payload = await to_thread.run_sync(runs.picture, *_run(request), limiter=limiter)
-        return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
+        return await _drawn(limiter, runs.picture, *_run(request))
 
     return Route("/api/jobs/{job}/runs/{run}/picture", picture)
+
+
+async def _drawn(limiter: CapacityLimiter, draw: Callable[..., bytes], *of: str | int) -> Response:
+    """Return a picture that is drawn in a thread."""
+    try:
+        payload = await to_thread.run_sync(draw, *of, limiter=limiter)
+    except CancelledError:  # the server ends while pictures wait for their turn
+        return PlainTextResponse("The server has ended.\n", 503)
+    return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
 
 
 def folder_site(index: FolderIndex) -> Site:
@@ -164,18 +173,25 @@ def _run_routes(runs: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
         since = _row(request.query_params.get("from", "")) or 0
         return runs.cells(*_run(request), since, margins="margins" in request.query_params)
 
-    def grasp(request: Request) -> bytes:
-        row = _row(text := request.path_params["number"])
-        if row is None:
+    def row(request: Request) -> int:
+        found = _row(text := request.path_params["number"])
+        if found is None:
             raise InputError(f"'{text[:20]}' is not the number of a row.")
-        return runs.grasp(*_run(request), row)
+        return found
+
+    painters = CapacityLimiter(MAX_PICTURE_THREADS)
+
+    async def picture(request: Request) -> Response:
+        return await _drawn(painters, runs.grasp_picture, *_run(request), row(request))
 
     run = "/api/jobs/{job}/runs/{run}"
     return [
         _slow(f"{run}/curve", lambda request: runs.curve(*_run(request)), limiter),
         _slow(f"{run}/scene", lambda request: runs.scene(*_run(request)), limiter),
         _slow(f"{run}/cells", cells, limiter, "application/octet-stream"),
-        _slow(f"{run}/grasps/{{number}}", grasp, limiter),
+        _slow(f"{run}/grasps/{{number}}", lambda asked: runs.grasp(*_run(asked), row(asked)), limiter),
+        Route(f"{run}/grasps/{{number}}/picture", picture),
+        _slow(f"{run}/settings", lambda request: runs.settings(*_run(request)), limiter),
     ]
 
 

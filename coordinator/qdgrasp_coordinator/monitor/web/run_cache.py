@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import inf
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -23,8 +23,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import cache_folder
-from qdgrasp_assets.scene import SceneObject
-from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
@@ -34,8 +34,14 @@ from qdgrasp_coordinator.monitor.web.scene_data import (
     browser_scene,
     grasp_view,
 )
+from qdgrasp_coordinator.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
 from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
-from qdgrasp_coordinator.rendering.views import object_picture
+from qdgrasp_coordinator.rendering.views import (
+    SurfaceDistanceGrid,
+    clear_png,
+    object_mesh,
+    object_picture,
+)
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
@@ -50,6 +56,9 @@ MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
 MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
 MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
 PICTURE_PIXELS = 96
+MAX_GRASP_PICTURES = 64  # Pictures of grasps of a run that are kept, of some 10 kB
+GRASP_PIXELS = 132, 108  # Width and height of one
+FIRST_VIEW = -121.8, 26.2  # Azimuth and elevation from which the page looks at first [deg]
 SCENE_SECONDS = 300.0  # A run's scene is not asked for again for so long [s]
 LAST_ROW = (1 << 32) - 1  # Behind every row of a journal: what is read from there on is empty
 OBJECTS_SECONDS = 5.0  # Objects are not read again for so long [s]
@@ -162,6 +171,37 @@ def same_tables(some: dict[str, EngineTable], others: dict[str, EngineTable]) ->
     return some.keys() == others.keys() and all(table is others[name] for name, table in some.items())
 
 
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene, and what is made of it once."""
+
+    scene: Scene
+    hand: HandGeometry
+    shown: BrowserScene
+
+    @cached_property
+    def distance(self) -> SurfaceDistanceGrid:
+        """Distances from the object's surface, for pictures."""
+        return SurfaceDistanceGrid(object_mesh(self.scene))
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """Engine, object and hand as they are simulated: words by their names."""
+        body, hand = self.scene.object, self.scene.gripper
+        sizes = (high - low for low, high in zip(self.shown.low, self.shown.high, strict=True))
+        return {
+            "engine": " and ".join(self.shown.engines),
+            "object's mass": f"{1000 * body.mass:.4g} g",
+            "object's size": " x ".join(f"{100 * size:.3g}" for size in sizes) + " cm",
+            "object's friction": f"{body.lateral_friction:g}",
+            "object's convex parts": body.collision_source,
+            "object's licence": body.licence,
+            "hand's root link": hand.base_link,
+            "hand's finger joints": str(len(hand.joints)),
+            "hand's licence": hand.licence,
+        }
+
+
 class RunCache:
     """One run in the view; any thread may call it. Its methods raise as those of `Records`."""
 
@@ -169,16 +209,17 @@ class RunCache:
         self._records, self._job, self._run, self._clock = records, job, run, clock
         self._reading = TtlCache(self._read, lambda one: FRESH_SECONDS if one.voxels.is_whole else 0.0, clock)
 
-        def scene(digest: str) -> TtlCache[tuple[HandGeometry, BrowserScene, SceneObject]]:
+        def scene(digest: str) -> TtlCache[LoadedScene]:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
 
         self._scenes = made_once(MAX_SCENES, scene)
+        self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
         self._wants_margins = False
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
         reading = self._reading.get()
-        _, scene, _ = self._scenes(reading.origin.scene).get()
+        scene = self._scenes(reading.origin.scene).get().shown
         engines = [*scene.engines, *reading.tables]
         return msgspec.json.encode(replace(scene, origin=reading.voxels.origin, engines=engines))
 
@@ -192,18 +233,47 @@ class RunCache:
 
     def grasp(self, number: int) -> bytes:
         """Return JSON of the `GraspView` of a journal row."""
+        found, origin = self._success(number)
+        commands = self._records.place(self._job, self._run).commands(number)
+        loaded = self._scenes(origin.scene).get()
+        (margin,) = recorded_margins(found, loaded.scene.object)
+        return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, commands, margin))
+
+    def picture(self, number: int) -> bytes:
+        """Return a picture of a journal row, the hand as it settled: PNG with a transparent ground."""
+        origin = self._reading.get().origin
+        return self._pictures(str(number), origin.scene, str(origin.began))
+
+    def settings(self) -> bytes:
+        """Return what the run was asked for and how it is simulated: JSON of names and words."""
+        found = self._records.settings(self._job, self._run)
+        found |= self._scenes(self._reading.get().origin.scene).get().settings
+        return msgspec.json.encode(found)
+
+    def _success(self, number: int) -> tuple[SuccessTable, JournalId]:
+        """Read the success in a journal row: (1,), and the journal."""
         page = self._records.page(self._job, self._run, number)
         if not len(page.found) or page.found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
-        commands = self._records.place(self._job, self._run).commands(number)
-        hand, scene, body = self._scenes(page.origin.scene).get()
-        (margin,) = recorded_margins(page.found[:1], body)
-        return msgspec.json.encode(grasp_view(page.found[0], hand, scene, commands, margin))
+        return page.found[:1], page.origin
 
-    def _load_scene(self, digest: str) -> tuple[HandGeometry, BrowserScene, SceneObject]:
+    def _draw(self, number: str, *_journal: str) -> bytes:
+        """Draw the hand of a journal row from where the page looks at first.
+
+        `_journal` tells rows of one number in different journals apart.
+        """
+        found, origin = self._success(int(number))
+        loaded = self._scenes(origin.scene).get()
+        poses, joints = settled_poses(found), found["joints"].astype(np.float64)
+        hands = PlacedHands(loaded.scene, found, poses, joints)
+        camera = common_camera(hands, *GRASP_PIXELS, FIRST_VIEW)
+        (image,) = paint_hands(hands, camera, loaded.distance)
+        return clear_png(image)
+
+    def _load_scene(self, digest: str) -> LoadedScene:
         scene = self._records.scene(self._job, self._run, digest)
         hand = hand_geometry(scene.gripper)
-        return hand, browser_scene(scene, hand), scene.object
+        return LoadedScene(scene, hand, browser_scene(scene, hand))
 
     def _read(self, before: JournalReading | None) -> JournalReading:
         """Read the successes since then, and compute margins if a browser has asked for them."""
@@ -225,7 +295,7 @@ class RunCache:
                 return reading  # the next answer notices it
             rows = page.found
         found = rows[np.isin(rows["number"], lacking)]
-        _, _, body = self._scenes(reading.origin.scene).get()
+        body = self._scenes(reading.origin.scene).get().scene.object
         margins: list[Floats] = []
         for start in range(0, len(found), MARGINS_AT_ONCE):
             margins.append(recorded_margins(found[start : start + MARGINS_AT_ONCE], body))
@@ -389,3 +459,11 @@ class RunCaches:
     def grasp(self, job: str, run: str, number: int) -> bytes:
         """Return the success in a journal row: JSON of `GraspView`."""
         return self._runs(job, run).grasp(number)
+
+    def grasp_picture(self, job: str, run: str, number: int) -> bytes:
+        """Return a small picture of the success in a journal row: PNG with a transparent ground."""
+        return self._runs(job, run).picture(number)
+
+    def settings(self, job: str, run: str) -> bytes:
+        """Return what a run was asked for and how it is simulated: JSON of names and words."""
+        return self._runs(job, run).settings()

@@ -15,7 +15,6 @@ from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
@@ -145,7 +144,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
         mesh=_triangles(vertices, np.frombuffer(body.mesh_faces, "<u4")),
         links=[
             LinkMesh(name, name in hand.gripper.finger_links, _triangles(mesh.vertices, mesh.faces))
-            for name, mesh in _meshes(hand).items()
+            for name, mesh in hand.link_meshes().items()
         ],
     )
 
@@ -178,7 +177,7 @@ def grasp_view(
         settled=settled if is_settled else None,
         pregrasp=dict(zip(names, postures[0].tolist(), strict=True)),
         joints=dict(zip(names, postures[1].tolist(), strict=True)),
-        frames=_closing_frames(hand, ends, postures, {scene.base, *_meshes(hand)}),
+        frames=_closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes()}),
         finger_links=int(find["contacts"]),
         penetration=float(find["penetration"]),
         moved=moved,
@@ -231,14 +230,6 @@ def _contacts(find: np.void, hand: HandGeometry) -> list[ContactView]:
 
 def _words(kind: Outcome) -> str:
     return success_metrics.FITNESS_WORDS[kind - Outcome.DROPPED]
-
-
-def _meshes(hand: HandGeometry) -> dict[str, Mesh]:
-    """Return the shapes of each link that has any, joined, link frame."""
-    shapes: dict[str, list[Mesh]] = {}
-    for shape in hand.shapes:
-        shapes.setdefault(shape.link, []).append(Mesh(shape.vertices, shape.faces))
-    return {name: join(parts) for name, parts in shapes.items()}
 
 
 def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> TriangleMesh:

@@ -53,9 +53,10 @@ SUMMED = ("evaluations", "successes", "cells", "grasps", "robust", "simulated", 
 
 
 class FakeFeed:
-    """A single run `mug`, and a job `hands` of six."""
+    """A single run `mug`, and a job `hands` of six, or of three for each of so many seeds."""
 
-    def __init__(self) -> None:
+    def __init__(self, seeds: int = 2) -> None:
+        self.seeds = seeds
         self.now = time.time()
         self.jobs = JobModels()
         self.steps = 0
@@ -81,7 +82,11 @@ class FakeFeed:
             self.now = time.time()
             at = self.now if at is None else at
             self.jobs.receive_answers(_values("mug", ["mug"], self.steps, self.gone, at), at)
-            names = [f"panda-{what}-aimed-s{seed}" for what in ("mug", "drill", "banana") for seed in (0, 1)]
+            names = [
+                f"panda-{what}-aimed-s{seed}"
+                for what in ("mug", "drill", "banana")
+                for seed in range(self.seeds)
+            ]
             self.jobs.receive_answers(_values("hands", names, self.steps, set(), at), at)
         return self
 
@@ -192,6 +197,12 @@ class FakeLibrary:
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
         return b'{"number":%d}' % number
+
+    def grasp_picture(self, job: str, run: str, number: int) -> bytes:
+        return b"picture %d" % number
+
+    def settings(self, job: str, run: str) -> bytes:
+        return b'{"method":"aimed"}'
 
 
 CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
@@ -319,6 +330,9 @@ class HandMadeRecords:
 
     def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
         return self.tables
+
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        return {"method": "aimed", "seed": "7"}
 
 
 @pytest.fixture(scope="module")

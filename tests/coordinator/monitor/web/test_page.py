@@ -109,13 +109,52 @@ def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str)
         expect(page.locator(f"#{plot}-legend dd")).to_have_text([re.compile("[1-9]")] * len(names))
 
 
-def test_of_many_runs_the_line_near_the_cursor_is_named(look: Look, place: str) -> None:
+def test_of_a_few_runs_each_line_is_named_with_its_last_value(look: Look, place: str) -> None:
     page = look(f"{place}/#job=hands")
-    legend = page.locator("#cells-legend dt")
-    expect(legend).to_have_text("Cells, most of 6 runs")
-    expect(page.locator("#cells canvas")).to_be_visible()
-    nudges = count()
-    wait_for(lambda: near(page, next(nudges) % 3) and legend.inner_text().startswith("Cells of panda-"))
+    for plot, what in {"cells": "Cells", "successes": "Successes"}.items():
+        legend = page.locator(f"#{plot}-legend")
+        expect(legend.locator("dt")).to_have_text([re.compile(r"^panda-\w+-aimed-s[01]$")] * 6)
+        expect(legend.locator("dd")).to_have_text([re.compile("[1-9]")] * 6)
+        expect(legend).to_have_attribute("data-of", what)
+        colours = legend.locator("i").evaluate_all(
+            "all => all.map((one) => getComputedStyle(one).borderTopColor)"
+        )
+        assert len({*colours}) == 6
+
+
+def test_of_many_runs_the_line_near_the_cursor_is_named(look: Look) -> None:
+    feed = FakeFeed(seeds=3)
+    with feed.going_on(), serving(feed) as place:
+        page = look(f"{place}/#job=hands")
+        legend = page.locator("#cells-legend dt")
+        expect(legend).to_have_text("Cells, most of 9 runs")
+        expect(page.locator("#cells canvas")).to_be_visible()
+        nudges = count()
+        wait_for(lambda: near(page, next(nudges) % 3) and legend.inner_text().startswith("Cells of panda-"))
+        page.context.close()
+
+
+def test_waiting_runs_and_shapes_that_are_being_built_are_told(look: Look) -> None:
+    feed = FakeFeed()
+    shapes = {"scenes": 4, "scenes_done": 1, "building": ["/parts/lever.stl", "mug"]}
+    feed.jobs.receive_answers(values(runs=7, **shapes), time.time() + browser.PATIENCE)
+    with serving(feed) as place:
+        page = look(f"{place}/#job=mugs")
+        expect(page.locator("#runs-words")).to_have_text("2 in progress, 5 waiting, 0 done")
+        expect(page.locator("#done")).to_contain_text("1 of 4 shapes (being built: lever, mug)")
+        page.context.close()
+
+
+def test_before_a_run_has_begun_the_view_says_what_it_waits_for(look: Look) -> None:
+    feed = FakeFeed()
+    told = values(runs=7, runs_open=0, scenes=1, building=["mug"])
+    told = {key: value for key, value in told.items() if "/stat/run/" not in key}
+    feed.jobs.receive_answers(told, time.time() + browser.PATIENCE)
+    with serving(feed) as place:
+        page = look(f"{place}/#job=mugs")
+        words = "Shapes that are being built: mug. 7 runs wait; grasps appear here when one begins."
+        expect(page.locator("#scene-empty")).to_have_text(words)
+        page.context.close()
 
 
 def near(page: Page, nudge: int) -> bool:

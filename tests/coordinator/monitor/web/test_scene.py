@@ -229,7 +229,7 @@ def test_the_hand_is_closed_and_opened_by_keys_and_contacts_are_there_when_it_is
 
 
 def test_kinds_may_be_left_out(page: Page) -> None:
-    page.get_by_role("button", name="all survived").click()
+    page.locator("#scene-key").get_by_role("button", name="all survived").click()
     expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
     page.get_by_role("button", name="Next grasp").click()
     expect(page.locator("#grasp h4")).to_have_text("Grasp 4")
@@ -378,6 +378,15 @@ def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
     alone.wait_for_function(f"(before) => {scale} < before / 1.1", arg=first)
 
 
+def test_around_a_large_object_voxels_are_drawn_large_enough_to_be_seen(alone: Page) -> None:
+    """Squares have a quarter more than the edge of a cube, which is at least 5 pixels."""
+    sizes = alone.evaluate("""() => {
+      const { renderer, objects } = view, { right, up, toward } = renderer.projection;
+      return [100, 400, 4000].map((scale) => objects.voxels.aim({ right, up, toward, scale, plain: true }));
+    }""")
+    assert sizes == pytest.approx([1.25 * 5, 1.25 * 5, 1.25 * 0.0078 * 4000])
+
+
 def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
     finest, coarsest, again = alone.evaluate(
         """async () => {
@@ -460,7 +469,7 @@ def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(filtere
 
 
 def test_a_kind_that_is_left_out_uncovers_what_else_is_in_its_cells(filtered: Page) -> None:
-    filtered.get_by_role("button", name="all survived").click()
+    filtered.locator("#scene-key").get_by_role("button", name="all survived").click()
     expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
     kinds(filtered).to_have_text(["2", "1", "\N{EN DASH}"])
 

@@ -95,6 +95,48 @@ def test_of_many_runs_some_are_found_by_parts_of_their_names(
         expect(page.locator("#shelf a:visible")).to_have_text(["panda-mug-s3"])
 
 
+def test_keys_work_at_once_and_after_a_run_was_chosen(look: Look, place: str) -> None:
+    page = look(place)
+    page.keyboard.press("n")
+    expect(page.locator("#grasp h4")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.locator("#grasp")).to_be_hidden()
+    page.get_by_role("link", name="mug").click()
+    expect(page.locator("#name")).to_have_text("mug")
+    expect(page.locator("#scene-words")).to_have_text(CELLS)
+    page.keyboard.press("n")
+    expect(page.locator("#grasp h4")).to_be_visible()
+
+
+def test_keys_that_are_typed_into_something_do_nothing_else(look: Look, place: str) -> None:
+    page = look(place)
+    page.get_by_label("Most penetration [mm]").press("n")
+    page.locator("#scene-words").click()
+    page.keyboard.press("c")  # it comes after the other key, and shows that this one was through
+    expect(page.get_by_role("button", name="Leave out the cells")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#grasp")).to_be_hidden()
+
+
+def test_a_phone_has_the_runs_in_a_list_that_closes_when_one_is_chosen(look: Look, place: str) -> None:
+    page = look(place, phone=True)
+    runs = page.locator("#run-list")
+    expect(runs.locator("summary")).to_have_text("Runs bowl, one of 2")
+    expect(page.get_by_role("link", name="mug")).to_be_hidden()
+    runs.locator("summary").click()
+    page.get_by_role("link", name="mug").click()
+    expect(page.locator("#name")).to_have_text("mug")
+    expect(runs.locator("summary")).to_have_text("Runs mug, one of 2")
+    expect(page.get_by_role("link", name="mug")).to_be_hidden()
+
+
+def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, place: str) -> None:
+    page = look(place)
+    page.locator("#scene-settings summary").click()
+    shown = page.locator("#scene-settings div")
+    for words in ("gripperjaw", "object's mass100 g", "object's size4 x 5 x 6 cm", "hand's root linkpalm"):
+        expect(shown.filter(has_text=words)).to_have_count(1)
+
+
 def test_it_says_when_its_server_has_ended(chromium: Any, runs: list[RunFolder]) -> None:
     with serving_site(folder_site(FolderIndex([runs[0].path]))) as address:
         visit = browser.Visit(chromium, address)
@@ -123,7 +165,8 @@ def test_words_stand_out_and_nothing_is_wider_than_the_window(
 def test_whatever_can_be_used_has_a_name_and_is_reached_by_keys(look: Look, place: str) -> None:
     page = look(place)
     assert page.evaluate(NAMELESS) == []
-    assert {"skip", "theme", "shelf", "scene", "scene-key", "scene-filters"} <= reached_by_keys(page, 40)
+    parts = {"skip", "theme", "shelf", "scene", "scene-key", "scene-best", "scene-filters", "scene-settings"}
+    assert parts <= reached_by_keys(page, 60)
 
 
 def test_all_of_it_fits_a_desk_s_window(look: Look, place: str) -> None:

@@ -23,8 +23,8 @@ class Plot {
   }
 
   /**
-   * `series`: [{ name, colour, width?, dash?, fill?, many? }], as many as columns in `data` but the first; where
-   * there are `many` of one kind, the legend shows the one near the cursor.
+   * `series`: [{ name, colour, width?, dash?, fill?, many?, of? }], as many as columns in `data` but the first;
+   * where there are `many` of one kind, the legend shows the one near the cursor; `of` is what all of them are of.
    */
   show(series, data) {
     this.#data = data;
@@ -105,6 +105,7 @@ class Plot {
     updateChildren(this.legend, this.#entries(place), ({ name }) => name, legendEntry, (node, { value }) => {
       setText(node.children[2], value == null ? "–" : this.up(value));
     });
+    setAttribute(this.legend, "data-of", this.series[0]?.of ?? null);
     const where = under == null ? "" : this.timed ? time(new Date(1000 * across[place])) : this.across(across[place]);
     setAttribute(this.legend, "data-at", where || null);
   }
@@ -130,6 +131,7 @@ function legendEntry({ name, colour, dash }) {
 
 const SECONDS = 5; // between two queries for curves
 const MOST_LINES = 32; // runs that are drawn side by side
+const MOST_NAMED = 6; // of these with a colour each, as the style sheet has them
 const CELLS = [{ name: "Cells", colour: "accent", width: 2, fill: "wash" }];
 const SUCCESSES = [
   { name: "Successes", colour: "faint" },
@@ -202,8 +204,11 @@ function runColumns(points, { evaluations, successes, cells, robust }) {
   return [0, 3, 2, 4].map((column) => rows.map((row) => row[column]));
 }
 
-/** Series and data of one quantity of several runs, each a line that is named when the cursor is near it. */
+/** Series and data of one quantity of several runs: few each have a colour and stand in the legend, of more the line
+ *  near the cursor is named. */
 function manyLines(what, runs, tables, column) {
-  const series = runs.map(({ run }) => ({ name: `${what} of ${run}`, colour: "accent", width: 1, many: what }));
+  const named = ({ run }, place) => ({ name: run, of: what, colour: `line-${place + 1}`, dash: place % 2 ? [6, 3] : undefined });
+  const unnamed = ({ run }) => ({ name: `${what} of ${run}`, colour: "accent", width: 1, many: what });
+  const series = runs.map(runs.length > MOST_NAMED ? unnamed : named);
   return [series, tables.length ? uPlot.join(tables.map((each) => [each[0], each[column]])) : [[]]];
 }

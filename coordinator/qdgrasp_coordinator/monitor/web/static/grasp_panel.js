@@ -2,7 +2,8 @@
 
 import { element, setAttribute, setText } from "./dom.js";
 import { several } from "./format.js";
-import { addressFilters, OVER } from "./job_state.js";
+import { Gallery, SettingsPanel } from "./gallery.js";
+import { addressFilters, OVER, shortName } from "./job_state.js";
 import { FilterControls, Legend } from "./scene/controls.js";
 
 /** The view in 3D of a run with its controls; the view itself is loaded when it is first opened. */
@@ -12,6 +13,8 @@ export class GraspPanel {
   #number = 0;
   #status = "";
   #unread = () => 0; // cells that were found and are not shown
+  #pinned = null; // the view of the grasp that is kept beside
+  #idle = NOTHING; // what is said where there is no run
 
   constructor(find, api) {
     this.api = api;
@@ -19,7 +22,15 @@ export class GraspPanel {
     this.run = find("scene-run");
     this.words = find("scene-words");
     this.notice = find("scene-empty");
-    this.card = new GraspCard(find("grasp"), () => this.#close(), (closed) => (this.#view.closed = closed));
+    this.beside = find("beside");
+    this.card = new GraspCard(find("grasp"), {
+      onclose: () => this.#close(),
+      onclosing: (closed) => (this.#view.closed = closed),
+      onpin: (grasp) => this.#pin(grasp),
+    });
+    this.gallery = new Gallery(find("scene-best"));
+    this.settings = new SettingsPanel(find("scene-settings"));
+    this.beside.querySelector("button").addEventListener("click", () => this.#unpin());
     this.legend = new Legend(find("scene-key"));
     this.filters = new FilterControls(find("scene-filters"));
   }
@@ -27,7 +38,9 @@ export class GraspPanel {
   /** Show the selected run of a job, or of several the one that goes on. */
   show(job, run) {
     const one = run ?? job.runs.find(({ finished }) => !finished) ?? job.runs.at(-1);
+    this.#idle = idleWords(job);
     this.open(job.job, one?.run, job.figures.runs > 1);
+    if (!one) this.#notify(this.#idle);
     this.#unread = () => (OVER.includes(job.state) ? one.cells - this.#view.cells.size : 0);
     this.#writeStatus();
   }
@@ -43,19 +56,23 @@ export class GraspPanel {
 
   async #load(job, run) {
     const number = ++this.#number;
+    this.#unpin();
     this.#view?.stop();
     this.#view = null;
     this.card.show(null);
     this.#connect(null);
-    if (!run) return this.#notify("Nothing is in progress.");
+    this.settings.open(run ? `${this.api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(run)}` : "");
+    if (!run) return this.#notify(this.#idle);
     try {
       const { SceneView } = await import("./scene/scene_view.js"); // three is large: the rest of the page does not wait for it
       if (number !== this.#number) return;
       this.#notify("");
       this.#view = new SceneView(this.canvas, this.api, job, run);
-      this.#view.onselect = (grasp) => this.card.show(grasp, this.#view.closed);
+      this.#view.onselect = (grasp) => this.#selected(grasp);
       this.#view.onstatus = (words) => this.#writeStatus(words);
-      this.#view.onchange = () => [this.legend, this.filters].forEach((part) => part.show());
+      this.#view.onchange = () => [this.legend, this.filters, this.gallery].forEach((part) => part.show());
+      this.#view.onplace = () => this.#pinned?.place();
+      this.#view.onreopen = () => this.#unpin();
       this.#connect(this.#view);
       this.#view.start();
     } catch (error) {
@@ -72,7 +89,35 @@ export class GraspPanel {
 
   #connect(view) {
     this.legend.connect(view);
+    this.gallery.connect(view);
     this.filters.connect(view, addressFilters());
+  }
+
+  #selected(grasp) {
+    this.card.show(grasp, this.#view.closed, this.#view.objects?.description);
+    this.gallery.mark(grasp?.number ?? null);
+  }
+
+  /** Keep a grasp in a view of its own beside the first, in which another may be selected now. */
+  async #pin(grasp) {
+    const view = this.#view, { PinnedView } = await import("./scene/pinned_view.js");
+    if (view !== this.#view) return;
+    this.#unpin();
+    this.beside.hidden = false;
+    setText(this.beside.querySelector("b"), `Grasp ${grasp.number}`);
+    setText(this.beside.querySelector("span"), besideWords(grasp));
+    try {
+      this.#pinned = new PinnedView(this.beside.querySelector("canvas"), view, grasp);
+    } catch (error) {
+      this.#unpin();
+      this.#writeStatus(`A second view cannot be drawn here: ${error.message}.`);
+    }
+  }
+
+  #unpin() {
+    this.#pinned?.stop();
+    this.#pinned = null;
+    this.beside.hidden = true;
   }
 
   #close() {
@@ -86,20 +131,36 @@ export class GraspPanel {
   }
 }
 
+const NOTHING = "Nothing is in progress.";
+
+/** What is said where no run of a job has begun. */
+function idleWords({ state, figures: { runs, runs_done: done, runs_failed: failed, building } }) {
+  const waiting = runs - done - failed;
+  if (OVER.includes(state) || waiting < 1) return NOTHING;
+  const shapes = building.length ? `Shapes that are being built: ${building.map(shortName).join(", ")}. ` : "";
+  return `${shapes}${several(waiting, "run")} ${waiting === 1 ? "waits" : "wait"}; grasps appear here when one begins.`;
+}
+
+/** A grasp in one line, for comparison. */
+function besideWords({ words, fitness, eta, penetration, finger_links: links, moved, margin }) {
+  const parts = [words, `fitness ${fitness}`, eta !== null && `eta ${eta.toFixed(3)}`, margin !== null && `margin ${margin.toFixed(3)}`];
+  parts.push(`penetration ${(1000 * penetration).toFixed(2)} mm`, several(links, "finger link"), moved !== null && `moved ${(1000 * moved).toFixed(1)} mm`);
+  return parts.filter(Boolean).join(" · ");
+}
+
 /** The selected grasp: its numbers, a slider that closes the hand, its poses, and the commands that show and draw it. */
 class GraspCard {
-  /** `onclose()`: the card is to be closed; `onclosing(closed)`: the hand is to be so far closed, from 0 to 1. */
-  constructor(node, onclose, onclosing) {
-    this.node = node;
-    this.onclose = onclose;
-    this.onclosing = onclosing;
+  /** `onclose()`: the card is to be closed; `onclosing(closed)`: the hand is to be so far closed, from 0 to 1; `onpin(grasp)`:
+   *  the grasp is to be kept beside. */
+  constructor(node, { onclose, onclosing, onpin }) {
+    Object.assign(this, { node, onclose, onclosing, onpin });
   }
 
-  /** Show the server's description of a grasp whose hand is so far closed, from 0 to 1; null: nothing. */
-  show(grasp, closed) {
+  /** Show the server's description of a grasp whose hand is so far closed, from 0 to 1, in a scene; null: nothing. */
+  show(grasp, closed, scene) {
     this.node.hidden = !grasp;
     if (!grasp) return;
-    const parts = [this.#header(grasp), this.#slider(closed), figures(grasp), afterClosing(grasp), ...poses(grasp), joints(grasp), contacts(grasp)];
+    const parts = [this.#header(grasp), this.#actions(grasp, scene), this.#slider(closed), figures(grasp), afterClosing(grasp), ...poses(grasp), joints(grasp), contacts(grasp)];
     this.node.replaceChildren(...parts, ...grasp.commands.map(command));
   }
 
@@ -115,11 +176,29 @@ class GraspCard {
     return element("div", { class: "closing", "aria-live": "off" }, element("span", {}, "Hand"), input, words);
   }
 
+  #actions(grasp, scene) {
+    const pin = element("button", { type: "button", class: "quiet", title: "Keep this grasp in a view of its own, and compare it with another" }, "Keep beside");
+    pin.addEventListener("click", () => this.onpin(grasp));
+    const save = element("button", { type: "button", class: "quiet", title: "Its poses, joints, contacts and figures as JSON" }, "Download");
+    save.addEventListener("click", () => download(grasp, scene));
+    return element("div", { class: "actions" }, pin, save);
+  }
+
   #header({ number }) {
     const close = element("button", { type: "button", class: "quiet", "aria-label": "Close" }, "×");
     close.addEventListener("click", () => this.onclose());
     return element("header", {}, element("h4", {}, `Grasp ${number}`), close);
   }
+}
+
+/** Have the browser save a grasp as JSON: lengths in m, angles in rad, quaternions xyzw. */
+function download({ frames, commands, ...grasp }, { gripper, object, com_in_mesh: com }) {
+  const frame = "the object's: position from its centre of mass, position_in_mesh in its mesh file's frame; contacts from the centre of mass";
+  const text = JSON.stringify({ gripper, object, com_in_mesh: com, units: "m, rad, N", frame, ...grasp }, null, 1);
+  const address = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+  const name = `${gripper}-${object}-${grasp.number}.json`.replace(/[^\w.-]+/g, "_");
+  element("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 1000);
 }
 
 function figures({ words, fitness, eta, trials, synergy, cell }) {

@@ -49,6 +49,11 @@ export function keepFilters(filter) {
   history.replaceState(history.state, "", kept.size ? `#${kept}` : location.pathname + location.search);
 }
 
+/** The name of an object without folder and ending, of one that a spec names by its file. */
+export function shortName(object) {
+  return object.replace(/^.*\//, "").replace(/\.\w+$/, "");
+}
+
 /** States of jobs that are over. */
 export const OVER = ["gone", "ended", "cancelled"];
 

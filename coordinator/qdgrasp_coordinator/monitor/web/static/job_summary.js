@@ -2,7 +2,7 @@
 
 import { element, setAttribute, setText, updateChildren } from "./dom.js";
 import { ago, count, percent, rate, several, short, span } from "./format.js";
-import { extentOf, OVER } from "./job_state.js";
+import { extentOf, OVER, shortName } from "./job_state.js";
 
 const STARTING = "starting: no recorder has answered yet";
 
@@ -43,14 +43,15 @@ export class SummaryPanel {
   }
 
   #progress(subject, left, over) {
-    const { evaluations, budget, runs, runs_done, runs_failed, scenes, scenes_done, scenes_failed } = subject;
+    const { evaluations, budget, runs, runs_done, runs_failed, scenes, scenes_done, scenes_failed, building } = subject;
     const whole = extentOf(subject);
     const bar = this.find("progress");
     bar.max = whole;
     bar.value = evaluations;
     const all = runs > 1 ? `, ${count(runs_done)} of ${count(runs)} runs` : "";
     const failed = runs_failed ? `, ${count(runs_failed)} failed` : "";
-    const shapes = scenes ? `, ${count(scenes_done)} of ${several(scenes, "shape")}${scenes_failed ? `, ${count(scenes_failed)} failed` : ""}` : "";
+    const now = building?.length ? ` (being built: ${building.map(shortName).join(", ")})` : "";
+    const shapes = scenes ? `, ${count(scenes_done)} of ${several(scenes, "shape")}${scenes_failed ? `, ${count(scenes_failed)} failed` : ""}${now}` : "";
     setText(this.find("done"), `${count(evaluations)} of ${count(budget)} evaluations (${percent(evaluations, whole)})${all}${failed}${shapes}`);
     setText(this.find("left"), over ? "" : left);
   }

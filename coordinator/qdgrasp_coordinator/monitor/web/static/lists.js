@@ -66,8 +66,9 @@ export class RunPanel {
 }
 
 function allRuns({ runs, runs_open: open, runs_done: done, runs_failed: failed }) {
+  const left = runs - open - done - failed, waiting = left > 0 ? `${count(left)} waiting, ` : "";
   const others = runs > MANY ? "; those that have ended are shown with their object" : "";
-  return `${count(open)} in progress, ${count(done)} done${failed ? `, ${count(failed)} failed` : ""}${others}`;
+  return `${count(open)} in progress, ${waiting}${count(done)} done${failed ? `, ${count(failed)} failed` : ""}${others}`;
 }
 
 const NO_WORKERS = { gone: "the job has no coordinator", ended: "the job has ended", cancelled: "the job was cancelled" };

@@ -9,12 +9,23 @@ const API = "api";
 const POLL = 5000; // ms between queries for runs that have begun
 const MANY = 12; // runs: above it they can be searched
 const find = (id) => document.getElementById(id);
-const selection = new Selection(show);
+const narrow = matchMedia("(max-width: 760px)");
+const selection = new Selection(choose);
 const grasps = new GraspPanel(find, API);
 const connection = new ConnectionStatus(find("link"), "connected");
 let jobs = null;
 let lost = null; // since when the server has not answered
 let shownRun = null; // the run that was last scrolled into sight
+
+function choose() {
+  closeList();
+  show();
+}
+
+/** On a narrow page the list of runs is open while one is chosen; elsewhere it always is. */
+function closeList() {
+  find("run-list").open = !narrow.matches;
+}
 
 /** The selected job and run; the first of all where none is selected. */
 function selected() {
@@ -30,6 +41,7 @@ function show() {
   const count = jobs.reduce((sum, { runs }) => sum + runs.length, 0);
   setAttribute(document.body, "data-runs", count > 1 ? "many" : "one");
   find("search").hidden = count <= MANY;
+  setText(find("run-words"), title ? `${title}, one of ${count}` : "");
   updateChildren(find("shelf"), jobs, (each) => each.job, jobSection, (node, each) => fill(node, each, job, run));
   reveal(job, run);
   find("empty").hidden = Boolean(run);
@@ -82,5 +94,7 @@ async function poll() {
 }
 
 find("scene-filters").open = true; // there is room for them here
+narrow.addEventListener("change", closeList);
+closeList();
 find("search").addEventListener("input", () => jobs && show());
 poll();

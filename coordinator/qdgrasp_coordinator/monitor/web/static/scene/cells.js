@@ -153,6 +153,18 @@ export class Cells {
     return slots.map((slot) => this.#best[slot]).sort((a, b) => this.#compare(a, b)).map((grasp) => this.#numbers[grasp]);
   }
 
+  /** The few best of what is shown, the best first: number, kind and penetration [m] of each. */
+  best(most) {
+    const found = []; // a hundred thousand are not sorted for it
+    for (const grasp of this.#best.subarray(0, this.size)) {
+      if (grasp === NONE || (found.length === most && this.#compare(grasp, found.at(-1)) > 0)) continue;
+      const place = found.findIndex((other) => this.#compare(grasp, other) < 0);
+      found.splice(place < 0 ? found.length : place, 0, grasp);
+      if (found.length > most) found.pop();
+    }
+    return found.map((grasp) => ({ number: this.#numbers[grasp], kind: this.#kinds[grasp], penetration: this.#penetrations[grasp] }));
+  }
+
   /** Whether one grasp comes before another: by kind, then by eta, then by when it was found. */
   #compare(a, b) {
     return this.#kinds[b] - this.#kinds[a] || this.#etas[b] - this.#etas[a] || this.#numbers[a] - this.#numbers[b];

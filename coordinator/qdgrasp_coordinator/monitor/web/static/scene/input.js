@@ -3,6 +3,16 @@
 const TURN = Math.PI / 24;
 const SHIFT = 24; // px
 
+const TYPED_IN = "input, select, textarea, [contenteditable]";
+
+/** Whether a key is for the view: on its canvas any; elsewhere on the page a letter or escape that is not typed into
+ *  something, and any while nothing has the focus on a page that does not scroll. */
+export function isFor(canvas, { target, key }) {
+  if (target === canvas) return true;
+  if (target.closest?.(TYPED_IN) || target.matches?.("canvas")) return false;
+  return /^([a-z]|Escape)$/.test(key) || (document.body.matches(".whole") && target.matches?.("body, main"));
+}
+
 /** Carry out the action of a key; false where it has none. */
 export function handleKey(view, { key, shiftKey, ctrlKey, altKey, metaKey }) {
   if (ctrlKey || altKey || metaKey) return false;

@@ -48,6 +48,8 @@ export class Renderer {
   voxels = null;
   /** Called when the graphics are lost (true) and back (false). */
   onlost = () => {};
+  /** Called when the view was turned, moved or zoomed, unless it follows another. */
+  onmoved = () => {};
   #sizes;
   #frame = 0;
   #timer = 0;
@@ -56,6 +58,7 @@ export class Renderer {
   #drawnAt = 0;
   #smooth = false;
   #disposed = false;
+  #follows = false; // what follows another view does not lead it
 
   /** Draw the view once more, at the next frame. */
   invalidate() {
@@ -67,6 +70,27 @@ export class Renderer {
     this.#hasMoved = true;
     this.#movedAt = performance.now();
     this.invalidate();
+    this.#lead();
+  }
+
+  /** Look from where another renderer does, at the same scale. */
+  follow({ projection, controls, touched }) {
+    this.#follows = true;
+    const { camera } = this.projection, { position, quaternion, zoom } = projection.camera;
+    camera.position.copy(position);
+    camera.quaternion.copy(quaternion);
+    camera.zoom = zoom;
+    camera.updateProjectionMatrix();
+    this.controls.target.copy(controls.target);
+    Object.assign(this.controls, { minZoom: controls.minZoom, maxZoom: controls.maxZoom });
+    this.controls.update();
+    this.touched = touched;
+    this.#follows = false;
+    this.invalidate();
+  }
+
+  #lead() {
+    if (!this.#follows) this.onmoved();
   }
 
   /** Draw what is at a place [px of the page] with another camera, into a target; gives its pixels. */
@@ -94,6 +118,7 @@ export class Renderer {
     this.controls.update();
     this.touched = false;
     this.invalidate();
+    this.#lead();
   }
 
   dispose() {
@@ -166,7 +191,7 @@ export class Renderer {
     const width = Math.max(1, Math.round(projection.width * scale)), height = Math.max(1, Math.round(projection.height * scale));
     if (this.canvas.width !== width || this.canvas.height !== height) webgl.setSize(width, height, false);
     const now = performance.now() / 1000, { right, up, toward } = projection;
-    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, now, ...looks }) ?? 0;
+    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, page: projection.scale, now, ...looks }) ?? 0;
     const band = Math.ceil(size / 2); // a voxel whose middle is beyond the edge may still be seen
     webgl.setViewport(-band, -band, width + 2 * band, height + 2 * band);
     webgl.render(this.scene, projection.around(0, 0, projection.width + (2 * band) / scale, projection.height + (2 * band) / scale));
@@ -181,6 +206,7 @@ export class Renderer {
     this.controls.maxZoom *= grown;
     this.projection.resize(width, height);
     this.invalidate();
+    this.#lead();
   }
 
   #madeControls() {

@@ -4,7 +4,7 @@
 import { Mesh, Vector3 } from "../vendor/three/three.module.min.js";
 import { count, several } from "../format.js";
 import { Cells } from "./cells.js";
-import { handleKey, VoxelPicker } from "./input.js";
+import { handleKey, isFor, VoxelPicker } from "./input.js";
 import { BoxEdges, drawnColour, frameAt, HandMesh, meshGeometry, meshMaterial } from "./meshes.js";
 import { Renderer } from "./renderer.js";
 import { CellUpdates, RunClient } from "./run_data.js";
@@ -22,6 +22,10 @@ export class SceneView {
   onstatus = () => {};
   /** Called when what is shown changes. */
   onchange = () => {};
+  /** Called when the hand was opened or closed, or frames were shown or left out. */
+  onplace = () => {};
+  /** Called when another journal is shown from now on, maybe of another object. */
+  onreopen = () => {};
   /** What is filtered from the beginning: some of the fields of a `CellFilter`. */
   filter = {};
   #grasp = null; // the selected one, as the server tells it
@@ -52,7 +56,7 @@ export class SceneView {
 
   /** Begin to show the run, and what is found in it from now on. */
   async start() {
-    this.canvas.addEventListener("keydown", this.#key);
+    document.addEventListener("keydown", this.#key);
     document.addEventListener("themechange", this.#recolour);
     try {
       await this.#open();
@@ -69,7 +73,7 @@ export class SceneView {
     clearTimeout(this.#glowing);
     this.updates.stop();
     this.client.end();
-    this.canvas.removeEventListener("keydown", this.#key);
+    document.removeEventListener("keydown", this.#key);
     document.removeEventListener("themechange", this.#recolour);
     this.pointer.dispose();
     this.#clear();
@@ -84,6 +88,14 @@ export class SceneView {
   get cells() {
     return this.objects.cells;
   }
+
+  /** The journal number of the selected grasp; null: none is. */
+  get selected() {
+    return this.#selected;
+  }
+
+  /** A colour of the scene by its name, in the page's theme. */
+  colour = (name) => getComputedStyle(this.canvas).getPropertyValue(`--scene-${name}`).trim() || COLOURS[name];
 
   /** Select the grasp with this journal number; null: none. */
   async select(number) {
@@ -145,6 +157,7 @@ export class SceneView {
   set showsFrames(value) {
     this.renderer.frames.shown = value;
     this.#changed();
+    this.onplace();
   }
 
   get showsFrames() {
@@ -155,7 +168,7 @@ export class SceneView {
     const description = await this.client.scene();
     if (this.#stopped) return;
     this.#clear();
-    this.objects = new SceneObjects(description, this.#colour);
+    this.objects = new SceneObjects(description, this.colour);
     this.objects.addTo(this.renderer.scene);
     Object.assign(this.cells.filter, this.filter);
     this.renderer.voxels = this.objects.voxels;
@@ -176,6 +189,7 @@ export class SceneView {
   #reopen() {
     this.#selected = null;
     this.onselect(null);
+    this.onreopen();
     return this.#open();
   }
 
@@ -209,6 +223,7 @@ export class SceneView {
     this.renderer.frames.show(this.description, grasp && frameAt(grasp.frames[grasp.base], place).transpose().toArray());
     this.renderer.contacts.show(grasp && place === 1 ? grasp.contacts : []);
     this.renderer.invalidate();
+    this.onplace();
   }
 
   #changed() {
@@ -232,15 +247,13 @@ export class SceneView {
   }
 
   #key = (event) => {
-    if (this.objects && handleKey(this, event)) event.preventDefault();
+    if (this.objects && isFor(this.canvas, event) && handleKey(this, event)) event.preventDefault();
   };
 
   #recolour = () => {
-    this.objects?.recolour(this.#colour);
+    this.objects?.recolour(this.colour);
     this.renderer.invalidate();
   };
-
-  #colour = (name) => getComputedStyle(this.canvas).getPropertyValue(`--scene-${name}`).trim() || COLOURS[name];
 }
 
 /** All objects in the three.js scene of one run. */

@@ -9,6 +9,7 @@ import { drawnColour } from "./meshes.js";
 export const CELL = 0.01; // m
 const EDGE = 0.0078; // m: less than a cell, so that voxels stay apart
 const DOT = 0.0026; // m: while a hand is shown among them
+const LEAST = { edge: 5, dot: 2 }; // px of the page: around a large object voxels are drawn larger, so that they are seen
 const CELLS = new Vector3(CELL, CELL, CELL);
 const BEHIND = -1; // order of drawing
 const FADED = 0.5; // how pale they are then
@@ -26,6 +27,7 @@ export class Voxels extends Points {
     thick: { value: new Vector3() }, light: { value: new Vector3() },
   };
   #edge = EDGE;
+  #least = LEAST.edge;
   #newest = OLD;
   #most = 0; // m from the middle
   #measured = 0; // slots whose places are in that
@@ -92,6 +94,7 @@ export class Voxels extends Points {
   set small(value) {
     this.renderOrder = value ? BEHIND : 1;
     this.#edge = value ? DOT : EDGE;
+    this.#least = value ? LEAST.dot : LEAST.edge;
     this.#uniforms.faded.value = value ? FADED : 0;
   }
 
@@ -101,12 +104,12 @@ export class Voxels extends Points {
     this.#uniforms.paper.value = drawnColour(paper);
   }
 
-  /** Make ready to be drawn along these axes, with so many drawn pixels in a metre; gives the size of each [px].
-   *  Plain, they are squares; of a share of them each is larger. */
-  aim({ right, up, toward, scale, now = 0, plain = false, share = 1 }) {
-    const uniforms = this.#uniforms;
+  /** Make ready to be drawn along these axes, with so many drawn pixels in a metre, and so many of the `page`; gives the
+   *  size of each [px]. Plain, they are squares; of a share of them each is larger. */
+  aim({ right, up, toward, scale, page = scale, now = 0, plain = false, share = 1 }) {
+    const uniforms = this.#uniforms, edge = Math.max(this.#edge, this.#least / page);
     const span = (axis) => Math.abs(axis.x) + Math.abs(axis.y) + Math.abs(axis.z);
-    const extent = this.#edge * (plain ? 1.25 / Math.cbrt(share) : Math.max(span(right), span(up)));
+    const extent = edge * (plain ? 1.25 / Math.cbrt(share) : Math.max(span(right), span(up)));
     this.material = plain ? this.plain : this.fine;
     const most = this.farthest || 1; // m
     for (const [plane, axis, unit] of [[uniforms.sideways, right, 1], [uniforms.onward, toward, most]]) {
@@ -119,7 +122,7 @@ export class Voxels extends Points {
       const along = Math.abs(toward[k]) < 1e-4 ? 1e-4 : toward[k];
       uniforms.across.value[k] = (extent * right[k]) / along;
       uniforms.down.value[k] = (-extent * up[k]) / along;
-      uniforms.thick.value[k] = this.#edge / Math.abs(along);
+      uniforms.thick.value[k] = edge / Math.abs(along);
       uniforms.enter.value[k] = -uniforms.thick.value[k] / 2;
       uniforms.light.value[k] = plain ? 0.88 : lit(k, toward, right, up);
     }

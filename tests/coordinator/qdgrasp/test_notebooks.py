@@ -1,0 +1,238 @@
+"""Runs, campaigns, grasps and hands as notebooks show them, as scenes, and as tables of pandas."""
+
+import io
+import re
+import sys
+from base64 import b64decode
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from PIL import Image
+from tests.coordinator.export.conftest import random_rows
+from tests.coordinator.qdgrasp.test_api import loaded_by
+from tests.coordinator.recorded_campaigns import record_campaign
+from tests.coordinator.recorded_runs import record, record_spec
+from tests.coordinator.scenes import made_scene
+
+import qdgrasp
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.rows import Outcome, RowShape
+from qdgrasp_protocol.spec import RunSpec
+
+COM = (0.01, -0.02, 0.03)
+OUTCOMES = [Outcome.MISSED, Outcome.DROPPED, *[Outcome.HELD] * 8]
+HOSTILE = "<script>alert('x')</script>\"&"
+MOST_BYTES = 200_000
+
+
+@pytest.fixture
+def scene() -> Scene:
+    made = made_scene()
+    return replace(made, object=replace(made.object, com_in_mesh=COM))
+
+
+@pytest.fixture
+def run(tmp_path: Path, scene: Scene) -> qdgrasp.Run:
+    folder = record(tmp_path / "mug", scene, random_rows(scene, OUTCOMES), method="contact_rand")
+    return qdgrasp.open(folder.path)
+
+
+class Shown(HTMLParser):
+    """What a notebook shows: tags, words, and pictures."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.pictures: list[Image.Image] = []
+        self.words = ""
+        self.feed(html)
+        assert len(html.encode()) < MOST_BYTES
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        assert not any(name.startswith("on") for name, _ in attrs)
+        if tag == "img":
+            kind, _, data = (dict(attrs)["src"] or "").partition(",")
+            assert kind == "data:image/png;base64"
+            self.pictures.append(Image.open(io.BytesIO(b64decode(data))).convert("RGB"))
+
+    def handle_data(self, data: str) -> None:
+        self.words += f"{data} "
+
+
+def shown(something: Any) -> Shown:
+    found = Shown(something._repr_html_())
+    assert "script" not in found.tags
+    return found
+
+
+def test_a_run_is_shown_with_its_figures(run: qdgrasp.Run) -> None:
+    card = shown(run)
+    (picture,) = card.pictures
+    assert len(picture.getcolors(1 << 16) or []) > 20
+    for words in ("mug: jaw on block", "contact_rand, seed 0", "9 (90% of evaluations)", "8, 8 robust"):
+        assert words in card.words
+
+
+def test_a_run_that_found_nothing_or_has_no_scene_yet_is_shown(tmp_path: Path, scene: Scene) -> None:
+    empty = record(tmp_path / "empty", scene, random_rows(scene, []), method="contact_rand")
+    assert len(shown(qdgrasp.open(empty.path)).pictures) == 1
+    spec = RunSpec(gripper="jaw", object="block.stl", mass=0.1, method="contact_rand")
+    begun = record_spec(tmp_path / "begun", spec, RowShape(7, 2).empty(0))
+    card = shown(qdgrasp.open(begun.path))
+    assert not card.pictures
+    assert "its scene is not built yet" in card.words
+
+
+def test_a_grasp_is_shown_with_its_figures(run: qdgrasp.Run) -> None:
+    card = shown(run.grasps()[0])
+    assert len(card.pictures) == 1
+    for words in ("Grasp 2 of jaw on block", "held", "2 of 2", "penetration", "settled at"):
+        assert words in card.words
+
+
+def test_of_several_grasps_the_first_few_are_shown_and_all_counted(run: qdgrasp.Run) -> None:
+    card = shown(run.grasps(min_fitness=0))
+    assert "held 8" in re.sub(r"\s+", " ", card.words)
+    assert "dropped 1" in re.sub(r"\s+", " ", card.words)
+    few, many = (shown(run.grasps()[:n]).pictures[0].size for n in (2, 8))
+    assert few < many
+    assert not shown(run.grasps()[:0]).pictures
+
+
+def test_a_hand_is_shown_open_and_closed(run: qdgrasp.Run) -> None:
+    card = shown(run.hand)
+    assert len(card.pictures) == 1
+    for words in ("palm", "left_finger, right_finger", "Apache-2.0"):
+        assert words in card.words
+
+
+def test_a_campaign_is_shown_run_by_run(tmp_path: Path) -> None:
+    opened = qdgrasp.open(record_campaign(tmp_path / "parts", 9).path)
+    card = shown(opened)
+    assert len(card.pictures) == 12 < len(opened)
+    assert f"{len(opened)} runs, the first 12" in card.words
+    for name in opened.names[:12]:
+        assert name in card.words
+
+
+@pytest.mark.parametrize("kind", ["run", "grasp", "grasps", "hand", "campaign"])
+def test_names_are_words_and_never_html(kind: str, tmp_path: Path, scene: Scene) -> None:
+    body, hand = replace(scene.object, name=HOSTILE), replace(scene.gripper, name=HOSTILE, licence=HOSTILE)
+    rows = random_rows(scene, OUTCOMES)
+    path = tmp_path / ("<b>run" if kind == "run" else "run")
+    names = {"gripper": HOSTILE, "object": f"{HOSTILE}.stl"}
+    folder = record(path, replace(scene, object=body, gripper=hand), rows, method="contact_rand", **names)
+    opened = qdgrasp.open(folder.path)
+    show: dict[str, Callable[[], Any]] = {
+        "run": lambda: opened,
+        "grasp": lambda: opened.grasps()[0],
+        "grasps": opened.grasps,
+        "hand": lambda: opened.hand,
+        "campaign": lambda: qdgrasp.open(record_campaign(tmp_path / "<b>parts", 1, begun=1.0).path),
+    }
+    words = {"campaign": "<b>parts", "run": "<b>run"}.get(kind, HOSTILE)
+    assert words in shown(show[kind]()).words
+
+
+def test_a_scene_has_the_object_and_the_hand_at_the_grasp(run: qdgrasp.Run) -> None:
+    grasp = run.grasps()[3]
+    for frame, offset in (("mesh", np.array(COM)), ("com", np.zeros(3))):
+        scene = grasp.scene(frame)
+        assert set(scene.graph.nodes_geometry) == {
+            *("object", "hand/palm", "hand/left_finger", "hand/right_finger")
+        }
+        body = scene.graph.get("object")[0] @ np.append(scene.geometry["object"].vertices[0], 1.0)
+        np.testing.assert_allclose(body[:3], run.scene.object.vertices[0] + offset, atol=1e-7)
+        (pose,) = grasp.arrays.settled_poses(frame)
+        np.testing.assert_allclose(scene.graph.get("hand")[0][:3, 3], pose[:3], atol=1e-9)
+        placed = hand_geometry(run.scene.gripper).place_meshes(pose, grasp.joints.astype(float))
+        expected = {shape.link: vertices for shape, vertices in placed}
+        for link, vertices in expected.items():
+            matrix, name = scene.graph.get(f"hand/{link}")
+            found = scene.geometry[name].vertices @ matrix[:3, :3].T + matrix[:3, 3]
+            np.testing.assert_allclose(found, vertices, atol=1e-6)
+        assert scene.units == "meters"
+        assert scene.metadata == {"frame": frame, "number": grasp.number, "closed": True}
+    assert len(grasp.scene().export(file_type="glb")) > 1000
+    with pytest.raises(UnknownName):
+        grasp.scene("world")
+
+
+def test_an_open_scene_has_the_commanded_pose_and_the_joints_before_closing(run: qdgrasp.Run) -> None:
+    grasp = run.grasps()[1]
+    opened, closed = (grasp.scene(closed=is_closed) for is_closed in (False, True))
+    np.testing.assert_allclose(opened.graph.get("hand")[0][:3, 3], grasp.position, atol=1e-9)
+
+    def width(scene: Any) -> float:
+        matrices = (scene.graph.get(f"hand/{side}_finger", "hand")[0] for side in ("left", "right"))
+        left, right = (matrix[:3, 3] for matrix in matrices)
+        return float(np.linalg.norm(left - right))
+
+    assert width(opened) == pytest.approx(0.08)
+    assert width(closed) == pytest.approx(float(grasp.joints.sum()), abs=1e-6)
+
+
+def test_a_hand_is_a_scene_with_any_joints() -> None:
+    hand = qdgrasp.Hand("panda")
+    assert (hand.name, len(hand.joint_names)) == ("panda", 2)
+    opened, closed = hand.scene(), hand.scene(hand.closed)
+    np.testing.assert_array_equal(opened.graph.get("hand")[0], np.eye(4))
+    assert opened.extents[1] == pytest.approx(closed.extents[1])  # the palm is wider than both
+    gaps = [abs(scene.graph.get("hand/panda_leftfinger")[0][1, 3]) for scene in (opened, closed)]
+    assert gaps == pytest.approx([0.04, 0.0])
+    for joints in ([0.1], [0.1, np.nan], [[0.1, 0.1]]):
+        with pytest.raises(ImpossibleValue, match="2 finite numbers, of panda_finger_joint1"):
+            hand.scene(joints)
+
+
+@pytest.mark.parametrize("gripper", ["", None, 3])
+def test_what_is_no_gripper_is_refused(gripper: Any) -> None:
+    with pytest.raises(InputError):
+        qdgrasp.Hand(gripper)
+
+
+def test_an_unknown_gripper_is_refused() -> None:
+    with pytest.raises((InputError, AssetError), match="no_hand"):
+        qdgrasp.Hand("no_hand")
+
+
+def test_grasps_are_a_table_of_pandas(run: qdgrasp.Run) -> None:
+    pytest.importorskip("pandas", reason="needs pandas")
+    grasps = run.grasps()
+    table = grasps.to_pandas("com")
+    assert table["number"].tolist() == grasps.numbers.tolist()
+    np.testing.assert_array_equal(table[["x", "y", "z"]].to_numpy(), grasps.poses("com")[:, :3])
+    assert {"outcome", "fitness", "joint.left", "pregrasp.right", "margin"} <= {*table.columns}
+    with pytest.raises(UnknownName):
+        grasps.to_pandas("world")
+
+
+def test_the_runs_of_a_campaign_are_a_table_of_pandas(tmp_path: Path) -> None:
+    pytest.importorskip("pandas", reason="needs pandas")
+    opened = qdgrasp.open(record_campaign(tmp_path / "parts", 3).path)
+    table = opened.to_pandas()
+    assert table.index.tolist() == list(opened.names)
+    assert table["grasps"].tolist() == [run.summary.grasps for run in opened]
+
+
+def test_without_pandas_one_sentence_says_how_to_get_it(
+    run: qdgrasp.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"^to_pandas\(\) needs pandas, .*`pip install pandas` brings it\.$"):
+        run.grasps().to_pandas()
+
+
+def test_reading_grasps_loads_neither_pandas_nor_what_draws(run: qdgrasp.Run) -> None:
+    loaded = loaded_by(
+        f"import sys, qdgrasp; list(qdgrasp.open({str(run.path)!r}).grasps()); print(*sys.modules)"
+    )
+    assert not {"pandas", "matplotlib", "trimesh"} & {*loaded}
