@@ -30,7 +30,7 @@ HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
 
 @dataclass(frozen=True)
 class SharedHand:
-    """A hand that equals those of other scenes with the same content: a key for what is known of it."""
+    """A hand that equals those of other scenes with the same content: a key of what it does."""
 
     digest: bytes
     gripper: SceneGripper = field(compare=False, repr=False)
@@ -47,7 +47,7 @@ class SharedHand:
         return _kinematics(self)
 
     def postures(self, course: bytes) -> Floats:
-        """The postures (n, j) [rad or m] that are the bytes of a course: a course as a part of a key."""
+        """The postures (n, j) [rad or m] that a course is, whose bytes can be a part of a key."""
         return np.frombuffer(course).reshape(-1, len(self.gripper.joints))
 
 

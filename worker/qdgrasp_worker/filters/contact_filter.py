@@ -349,7 +349,7 @@ class ContactFilter:
         return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
-        """Watch the hand close, with its free joints at each place: the zone in the frame of each mount."""
+        """Watch the hand close from each of `FREE_JOINT_PLACES`: the zone in each mount's frame."""
         gripper = self._hand.gripper
         places = FREE_JOINT_PLACES[: 1 + bool(gripper.free_joints)]
         courses = [np.array(self._closing(free_posture(gripper, place), synergy)) for place in places]
@@ -361,7 +361,7 @@ ZONES_KEPT = 32  # Synergies whose zones a process keeps, the last ones used; ab
 
 @lru_cache(ZONES_KEPT)
 def measure_zones(hand: SharedHand, courses: tuple[bytes, ...]) -> dict[str, DistanceField]:
-    """The zones of a hand that closes, one course (`SharedHand.postures`) for each of `FREE_JOINT_PLACES`."""
+    """The zones of a closing hand; a course, `SharedHand.postures`, for each free joint place."""
     kinematics = hand.kinematics
     mounts = FreeJointLinks(hand.gripper, kinematics)
     passing: dict[str, list[tuple[Hull, Floats]]] = {}
