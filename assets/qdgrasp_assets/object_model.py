@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.geometry.collision_parts import collision_parts
+from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts, ignore_progress
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
     MOST_READ,
@@ -193,17 +193,20 @@ def read_object(
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
+    tell: Tell = ignore_progress,
 ) -> ObjectModel:
     """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
 
     `mass` is in kg, `scale` in metres to a unit of the file; None: 1. `preparation` as in `read_draft`;
     `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
-    mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
+    mesh that normals come from. `tell` is called with a sentence before each slow step. Raises `AssetError`
+    if the mesh cannot be used, or there is no mass.
     """
+    tell(f"reading the mesh {path.name}")
     draft = solid_draft(path, scale, preparation)
     air = draft.air(preparation)
     warn_of_mesh(path, draft.repairs, air)
-    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about)
+    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about, tell)
     return replace(made, repairs=draft.repairs, air=air)
 
 
@@ -214,10 +217,12 @@ def object_of_mesh(
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
+    tell: Tell = ignore_progress,
 ) -> ObjectModel:
     """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
     facts = file_facts(path, mass, scale, preparation, about)
-    source, parts = collision_parts(mesh, path.name)
+    tell(f"looking whether the hull of {path.name} will do")
+    source, parts = collision_parts(mesh, path.name, tell=tell)
     return ObjectModel(
         **vars(facts), collision_source=source, mesh=mesh, parts=parts, com_in_mesh=mesh.centre_of_mass
     )

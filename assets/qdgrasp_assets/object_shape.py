@@ -29,7 +29,9 @@ from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
     PartsFit,
     ProcessLimits,
+    Tell,
     has_unfinished_parts,
+    ignore_progress,
     limited_parts,
 )
 from qdgrasp_assets.geometry.mesh import parts_to_obj
@@ -49,7 +51,7 @@ from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError
 from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import counted, printable
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Words = Annotated[str, Meta(max_length=1000)]
@@ -277,18 +279,20 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
     return shape_of(body, task.surface, task.surface_seed, fit)
 
 
-def file_shape(spec: RunSpec) -> ObjectShape:
+def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    What time did not suffice for is not kept, so that the next command tries again. Errors and warnings are
-    those of `read_object`.
+    What time did not suffice for is not kept, so that the next command tries again. `tell`, errors and
+    warnings are those of `read_object`.
     """
     path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec, OWN_LIMITS)
     if task and (known := store.get(task.key)):
         warn_of_mesh(path, known.repairs, known.air)
         return known
-    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about)
+    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about, tell)
+    tell(f"comparing {counted(len(target.parts), 'convex part')} with the surface of {path.name}")
     fit = FingerClearance(target.mesh).fit(target.parts)
+    tell(f"drawing surface points of {path.name}")
     shape = shape_of(target, spec.protocol, spec.surface_seed, fit)
     if task and not has_unfinished_parts(target.mesh):
         store.put(task.key, pack_shape(shape))

@@ -137,6 +137,21 @@ def scene_of_model(spec: RunSpec) -> Scene:
     )
 
 
+def test_each_slow_step_of_a_scene_is_told_once_and_none_where_the_shape_lies_in_the_store(
+    tmp_path: Path,
+) -> None:
+    told: list[str] = []
+    build_scene(mesh_spec(tmp_path), told.append)
+    assert told == [
+        "reading the mesh block.stl",
+        "looking whether the hull of block.stl will do",
+        "comparing 1 convex part with the surface of block.stl",
+        "drawing surface points of block.stl",
+    ]
+    build_scene(mesh_spec(tmp_path), told.append)
+    assert len(told) == 4
+
+
 SPECS: dict[str, tuple[str, Changes]] = {
     "plain": ("block", {"friction": 0.7}),
     "scaled, decomposed": ("angle", {"scale": 0.5, "about": ObjectRecord(id="an angle", source="acme")}),

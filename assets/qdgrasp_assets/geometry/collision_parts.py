@@ -396,7 +396,10 @@ def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tup
     found: tuple[Mesh, ...] = ()
     is_final, reason = True, "finer ones are not tried"
     for number, threshold in enumerate(COACD_THRESHOLDS, start=1):
-        tell(f"convex parts with a concavity of {threshold:g} ({number} of at most {len(COACD_THRESHOLDS)})")
+        tell(
+            f"splitting {name} into convex parts with a concavity of {threshold:g} ({number} of at most "
+            f"{len(COACD_THRESHOLDS)} tries)"
+        )
         try:
             found = decompose(mesh, name, threshold, deadline - time.monotonic())
         except DecompositionTimeout:
