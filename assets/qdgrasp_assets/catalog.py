@@ -13,7 +13,7 @@ from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.urdf import mesh_places
-from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
+from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, check_header, file_facts, read_object
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
@@ -51,11 +51,14 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     sentence before each slow step. Raises `UnknownName` for a gripper or object that is neither known nor a
     file, and `AssetError` where one of its files cannot be used.
     """
+    gripper_path(spec.gripper)  # an unknown hand is said first
+    if not is_in_catalog(spec.object):  # before the hand is read, which takes longer
+        check_object(spec.object)
+        check_header(named_path(spec.object), spec.mesh)
     hand = carried_hand(spec)
     if is_in_catalog(spec.object):
         target = find_object(spec)
         return _scene(spec, hand, target, shape_of(target, spec.protocol, spec.surface_seed))
-    check_object(spec.object)
     return _scene(spec, hand, _file_facts(spec), file_shape(spec, tell))
 
 

@@ -35,7 +35,6 @@ from qdgrasp_coordinator.campaign.object_library import (
 )
 from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
-from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
     InputError,
@@ -442,17 +441,13 @@ def campaign_of_meshes(
 
 
 def check_meshes(specs: Iterable[RunSpec], tell: Tell = ignore_progress) -> None:
-    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes.
-
-    Bodies that are apart are taken, as in a run.
-    """
+    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes."""
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale, spec.mesh): spec.mass for spec in specs if spec.object not in named}
     faults = {}
     for number, ((name, scale, mesh), mass) in enumerate(wanted.items(), start=1):
         tell(f"checking meshes: {number} of {len(wanted)}")
-        glued = structs.replace(mesh or MeshPreparation(), glued=True)
-        if fault := mesh_fault(check_mesh(named_path(name), scale, glued), mass):
+        if fault := mesh_fault(check_mesh(named_path(name), scale, mesh), mass):
             faults[name] = fault
     if faults:
         raise UnusableMeshes(len({name for name, *_ in wanted}), faults)
