@@ -21,7 +21,8 @@ from qdgrasp_assets.geometry.collision_parts import (
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
-from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes, gap_note
+from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
+from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
@@ -191,8 +192,8 @@ def inspect_object(
         surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
         notes=(*notes, *_solid_notes(found, mesh, density)),
     )
-    if not glued and (fault := gap_note(mesh)):
-        return msgspec.structs.replace(found, notes=(), faults=(fault,))
+    if faults := draft.object_faults(glued=glued):
+        return msgspec.structs.replace(found, notes=(), faults=faults)
     if not parts:
         return found
     try:
@@ -219,8 +220,9 @@ def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iter
             f"{100 * inside:.1f} % of its surface lies inside it, where it cuts itself or bodies overlap: "
             "such room counts twice in volume and centre of mass, and is aimed at; unite the bodies"
         )
+    yield from resolution_notes(mesh.extents, thin_share(mesh))
     if found.triangles > MANY_TRIANGLES:
-        yield f"{found.triangles} triangles: convex parts take minutes; 20 000 show a finger as much"
+        yield f"{found.triangles} triangles: convex parts may take minutes; 20 000 show a finger as much"
     if density is None:
         yield f"a run needs its mass (--mass); of water it would be {WATER * mesh.volume:.3g} kg"
     elif not LIGHTEST <= density <= HEAVIEST:

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import A_FOLDER, ASSET_PATH, NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import check_file
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.urdf import mesh_places
-from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
+from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, check_header, file_facts, read_object
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
@@ -43,19 +44,22 @@ class CatalogEntry:
         return self.source != ABSENT
 
 
-def build_scene(spec: RunSpec) -> Scene:
+def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     """Build the scene of a run's spec; the same spec and files give the same bits.
 
-    The shape of a mesh file is taken from the store on the disk where it is there. Raises `UnknownName` for
-    a gripper or object that is neither known nor a file, and `AssetError` where one of its files cannot be
-    used.
+    The shape of a mesh file is taken from the store on the disk where it is there. `tell` is called with a
+    sentence before each slow step. Raises `UnknownName` for a gripper or object that is neither known nor a
+    file, and `AssetError` where one of its files cannot be used.
     """
+    gripper_path(spec.gripper)  # an unknown hand is said first
+    if not is_in_catalog(spec.object):  # before the hand is read, which takes longer
+        check_object(spec.object)
+        check_header(named_path(spec.object), spec.mesh)
     hand = carried_hand(spec)
     if is_in_catalog(spec.object):
         target = find_object(spec)
         return _scene(spec, hand, target, shape_of(target, spec.protocol, spec.surface_seed))
-    check_object(spec.object)
-    return _scene(spec, hand, _file_facts(spec), file_shape(spec))
+    return _scene(spec, hand, _file_facts(spec), file_shape(spec, tell))
 
 
 def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:

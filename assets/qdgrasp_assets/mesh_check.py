@@ -15,7 +15,6 @@ from msgspec import Struct
 from qdgrasp_assets.asset_paths import cache_folder, write_whole
 from qdgrasp_assets.code_version import checking_code, file_digest
 from qdgrasp_assets.geometry.mesh_io import linked_files
-from qdgrasp_assets.geometry.mesh_repair import gap_note
 from qdgrasp_assets.object_model import ObjectDraft, check_header, read_draft
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
@@ -59,9 +58,7 @@ def check_mesh(
 
 
 def _check(draft: ObjectDraft, preparation: MeshPreparation | None) -> MeshCheck:
-    faults, mesh = draft.faults, draft.mesh
-    if not faults and not (preparation and preparation.glued) and (gap := gap_note(mesh)):
-        faults = (gap,)
+    mesh, faults = draft.mesh, draft.object_faults(glued=bool(preparation and preparation.glued))
     volume = 0.0 if draft.faults else mesh.volume
     return MeshCheck(faults=faults, volume=volume, triangles=len(mesh.faces), repairs=draft.repairs)
 

@@ -4,12 +4,13 @@ Closed surfaces are read from mesh files in metres, and repaired where that take
 """
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.geometry.collision_parts import collision_parts
+from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts, ignore_progress
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
     MOST_READ,
@@ -18,7 +19,7 @@ from qdgrasp_assets.geometry.mesh_io import (
     read_mesh_file,
     stated_triangles,
 )
-from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, body_gap, repair_mesh, surface_faults
+from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, gap_note, repair_mesh, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
@@ -39,9 +40,12 @@ class ObjectDraft:
     faults: tuple[str, ...]
     """Faults that are left, in words; empty where it can be used."""
 
-    def air(self, preparation: MeshPreparation | None) -> float:
-        """Return the distance between its bodies [m]; 0 where they meet, or are said to be glued."""
-        return 0.0 if preparation and preparation.glued else body_gap(self.mesh)
+    def object_faults(self, *, glued: bool) -> tuple[str, ...]:
+        """Return its faults as one rigid object; `glued`: bodies that are apart are meant as one."""
+        if self.faults or glued:
+            return self.faults
+        gap = gap_note(self.mesh)
+        return (gap,) if gap else ()
 
     @classmethod
     def unreadable(cls, why: str) -> "ObjectDraft":
@@ -88,7 +92,7 @@ def read_draft(
         repairs += (*changes, *after)
     if not len(mesh.faces):
         raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
-    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
+    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh, filled=fill_holes))
 
 
 def check_header(path: Path, preparation: MeshPreparation | None = None) -> None:
@@ -115,29 +119,31 @@ def solid_draft(
     """Read a closed surface in metres from any readable mesh file; one or several bodies.
 
     `scale` is metres to a unit of the file; None: 1. `preparation` as in `read_draft`. Raises `AssetError` as
-    `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat.
+    `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat, or of bodies
+    that are apart and not said to be glued.
     """
     draft = read_draft(path, scale, preparation)
-    if draft.faults:
-        raise AssetError(f"The mesh '{path}' cannot be used: {'; and '.join(draft.faults)}.")
+    if faults := draft.object_faults(glued=bool(preparation and preparation.glued)):
+        raise AssetError(f"The mesh '{path}' cannot be used: {'; and '.join(faults)}.")
     return draft
 
 
-def read_solid(path: Path, scale: float | None = None, preparation: MeshPreparation | None = None) -> Mesh:
-    """Read a closed surface as `solid_draft`, and report its repairs in a warning."""
-    draft = solid_draft(path, scale, preparation)
+GLUED = MeshPreparation(glued=True)
+
+
+def read_solid(path: Path, scale: float | None = None) -> Mesh:
+    """Read a closed surface as `solid_draft`, of bodies anywhere; report repairs in a warning."""
+    draft = solid_draft(path, scale, GLUED)
     warn_of_mesh(path, draft.repairs)
     return draft.mesh
 
 
-def warn_of_mesh(path: Path, repairs: tuple[str, ...], air: float = 0.0) -> None:
-    """Warn of the repairs of a mesh file, and of `air` [m] between its bodies."""
+def warn_of_mesh(path: Path, repairs: tuple[str, ...], notes: Iterable[str] = ()) -> None:
+    """Warn of the repairs of a mesh file, and say other notes on it."""
     if repairs:
         log.warning("The mesh '%s' was repaired: %s.", path, "; ".join(repairs))
-    if air:
-        log.warning(
-            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, air
-        )
+    for note in notes:
+        log.warning("The mesh '%s': %s.", path, note)
 
 
 LATERAL_FRICTION = 0.5
@@ -155,8 +161,6 @@ class ObjectGeometry:
     """(3,) [m]: centre of mass, mesh frame."""
     repairs: tuple[str, ...] = ()
     """Repairs and changes of the mesh, in words."""
-    air: float = 0.0
-    """Distance between its bodies [m]; 0 where they meet, or are said to be glued."""
 
     @property
     def centred_mesh(self) -> Mesh:
@@ -193,18 +197,20 @@ def read_object(
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
+    tell: Tell = ignore_progress,
 ) -> ObjectModel:
     """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
 
     `mass` is in kg, `scale` in metres to a unit of the file; None: 1. `preparation` as in `read_draft`;
     `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
-    mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
+    mesh that normals come from. `tell` is called with a sentence before each slow step. Raises `AssetError`
+    if the mesh cannot be used, or there is no mass.
     """
+    tell(f"reading the mesh {path.name}")
     draft = solid_draft(path, scale, preparation)
-    air = draft.air(preparation)
-    warn_of_mesh(path, draft.repairs, air)
-    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about)
-    return replace(made, repairs=draft.repairs, air=air)
+    warn_of_mesh(path, draft.repairs)
+    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about, tell)
+    return replace(made, repairs=draft.repairs)
 
 
 def object_of_mesh(
@@ -214,10 +220,12 @@ def object_of_mesh(
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
+    tell: Tell = ignore_progress,
 ) -> ObjectModel:
     """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
     facts = file_facts(path, mass, scale, preparation, about)
-    source, parts = collision_parts(mesh, path.name)
+    tell(f"looking whether the hull of {path.name} will do")
+    source, parts = collision_parts(mesh, path.name, tell=tell)
     return ObjectModel(
         **vars(facts), collision_source=source, mesh=mesh, parts=parts, com_in_mesh=mesh.centre_of_mass
     )

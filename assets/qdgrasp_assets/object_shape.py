@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import Annotated
@@ -29,12 +30,15 @@ from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
     PartsFit,
     ProcessLimits,
+    Tell,
     has_unfinished_parts,
+    ignore_progress,
     limited_parts,
 )
-from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
+from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import (
     ObjectGeometry,
@@ -49,7 +53,7 @@ from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError
 from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import counted, printable
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Words = Annotated[str, Meta(max_length=1000)]
@@ -80,8 +84,8 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     object_high: Vector
     repairs: Annotated[tuple[Words, ...], Meta(max_length=64)] = ()
     """Repairs and changes of the mesh, in words."""
-    air: Annotated[float, Meta(ge=0, le=10)] = 0.0
-    """Distance between its bodies [m]; 0 where they meet, or are said to be glued."""
+    thin: Share = 0.0
+    """Share of the surface whose walls are thinner than the simulator resolves."""
     filled: Share = 0.0
     """Share of the surface in front of which the parts fill free space."""
     bare: Share = 0.0
@@ -89,15 +93,18 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def warning(self) -> str:
-        """Warning about its convex parts, in words; empty where they fit."""
+        """Warning about its convex parts and fine walls, in words; empty where nothing is said."""
+        notes = resolution_notes(_extents(self), self.thin)
+        return "; ".join((*self._parts_notes(), *notes))
+
+    def _parts_notes(self) -> Iterator[str]:
         if self.collision_source not in (OWN_HULL, COACD):
-            return f"its convex parts are not as fine as they should be ({self.collision_source})"
-        if PartsFit(self.filled, self.bare).is_good:
-            return ""
-        return (
-            f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and leave "
-            f"{100 * self.bare:.0f} % of it out, where grasps may be lost"
-        )
+            yield f"its convex parts are not as fine as they should be ({self.collision_source})"
+        elif not PartsFit(self.filled, self.bare).is_good:
+            yield (
+                f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "
+                f"leave {100 * self.bare:.0f} % of it out, where grasps may be lost"
+            )
 
 
 MAX_SHAPE = 32 << 20
@@ -182,8 +189,13 @@ def _has_convex_parts(text: bytes) -> bool:
     return True
 
 
-def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | None = None) -> ObjectShape:
-    """Return the shape of a body, with surface points as an evaluation protocol has them."""
+def shape_of(
+    body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | None = None, thin: float = 0.0
+) -> ObjectShape:
+    """Return the shape of a body, with surface points as an evaluation protocol has them.
+
+    `fit` of its parts, and its `thin` share, are noted in it.
+    """
     mesh, parts = body.centred_mesh, body.centred_parts
     cloud = SURFACES[protocol](mesh, parts, body.com_in_mesh, seed)
     low, high = mesh.bounds
@@ -200,10 +212,15 @@ def shape_of(body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | Non
         object_low=vector(low),
         object_high=vector(high),
         repairs=body.repairs,
-        air=body.air,
+        thin=thin,
         filled=fit.filled if fit else 0.0,
         bare=fit.bare if fit else 0.0,
     )
+
+
+def _extents(shape: ObjectShape) -> Floats:
+    """Return the sides (3,) [m] of a shape's bounding box."""
+    return np.subtract(shape.object_high, shape.object_low)
 
 
 MOST_NAME_BYTES = 200  # Longest name of a file that travels
@@ -272,24 +289,26 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
         parts=parts,
         com_in_mesh=draft.mesh.centre_of_mass,
         repairs=draft.repairs,
-        air=draft.air(task.mesh),
     )
-    return shape_of(body, task.surface, task.surface_seed, fit)
+    return shape_of(body, task.surface, task.surface_seed, fit, thin_share(draft.mesh))
 
 
-def file_shape(spec: RunSpec) -> ObjectShape:
+def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    What time did not suffice for is not kept, so that the next command tries again. Errors and warnings are
-    those of `read_object`.
+    What time did not suffice for is not kept, so that the next command tries again. `tell`, errors and
+    warnings are those of `read_object`.
     """
     path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec, OWN_LIMITS)
     if task and (known := store.get(task.key)):
-        warn_of_mesh(path, known.repairs, known.air)
+        warn_of_mesh(path, known.repairs, resolution_notes(_extents(known), known.thin))
         return known
-    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about)
-    fit = FingerClearance(target.mesh).fit(target.parts)
-    shape = shape_of(target, spec.protocol, spec.surface_seed, fit)
+    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about, tell)
+    tell(f"comparing {counted(len(target.parts), 'convex part')} with the surface of {path.name}")
+    fit, thin = FingerClearance(target.mesh).fit(target.parts), thin_share(target.mesh)
+    warn_of_mesh(path, (), resolution_notes(target.mesh.extents, thin))
+    tell(f"drawing surface points of {path.name}")
+    shape = shape_of(target, spec.protocol, spec.surface_seed, fit, thin)
     if task and not has_unfinished_parts(target.mesh):
         store.put(task.key, pack_shape(shape))
     return shape

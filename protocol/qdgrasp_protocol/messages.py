@@ -334,6 +334,8 @@ class Heartbeat(Struct, frozen=True, kw_only=True):
     host: Annotated[Text, Meta(description="Where it runs.")]
     run: Annotated[Text, Meta(description="Of the batch in work; empty: there is none.")] = ""
     rows: Annotated[Count, Meta(description="Of that batch; 0: there is none.")] = 0
+    done: Annotated[Count, Meta(description="Of these, rows that are evaluated.")] = 0
+    loading: Annotated[bool, Meta(description="Whether its simulator loads the scene of that batch.")] = False
     progressed: Annotated[
         bool, Meta(description="Whether its simulator did anything since the last sign.")
     ] = True

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.object_model import read_draft, read_object, read_solid
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
 
 BLOCK = (0.02, 0.03, 0.05)
@@ -45,13 +46,13 @@ def test_a_solid_that_nothing_is_wrong_with_stays_as_it_came(tmp_path):
     assert np.array_equal(draft.mesh.faces, as_came.faces)
 
 
-def test_bodies_that_are_apart_are_one_object_which_is_said_and_needs_a_mass(tmp_path, caplog):
+def test_bodies_that_are_apart_are_one_object_only_if_that_is_said_and_need_a_mass(tmp_path):
     path = write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)]))
     assert read_solid(path).volume == pytest.approx(2 * np.prod(BLOCK), rel=1e-4)
-    needed = "has no mass; say how heavy the object is with --mass"
-    with caplog.at_level(logging.WARNING), pytest.raises(AssetError, match=needed):
-        read_object(path, None)
-    assert "with about 0.08 m of air between them are moved as one rigid object" in caplog.text
+    with pytest.raises(AssetError, match=r"about 0.08 m of air between them.* say with --glued"):
+        read_object(path, 0.1)
+    with pytest.raises(AssetError, match="has no mass; say how heavy the object is with --mass"):
+        read_object(path, None, preparation=MeshPreparation(glued=True))
 
 
 def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path):

@@ -4,6 +4,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import shutil
 import threading
 from pathlib import Path
@@ -21,6 +22,7 @@ from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.collision_parts import ProcessLimits
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_assets.geometry.surface_points import SURFACES
+from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_model import read_object
 from qdgrasp_assets.object_shape import (
     FLEET_LIMITS,
@@ -75,6 +77,8 @@ MESHES = {
     "block": lambda: trimesh.creation.box(SIDES),
     "angle": angle,
     "ball": lambda: trimesh.creation.icosphere(radius=0.03),
+    "sheet": lambda: trimesh.creation.box((0.06, 0.05, 0.001)),
+    "bead": lambda: trimesh.creation.icosphere(radius=0.002),
     "apart": lambda: apart(0.002),
     "open": lambda: trimesh.Trimesh(*open_block(), process=False),
     "split": lambda: split(trimesh.creation.box(SIDES)),
@@ -135,6 +139,21 @@ def scene_of_model(spec: RunSpec) -> Scene:
         object_high=vector(high),
         contact_slots=8,
     )
+
+
+def test_each_slow_step_of_a_scene_is_told_once_and_none_where_the_shape_lies_in_the_store(
+    tmp_path: Path,
+) -> None:
+    told: list[str] = []
+    build_scene(mesh_spec(tmp_path), told.append)
+    assert told == [
+        "reading the mesh block.stl",
+        "looking whether the hull of block.stl will do",
+        "comparing 1 convex part with the surface of block.stl",
+        "drawing surface points of block.stl",
+    ]
+    build_scene(mesh_spec(tmp_path), told.append)
+    assert len(told) == 4
 
 
 SPECS: dict[str, tuple[str, Changes]] = {
@@ -297,18 +316,45 @@ def test_a_shape_is_built_of_the_files_of_its_task_by_its_code_alone(tmp_path):
 
 
 def test_warnings_are_said_again_when_the_shape_is_known(tmp_path, caplog):
-    split_block, blocks = mesh_spec(tmp_path, "split"), mesh_spec(tmp_path, "apart")
+    split_block, sheet = mesh_spec(tmp_path, "split"), mesh_spec(tmp_path, "sheet")
     said = []
     for _ in range(2):
         caplog.clear()
         with caplog.at_level(logging.WARNING):
             build_scene(split_block)
-            build_scene(blocks)
+            build_scene(sheet)
         said.append(caplog.messages)
     assert said[0] == said[1]
-    repaired, air = said[0]
+    repaired, thin = said[0]
     assert "was repaired: " in repaired
-    assert "0.002 m of air" in air
+    assert "of walls thinner than 2 mm" in thin
+
+
+def test_a_file_of_two_bodies_is_refused_alike_wherever_it_is_asked_for(tmp_path):
+    spec = mesh_spec(tmp_path, "apart")
+    task = shape_task(spec)
+    assert task is not None
+    words = r"it is of bodies with about 0\.002 m of air between them"
+    for refuse in (
+        lambda: build_scene(spec),
+        lambda: build_shape(task, folder_of(task, spec, tmp_path / "elsewhere")),
+    ):
+        with pytest.raises(AssetError, match=words):
+            refuse()
+    assert re.search(words, check_mesh(Path(spec.object)).faults[0])
+    glued = msgspec.structs.replace(spec, mesh=MeshPreparation(glued=True))
+    assert build_scene(glued).object.source == "apart.stl (glued)"
+
+
+def test_a_shape_warns_of_sheets_and_beads_that_the_simulator_does_not_resolve(tmp_path):
+    warnings = {
+        name: built_elsewhere(mesh_spec(tmp_path, name), tmp_path / f"at {name}").warning
+        for name in ("block", "sheet", "bead")
+    }
+    assert warnings["block"] == ""
+    assert re.match(r"9\d % of its surface is of walls thinner than 2 mm", warnings["sheet"])
+    assert "it is 4.0 mm large, smaller than the cells of 10 mm" in warnings["bead"]
+    assert "as if it were 6.0 mm large" in warnings["bead"]
 
 
 def test_a_known_shape_still_needs_a_mass_and_a_file(tmp_path):

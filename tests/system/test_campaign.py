@@ -208,7 +208,10 @@ def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done
     pair = qdgrasp.home / "pair.stl"
     blocks = [trimesh.creation.box(extents=(0.02, 0.06, 0.07)) for _ in range(2)]
     trimesh.util.concatenate([blocks[0], blocks[1].apply_translation((0.03, 0, 0))]).export(pair)
-    text = SMALL + f'[[cross]]\nobject = "{pair}"\nmass = 0.3\nmethod = "contact_rand"\n'
+    text = (
+        SMALL
+        + f'[[cross]]\nobject = "{pair}"\nmass = 0.3\nmethod = "contact_rand"\nmesh = {{glued = true}}\n'
+    )
     no_cache = {"QDGRASP_CACHE": str(pair)}  # where its convex parts cannot be kept
     ended = qdgrasp("campaign", write(qdgrasp.home, text), "--workers", 2, "--out", "out", **no_cache)
     assert "1 of 4 runs could not be carried out" in sentence(ended)

@@ -50,6 +50,12 @@ LIFT = 1e-6  # Offset above the surface at which rays begin, so that they do not
 OUT = 1e-5  # Offset in front of the surface of the points tested for being inside [m]
 FEW = 1e-3  # Share of the surface that seems to be inside below which it is rounding
 PAIRS = 1 << 26  # Pairs of point and face that are compared at once: half a gigabyte
+MANY_FACES = 20_000
+"""Faces of a convex part above which points are compared with some of them first.
+
+Only hulls of dense round meshes have so many; what is found is the same.
+"""
+SOME_FACES = 500  # Faces that are compared first: those of a ball leave out most points before it
 MOST = 0.01  # Largest share of the surface that is wrong in a good fit; a mug's handle, filled: 2 %
 
 
@@ -78,9 +84,20 @@ class FingerClearance:
 
     def fit(self, parts: tuple[Mesh, ...]) -> PartsFit:
         """Return the fit of convex `parts`, in the frame of the mesh."""
-        filled = np.any([is_within(part, self._clear_points, 0.0) for part in parts], axis=0)
+        filled = self._is_filled(parts)
         covered = np.any([is_within(part, self._points, OFF) for part in parts], axis=0)
         return PartsFit(float(filled.mean()) if len(filled) else 0.0, float(1.0 - covered.mean()))
+
+    def is_convex(self, own: Mesh) -> bool:
+        """Return whether the mesh's hull, outside which nothing lies, leaves a finger its room."""
+        filled = self._is_filled((own,))
+        return not len(filled) or float(filled.mean()) <= MOST
+
+    def _is_filled(self, parts: tuple[Mesh, ...]) -> NDArray[np.bool_]:
+        filled: NDArray[np.bool_] = np.any(
+            [is_within(part, self._clear_points, 0.0) for part in parts], axis=0
+        )
+        return filled
 
     @property
     def inside(self) -> float:
@@ -106,6 +123,9 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the points within `margin` [m] of a convex part, by its planes."""
     low, high = part.bounds
     within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
+    if len(part.faces) > MANY_FACES:
+        some = Mesh(part.vertices, part.faces[:: len(part.faces) // SOME_FACES])
+        within[within] = (heights(some, points[within]) <= margin).all(axis=1)
     near = points[within]
     rows = max(1, PAIRS // len(part.faces))
     blocks = [near[start : start + rows] for start in range(0, len(near), rows)] or [near]
@@ -121,6 +141,8 @@ COACD_TRIANGLES = 30_000
 """Most triangles that CoACD is given: a denser mesh, which takes it minutes, is simplified for it."""
 CORNERS_AT_ONCE = 1 << 17
 """Corners compared at once: their distances from `CORNERS` and their faces fill 300 MB."""
+MANY_CORNERS, SHARE = 20_000, 32
+"""Corners of a part above which one in so many is looked at first: the search takes as long as there are."""
 OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
 """The directions in which a part keeps its extent, in the unit cube."""
 
@@ -208,17 +230,26 @@ def simplify_part(part: Mesh) -> Mesh:
     """Simplify a convex part so that no corner left out is farther outside than the tolerance.
 
     Greedy: it begins with the corners that are farthest in a few directions, and adds the one that is
-    farthest outside the hull so far, until all are within the tolerance, or it has `MOST_CORNERS`.
+    farthest outside the hull so far, until all are within the tolerance, or it has `MOST_CORNERS`. Of very
+    many corners it adds some of a share first, and then of all.
     """
-    corners = part.vertices
-    blocks = [corners[start : start + CORNERS_AT_ONCE] for start in range(0, len(corners), CORNERS_AT_ONCE)]
-    kept = _outermost(corners)
+    corners, kept = part.vertices, _outermost(part.vertices)
+    shares = [slice(None)] if len(corners) <= MANY_CORNERS else [slice(0, None, SHARE), slice(None)]
+    for share in shares:
+        found = _add_corners(corners, np.arange(len(corners))[share], kept)
+    return found
+
+
+def _add_corners(corners: Floats, some: NDArray[np.int64], kept: list[int]) -> Mesh:
+    """Add some of the corners to those kept, by their indices; return the hull of these."""
+    starts = range(0, len(some), CORNERS_AT_ONCE)
+    blocks = [corners[some[start : start + CORNERS_AT_ONCE]] for start in starts]
     while True:
         found = hull(corners[kept])
         outside = np.concatenate([heights(found, block).max(axis=1) for block in blocks])
         if outside.max() <= CORNER_TOLERANCE or len(kept) >= MOST_CORNERS:
             return found
-        kept.append(int(outside.argmax()))
+        kept.append(int(some[outside.argmax()]))
 
 
 def _outermost(corners: Floats) -> list[int]:
@@ -334,7 +365,7 @@ def _parts_in_space(
     mesh: Mesh, space: FingerClearance, limits: ProcessLimits
 ) -> tuple[str, tuple[Mesh, ...]]:
     own, found = hull(mesh.vertices), tuple[Mesh, ...]()
-    if space.fit((own,)).is_good:
+    if space.is_convex(own):
         return OWN_HULL, (simplify_part(own),)
     left = limits.seconds
     for threshold in COACD_THRESHOLDS:
@@ -387,7 +418,7 @@ def _known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
         return COACD, _unfinished[key]
     own = hull(mesh.vertices)
     # convex for a finger: the hull leaves the same free space
-    return (OWN_HULL, (simplify_part(own),)) if FingerClearance(mesh).fit((own,)).is_good else None
+    return (OWN_HULL, (simplify_part(own),)) if FingerClearance(mesh).is_convex(own) else None
 
 
 def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:
@@ -396,7 +427,10 @@ def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tup
     found: tuple[Mesh, ...] = ()
     is_final, reason = True, "finer ones are not tried"
     for number, threshold in enumerate(COACD_THRESHOLDS, start=1):
-        tell(f"convex parts with a concavity of {threshold:g} ({number} of at most {len(COACD_THRESHOLDS)})")
+        tell(
+            f"splitting {name} into convex parts with a concavity of {threshold:g} ({number} of at most "
+            f"{len(COACD_THRESHOLDS)} tries)"
+        )
         try:
             found = decompose(mesh, name, threshold, deadline - time.monotonic())
         except DecompositionTimeout:

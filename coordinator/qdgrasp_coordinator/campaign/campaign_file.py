@@ -20,6 +20,7 @@ from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.catalog import ABSENT, check_object, find_gripper
 from qdgrasp_assets.genes import ANTIPODAL
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import SCANS
@@ -34,7 +35,6 @@ from qdgrasp_coordinator.campaign.object_library import (
 )
 from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
-from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
     InputError,
@@ -144,6 +144,7 @@ def read_campaign(
     goals: Mapping[str, float | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
     shard: str | None = None,
+    tell: Tell = ignore_progress,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
@@ -151,14 +152,15 @@ def read_campaign(
     says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
     `goals` are values of a spec's keys that end runs, in place of the file's defaults, and behind these
     stands `ADAPTIVE_BUDGET` if grasps are among them; `rules` are for the libraries that it names as objects;
-    `shard` is the share of its runs that is meant, as "2/4"; None: what the file says, or all. Raises
-    InputError if the file is missing, is not TOML, or asks for a run that is not possible; the run is named.
+    `shard` is the share of its runs that is meant, as "2/4"; None: what the file says, or all. `tell` is
+    called before each mesh is checked. Raises InputError if the file is missing, is not TOML, or asks for a
+    run that is not possible; the run is named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
     if isinstance(source.get("defaults", {}), dict):
         source["defaults"] = _with_goals(source.get("defaults", {}), goals)
     source |= {} if shard is None else {"shard": shard}
-    source, skipped = _with_libraries(source, rules) if here else (source, None)
+    source, skipped = _with_libraries(source, rules, tell) if here else (source, None)
     taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
     return replace(make_campaign(source, str(path), here=here, taken=taken), skipped=skipped)
 
@@ -170,7 +172,7 @@ def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[s
 
 
 def _with_libraries(
-    source: dict[str, Any], rules: LibraryRules
+    source: dict[str, Any], rules: LibraryRules, tell: Tell
 ) -> tuple[dict[str, Any], tuple[SkippedObject, ...] | None]:
     """Return a campaign's file with the objects of its libraries, and those left out."""
     libraries: dict[str, Library] = {}
@@ -181,7 +183,7 @@ def _with_libraries(
             if not (isinstance(name, str) and is_manifest(named_path(name))):
                 found.append(name)
                 continue
-            library = libraries.get(name) or read_library(named_path(name), rules)
+            library = libraries.get(name) or read_library(named_path(name), rules, tell)
             libraries[name] = library
             found += library.objects
         return found if isinstance(value, list) or libraries else value
@@ -417,14 +419,15 @@ def campaign_of_meshes(
     *,
     without: Collection[str] = (),
     shard: str | None = None,
+    tell: Tell = ignore_progress,
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `without` and `shard` are those of `read_campaign`. `values` are values or lists of keys of a spec,
-    crossed as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run that
-    is not possible.
+    `without`, `shard` and `tell` are those of `read_campaign`. `values` are values or lists of keys of a
+    spec, crossed as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run
+    that is not possible.
     """
-    library = read_library(where, rules)
+    library = read_library(where, rules, tell)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
     source = {
         "defaults": _with_goals({}, {key: values.get(key) for key in STOP_KEYS}),
@@ -437,17 +440,14 @@ def campaign_of_meshes(
     return replace(campaign, skipped=library.skipped)
 
 
-def check_meshes(specs: Iterable[RunSpec]) -> None:
-    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes.
-
-    Bodies that are apart are taken, as in a run.
-    """
+def check_meshes(specs: Iterable[RunSpec], tell: Tell = ignore_progress) -> None:
+    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes."""
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale, spec.mesh): spec.mass for spec in specs if spec.object not in named}
     faults = {}
-    for (name, scale, mesh), mass in wanted.items():
-        glued = structs.replace(mesh or MeshPreparation(), glued=True)
-        if fault := mesh_fault(check_mesh(named_path(name), scale, glued), mass):
+    for number, ((name, scale, mesh), mass) in enumerate(wanted.items(), start=1):
+        tell(f"checking meshes: {number} of {len(wanted)}")
+        if fault := mesh_fault(check_mesh(named_path(name), scale, mesh), mass):
             faults[name] = fault
     if faults:
         raise UnusableMeshes(len({name for name, *_ in wanted}), faults)

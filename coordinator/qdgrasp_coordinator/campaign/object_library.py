@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct, structs
 
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
 from qdgrasp_coordinator.metrics.arrays import bounded_memory
@@ -117,16 +118,18 @@ def is_manifest(path: Path) -> bool:
         return False
 
 
-def read_library(where: Path, rules: LibraryRules) -> Library:
+def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress) -> Library:
     """Read a manifest, or all meshes below a folder, and check every mesh.
 
-    Raises InputError if there is no such file or folder, or it cannot be read as one, and UnusableMeshes for
-    objects that cannot be used, unless these are to be skipped and others are left.
+    `tell` is called with a sentence before each. Raises InputError if there is no such file or folder, or it
+    cannot be read as one, and UnusableMeshes for objects that cannot be used, unless these are to be skipped
+    and others are left.
     """
     rows, faults = (_manifest_rows(where), {}) if is_manifest(where) else _folder_rows(where)
     faults |= _repeats(rows)
     objects: dict[str, dict[str, Any]] = {}
-    for row in rows:
+    for number, row in enumerate(rows, start=1):
+        tell(f"checking meshes: {number} of {len(rows)}")
         scale = rules.scale if row.scale is None else row.scale
         mesh = row.mesh or rules.mesh
         if row.fault or row.name in faults:

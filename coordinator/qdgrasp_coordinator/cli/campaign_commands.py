@@ -23,7 +23,7 @@ from qdgrasp_coordinator.campaign.campaign_folder import (
 from qdgrasp_coordinator.campaign.object_library import LibraryRules, is_manifest
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
-from qdgrasp_coordinator.local.progress import progress_display
+from qdgrasp_coordinator.local.progress import progress_display, progress_messages
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -161,27 +161,34 @@ def campaign(
     prepared = options.preparation(simplify, remesh, hull, glued)
     rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
     without = defaults_left_out(path)
-    if objects is not None:
-        if what is not None:
-            raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
-        if None not in (mass, density):
-            raise InputError("--mass and --density say the same of each object: give one of them.")
-        values = {**goals, **options.given(**keys)}
-        asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard)
-    elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
-        raise InputError(
-            f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its own, "
-            "see docs/campaigns.md."
-        )
-    elif what is None:
-        raise InputError(
-            "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
-        )
-    else:
-        file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
-        asked = read_campaign(
-            file, is_begun=what.is_dir(), without=without, goals=goals, rules=rules, shard=shard
-        )
+    with progress_messages() as tell:
+        if objects is not None:
+            if what is not None:
+                raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
+            if None not in (mass, density):
+                raise InputError("--mass and --density say the same of each object: give one of them.")
+            values = {**goals, **options.given(**keys)}
+            asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard, tell=tell)
+        elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
+            raise InputError(
+                f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its "
+                "own, see docs/campaigns.md."
+            )
+        elif what is None:
+            raise InputError(
+                "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
+            )
+        else:
+            file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
+            asked = read_campaign(
+                file,
+                is_begun=what.is_dir(),
+                without=without,
+                goals=goals,
+                rules=rules,
+                shard=shard,
+                tell=tell,
+            )
     if list_runs:
         for name, spec in asked.runs.items():
             echo(f"{name}  {spec.evaluations}")
@@ -190,7 +197,8 @@ def campaign(
         echo(asked.words)
         return
     if not JobFolder.is_job(path):
-        check_meshes(asked.runs.values())
+        with progress_messages() as tell:
+            check_meshes(asked.runs.values(), tell)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
     config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
@@ -219,23 +227,26 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None, 
 
 
 def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
-    """Print the campaign's figures; exit if it is not finished.
+    """Print what the campaign's runs have recorded, finished or not; exit if it is not finished.
 
     `is_timed`: it was to end after some seconds, so that this is no failure.
     """
     queue = CampaignRunQueue(folder, asked.runs)
-    found = queue.extent
-    if found.runs_done < found.runs:
+    found, recorded = queue.extent, queue.recorded
+    is_whole = found.runs_done == found.runs
+    if not is_whole:
         echo(f"Not all runs are finished; {resume_hint(folder)}")
+    begun = "" if is_whole else f" finished and {queue.runs_begun} begun,"
     echo(
-        f"{found.runs_done} of {counted(found.runs, 'run')} with "
-        f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
+        f"{found.runs_done} of {counted(found.runs, 'run')}{begun} with "
+        f"{counted(recorded.evaluations, 'evaluation')}: {recorded.found}, "
+        f"{counted(recorded.grasps, 'grasp')}, {recorded.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )
     if queue.ends:
         ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
         echo(f"Finished runs ended: {ends}.")
-    echo_errors(found.done.errors, str(folder.path))
+    echo_errors(recorded.errors, str(folder.path))
     if found.runs_done < found.runs and not is_timed:
         raise typer.Exit(EndedEarly.exit_code)
 

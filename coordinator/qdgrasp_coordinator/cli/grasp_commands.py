@@ -172,18 +172,22 @@ def import_(
         str | None,
         typer.Option(metavar="NAME", help="The object in a data set; default: as --object is called."),
     ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Take poses of a file that is of another hand or object.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
 ) -> None:
     """Turn a file of grasps, of ours or of others,
     into poses that `qdgrasp evaluate` scores again.
 
     The poses are those of the hand's root link in the object's centre-of-mass frame, as they are simulated.
+    A file of ours that is of another hand or object is refused, unless --anyway is given.
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.campaign.campaign_export import asset_name, is_dataset  # takes its time to load
     from qdgrasp_coordinator.export.frames import frame_of
-    from qdgrasp_coordinator.export.importer import hand_named, import_poses, object_frame
+    from qdgrasp_coordinator.export.importer import hand_named, hand_notes, import_poses, object_frame
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
@@ -193,10 +197,13 @@ def import_(
         tell(f"reading {file}")
         name = of or (asset_name(object_) if is_dataset(file) else "")
         found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in, name)
+    if found.mismatches and not anyway:
+        said = " ".join(found.mismatches)
+        raise InputError(f"{said} Name the hand and object of '{file}', or add --anyway.")
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(output)
-    for note in found.notes:
+    for note in (*found.mismatches, *found.notes, *hand_notes(gripper, found.imported.metadata)):
         echo(note, err=True)
     words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
     echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")

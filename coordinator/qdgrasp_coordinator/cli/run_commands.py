@@ -14,7 +14,7 @@ from qdgrasp_coordinator.campaign.campaign_folder import extend_run
 from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.campaign.warm_start import WarmStart
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
+from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_coordinator.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
@@ -184,13 +184,13 @@ def start_run(
     """Begin a run in a new folder and carry it out; `begun` is called in between."""
     RunFolder.check_free(out)
     config.check_engines([spec])
-    with progress_display(out.name, spec.evaluations) as shown:
-        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
-        bundle = run_plan.prepare_scene(spec).bundle
-        with lifetime("qdgrasp run") as stop:
-            folder = RunFolder.create(out, spec, bundle, job=job)
-            begun(folder)
-            run_job(folder.job, config, shown, stop)
+    echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
+    with progress_messages() as tell:
+        bundle = run_plan.prepare_scene(spec, tell=tell).bundle
+    with progress_display(out.name, spec.evaluations) as shown, lifetime("qdgrasp run") as stop:
+        folder = RunFolder.create(out, spec, bundle, job=job)
+        begun(folder)
+        run_job(folder.job, config, shown, stop)
     print_result(folder, stop, is_timed=config.seconds is not None)
 
 

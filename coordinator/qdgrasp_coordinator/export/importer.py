@@ -30,6 +30,7 @@ from qdgrasp_coordinator.export.imported_grasps import (
     decode_json,
     decode_metadata,
 )
+from qdgrasp_coordinator.export.metadata import GraspMetadata, part_digest
 from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.extras import check_packages
@@ -46,6 +47,8 @@ class ObjectFrame:
     """(3,) [m]: the centre of mass in the frame of the mesh, as scaled."""
     scale: float
     """Factor of the lengths in its mesh file, to metres."""
+    extents: Floats | None = None
+    """(3,) [m]: sides of its bounding box; None: unknown."""
 
 
 def hand_named(name: str) -> SceneGripper:
@@ -57,10 +60,12 @@ def object_frame(name: str, scale: float | None = None) -> ObjectFrame:
     """Find an object by its name in the catalog, or by its mesh file."""
     check_object(name)
     if name in object_names():
-        com = find_object(RunSpec(gripper="", object=name, scale=scale)).com_in_mesh
+        found = find_object(RunSpec(gripper="", object=name, scale=scale))
+        com, mesh = found.com_in_mesh, found.mesh
     else:
-        com = read_solid(named_path(name), scale).centre_of_mass
-    return ObjectFrame(np.array(com), 1.0 if scale is None else scale)
+        mesh = read_solid(named_path(name), scale)
+        com = mesh.centre_of_mass
+    return ObjectFrame(np.array(com), 1.0 if scale is None else scale, mesh.extents)
 
 
 KNOWN_FORMATS = (
@@ -187,6 +192,11 @@ READERS = (
 
 POSE_TOLERANCE = 1e-9  # Two lengths that differ by less are the same [m]
 VALUE_TOLERANCE = 1e-6  # Two scales that differ by a smaller share are the same
+SAME_OBJECT = 0.02
+"""Difference of sides and centre of mass, as a share of the largest side, up to which two objects are one.
+
+Remeshing moves surfaces by 0.26 % of it (docs/objects.md).
+"""
 MOST_SHOWN = 5  # Names in a note, at most
 
 
@@ -198,6 +208,8 @@ class ImportedPoses:
     """By name, as in an npz file of poses; beside them the file's `name` and `confidence`."""
     notes: tuple[str, ...]
     """Differences from what the file says, a sentence each."""
+    mismatches: tuple[str, ...]
+    """Reasons why the file is of another hand or object, a sentence each; known of files of ours alone."""
     imported: ImportedGrasps
     """The grasps as the file gives them."""
 
@@ -237,7 +249,17 @@ def import_poses(
         "name": imported.names,
         "confidence": np.full(len(imported), np.nan) if imported.confidence is None else imported.confidence,
     }
-    return ImportedPoses(arrays, tuple(_notes(imported, hand, body)), imported)
+    notes, mismatches = list(_notes(imported, hand, body)), list[str]()
+    if metadata:
+        mismatches += _object_mismatches(metadata, body)
+        notes += () if mismatches else _changed_mesh(metadata, body)
+    if other := _other_hand(imported, hand):
+        here = f"link '{hand.base_link}' of gripper '{hand.name}'"
+        if metadata:
+            mismatches.insert(0, f"{other}, not of {here}.")
+        else:
+            notes.insert(0, f"{other}; they are taken for those of {here}.")
+    return ImportedPoses(arrays, tuple(notes), tuple(mismatches), imported)
 
 
 def _root_poses(
@@ -275,23 +297,60 @@ def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> I
             f"The file scales its mesh by {scale:.16g}, and here it is scaled by {body.scale:.16g}: if "
             f"it is the same mesh, add --scale {scale:.16g}."
         )
-    if imported.gripper not in (None, hand.name) or imported.link not in (None, hand.base_link):
-        link = "" if imported.link is None else f" of link '{imported.link[:LONGEST]}'"
-        owner = "" if imported.gripper is None else f" of gripper '{imported.gripper[:LONGEST]}'"
-        yield (
-            f"The file tells poses{link}{owner}; they are taken for those of link '{hand.base_link}' of "
-            f"gripper '{hand.name}'."
-        )
     known = {joint.name for joint in hand.joints}
     if unknown := [
         name for name in dict.fromkeys((*imported.start_positions, *imported.joints)) if name not in known
     ]:
         some = first_few(unknown, MOST_SHOWN)
         yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are left aside."
-    metadata = imported.metadata
-    if metadata and np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max() >= POSE_TOLERANCE:
-        name = metadata.object[:LONGEST]
+
+
+def _changed_mesh(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
+    """Yield a sentence if the same object has its centre of mass elsewhere."""
+    if (shift := _com_shift(metadata, body)) >= POSE_TOLERANCE:
+        yield (
+            f"The object '{metadata.object[:LONGEST]}' of the file has its centre of mass elsewhere in its "
+            f"mesh, by {1000 * shift:.2g} mm: its mesh was changed, as --simplify does."
+        )
+
+
+def _other_hand(imported: ImportedGrasps, hand: SceneGripper) -> str:
+    """Return the beginning of a sentence on a file of another hand; empty: it is of this one."""
+    if imported.gripper in (None, hand.name) and imported.link in (None, hand.base_link):
+        return ""
+    link = "" if imported.link is None else f" of link '{imported.link[:LONGEST]}'"
+    owner = "" if imported.gripper is None else f" of gripper '{imported.gripper[:LONGEST]}'"
+    return f"The file tells poses{link}{owner}"
+
+
+def _com_shift(metadata: GraspMetadata, body: ObjectFrame) -> float:
+    """Return how far the centre of mass of a file's object is from that of another one [m]."""
+    return float(np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max())
+
+
+def _object_mismatches(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
+    """Yield in which ways a file is of another object, by its size and centre of mass."""
+    name, size = metadata.object[:LONGEST], metadata.object_size
+    sides = body.extents if body.extents is not None else size
+    largest = float(np.max(sides)) if sides is not None else 0.0
+    if size and body.extents is not None and np.abs(body.extents - size).max() > SAME_OBJECT * largest:
+        here, there = (" x ".join(f"{side:.4f}" for side in each) for each in (body.extents, size))
+        yield f"The object '{name}' of the file is {there} m large, and the one named here {here} m."
+    if _com_shift(metadata, body) > max(SAME_OBJECT * largest, POSE_TOLERANCE):
         yield (
             f"The object '{name}' of the file has its centre of mass elsewhere in its mesh, "
             "so it is not the same object."
+        )
+
+
+def hand_notes(name: str, metadata: GraspMetadata | None) -> Iterator[str]:
+    """Yield a sentence if a hand has changed since a file of ours was written."""
+    if not (metadata and metadata.gripper_sha256 and metadata.runs):
+        return
+    gripper = find_gripper(name)
+    hand = gripper.on_carrier(metadata.runs[0].asked.nominal_protocol)
+    if hand.name == metadata.gripper and part_digest(hand) != metadata.gripper_sha256:
+        yield (
+            f"The gripper '{hand.name}' is not what it was when the file was written by version "
+            f"{metadata.qdgrasp[:LONGEST]}: joints, shapes or words about it have changed."
         )

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_assets.scene import SceneGripper, SceneObject, vector
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
@@ -45,6 +45,7 @@ SETTLED_WORDS = "the settled pose with the joints after closing"
 CONTACT_WORDS = "after closing: point on the object, unit normal into it, force along the normal"
 NOT_SETTLED = "this run was recorded before settled poses were; the grasp pose is the commanded one"
 XYZW = "x, y, z, w"
+MICROMETRE = 6  # Decimals of a length [m]
 
 
 class SourceRun(Struct, frozen=True, kw_only=True):
@@ -90,6 +91,8 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """The centre of mass in that frame [m]."""
     com_in_mesh: tuple[float, float, float]
     """The centre of mass in the frame of the mesh [m]: mesh = com + this."""
+    object_size: tuple[float, float, float] | None = None
+    """Sides of its bounding box, axes of the mesh [m]; None in a file of an earlier version."""
     object_mass: float
     """[kg]."""
     object_friction: float
@@ -169,7 +172,7 @@ def grasp_metadata(
         f"({join_numbers(hand.approach_axis)})",
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
-        gripper_sha256=_part_digest(hand),
+        gripper_sha256=part_digest(hand),
         object=body.name,
         object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
@@ -177,11 +180,12 @@ def grasp_metadata(
         frame=frame,
         object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
         com_in_mesh=body.com_in_mesh,
+        object_size=vector(np.subtract(scene.object_high, scene.object_low).round(MICROMETRE)),
         object_mass=body.mass,
         object_friction=body.lateral_friction,
         object_source=_printable(body.source),
         object_licence=_printable(body.licence),
-        object_sha256=_part_digest(body),
+        object_sha256=part_digest(body),
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
@@ -220,7 +224,7 @@ def _public_spec(spec: RunSpec) -> str:
     return to_toml(msgspec.structs.replace(spec, poses=None, **names))
 
 
-def _part_digest(part: SceneGripper | SceneObject) -> str:
+def part_digest(part: SceneGripper | SceneObject) -> str:
     """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
     values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
     return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()

@@ -15,6 +15,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.text import printable
 
+STARTING = "starting coordinator, recorder and workers"
 QUIET_INTERVAL = 5.0  # seconds between lines where there is no terminal
 
 
@@ -48,7 +49,7 @@ class LiveProgress:
 
     def __init__(self, bar: ProgressBar, name: str, budget: int) -> None:
         self._bar = bar
-        self._task = bar.add_task(printable(name), total=budget, words="starting", left="")
+        self._task = bar.add_task(printable(name), total=budget, words=STARTING, left="")
 
     def show(self, figures: JobStatus) -> None:
         """Move the bar on."""

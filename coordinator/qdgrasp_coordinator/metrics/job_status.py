@@ -221,6 +221,7 @@ def meanings(kind: type[Struct]) -> dict[str, str]:
 
 GREATEST_COUNT = 2**63  # Greatest number allowed in a published struct
 LONGEST_WAIT = 1e10  # seconds that nobody waits for
+SLOW_RATE = 9.5  # Evaluations a second below which a tenth of one is told
 STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
 
 
@@ -237,17 +238,36 @@ class TimedProgress:
         raise NotImplementedError
 
     @property
+    def seconds_left(self) -> float | None:
+        """Time that it still takes at the speed so far [s]; None: not known."""
+        return self.remaining / self.rate if self.rate > 0 else None
+
+    @property
     def done(self) -> float:
         """Share of it that is done, 0 to 1; a run that ended early or failed has nothing left."""
         return self.evaluations / (self.evaluations + self.remaining) if self.evaluations else 0.0
 
     @property
     def left(self) -> str:
-        """The time left in words, at the speed so far."""
-        if self.rate <= 0 or self.remaining / self.rate > LONGEST_WAIT:
-            return "time left unknown"
-        hours, seconds = divmod(round(self.remaining / self.rate), 3600)
-        return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
+        """The time left in words."""
+        if not self.remaining:
+            return "nothing left"
+        seconds = self.seconds_left
+        if seconds is None or seconds > LONGEST_WAIT:
+            return "time left not known yet"
+        return f"about {rough_time(seconds)} left"
+
+
+def rough_time(seconds: float) -> str:
+    """Return a time in words, no finer than an estimate is: 40 s, 12 min, 3 h 10 min, 5 days."""
+    hours, tens = divmod(round(seconds / 600), 6)
+    if seconds < 90:
+        return f"{5 * max(1, round(seconds / 5))} s"
+    if not hours:
+        return f"{round(seconds / 60)} min"
+    if hours < 10:
+        return f"{hours} h {10 * tens} min" if tens else f"{hours} h"
+    return f"{round(seconds / 3600)} h" if hours < 72 else f"{round(seconds / 86_400)} days"
 
 
 class RunStatus(RunListing, TimedProgress, frozen=True, kw_only=True):
@@ -314,6 +334,10 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     building: Annotated[
         list[str], "Objects whose shapes are being built, as specs name them; at most 16 of them."
     ] = field(default_factory=list)
+    seconds_left: Annotated[
+        float | None, "About how long the rest takes, rows and shapes [s]; None: not known."
+    ] = None
+    doing: Annotated[str, "What the job does while no rows come in, in words; empty while they do."] = ""
 
     @property
     def words(self) -> str:
@@ -325,14 +349,16 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         if self.obstacle:
             return f"{done}, paused: {self.obstacle}"
         if self.state == "starting":
-            return f"{done}, starting"
+            return f"{done}, starting" + (f", {self.doing}" if self.doing else "")
         if self.state == "paused":
             return f"{done}, paused until `qdgrasp continue {self.job}`"
-        if not self.workers and not self.rate:
-            return f"{done}, no worker yet"
+        if not self.rate and (self.doing or not self.workers):
+            return f"{done}, {self.doing or 'no worker yet'}"
+        doing = f"{self.doing}, " if self.doing else ""
         trials = f"{counted(self.trials, 'trial')}, " if self.trials else ""
         workers = counted(self.workers, "worker")
-        return f"{done}, {self.rate:.0f}/s, {self.found}, {self.screened}, {trials}{workers}"
+        speed = f"{self.rate:.{0 if self.rate >= SLOW_RATE else 1}f}/s"
+        return f"{done}, {doing}{speed}, {self.found}, {self.screened}, {trials}{workers}"
 
     @property
     def shapes(self) -> str:

@@ -15,6 +15,7 @@ import structlog
 from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
+from qdgrasp_coordinator.metrics.time_left import TimeLeft, with_time_left
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement, SettleReply, read_result
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE, CheckCounts, CheckVerdict
@@ -64,9 +65,9 @@ from qdgrasp_protocol.text import counted, first_few
 
 log = structlog.get_logger()
 
-
 AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
 RUNS_NAMED = 5  # Most runs that an event names
+COUNTERS_SHOWN = ("requeued", "doubled", "checked", "differing")
 
 PutMessage = Callable[[str, Message, Channel], None]
 """Sends a message on a key; what is sent while there is no link is lost."""
@@ -108,6 +109,7 @@ class JobScheduler:
         self._on_epoch = on_epoch
         self._on_finished = on_finished
         self._recorders: set[str] = set()
+        self._time_left = TimeLeft()
         self._check_counts: dict[str, CheckCounts] = {}
         """Rows of runs that were checked, until they are recorded with rows that become final."""
         self.start_epoch(0)
@@ -486,15 +488,13 @@ class JobScheduler:
     def status(self, now: float) -> JobStatus:
         """Return the job's figures."""
         figures = self.runs.status(self.job, len(self.workers), now)
-        return structs.replace(
+        figures = structs.replace(
             figures,
             trouble=figures.trouble or self.dispatcher.trouble,
             state=self.state,
             recorders=len(self._recorders),
             wanted_workers=self.dispatcher.wanted_workers(is_leasing=not (self.is_paused or self.is_ending)),
-            requeued=self.dispatcher.counters["requeued"],
-            doubled=self.dispatcher.counters["doubled"],
-            checked=self.dispatcher.counters["checked"],
-            differing=self.dispatcher.counters["differing"],
             strays=self.dispatcher.strays,
+            **{name: self.dispatcher.counters[name] for name in COUNTERS_SHOWN},
         )
+        return with_time_left(figures, self.workers.at_work, self.runs.shapes_left, self._time_left, now)

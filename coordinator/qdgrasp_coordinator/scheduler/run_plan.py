@@ -14,6 +14,7 @@ from msgspec import structs
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.catalog import assemble_scene, build_scene
 from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
@@ -167,6 +168,11 @@ class RunQueue(Protocol):
         """Number of runs known to be left that wait for no shape; in any thread."""
         return 0
 
+    @property
+    def expected_shapes(self) -> float:
+        """Shapes that runs which were not looked at are likely to need; in any thread."""
+        return 0.0
+
     def take_shape(self, reply: BuildReply) -> ShapeWarning | None:
         """Take the end of a build of a shape that was wanted.
 
@@ -240,12 +246,15 @@ def default_run_name(spec: RunSpec) -> str:
     return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
 
 
-def prepare_scene(spec: RunSpec, shape: ObjectShape | None = None) -> PreparedScene:
+def prepare_scene(
+    spec: RunSpec, shape: ObjectShape | None = None, tell: Tell = ignore_progress
+) -> PreparedScene:
     """Build the scene of a spec; `shape` is that of its object, where it was built elsewhere.
 
-    Raises InputError if it cannot be built, or the method's prior is not for such a hand.
+    `tell` is called with a sentence before each slow step. Raises InputError if it cannot be built, or the
+    method's prior is not for such a hand.
     """
-    scene = assemble_scene(spec, shape) if shape else build_scene(spec)
+    scene = assemble_scene(spec, shape) if shape else build_scene(spec, tell)
     row_shape(scene, prior_of(spec))
     return PreparedScene(scene, pack_scene(scene))
 

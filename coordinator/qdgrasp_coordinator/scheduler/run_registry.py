@@ -296,6 +296,11 @@ class ShapeProgress:
         self.files = {digest: path for digest, path in self.files.items() if digest in used}
 
     @property
+    def under_way(self) -> int:
+        """Number of shapes that are built, or wait for that."""
+        return len(self._under_way)
+
+    @property
     def building(self) -> list[str]:
         """The first of the meshes whose shapes are under way."""
         return [str(shape.mesh) for shape in islice(self._under_way.values(), BUILDING_SHOWN)]
@@ -346,6 +351,11 @@ class RunRegistry:
     def asset(self, digest: str) -> Bundle | Path | None:
         """Return a present or recent scene, or a file of a shape; None: unknown. Safe in any thread."""
         return self._scenes.get(digest) or self.shapes.files.get(digest)
+
+    @property
+    def shapes_left(self) -> float:
+        """Shapes that are under way, and those that are likely to be wanted."""
+        return self.shapes.under_way + self._queue.expected_shapes
 
     @property
     def are_done(self) -> bool:

@@ -12,7 +12,7 @@ from math import exp, expm1, inf
 from qdgrasp_coordinator.metrics.job_status import WorkerStatus
 from qdgrasp_coordinator.scheduler.batch_queue import WorkerName
 from qdgrasp_protocol.errors import Refused
-from qdgrasp_protocol.messages import Join
+from qdgrasp_protocol.messages import Heartbeat, Join
 from qdgrasp_protocol.text import first_few
 
 RATE_SECONDS = 10.0  # Seconds after which what was counted weighs 1 / e
@@ -49,6 +49,7 @@ SICK_SECONDS, MOST_SICK_SECONDS = 30.0, 1800.0
 PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
+NO_SIGN = Heartbeat(wid=32 * "0", host="")  # A sign that says nothing
 WID_DIGITS = 8  # Characters of a worker's id that people are shown
 
 
@@ -98,6 +99,8 @@ class Worker:
     """Rows that it settled."""
     memory: int = 0
     restarts: int = 0
+    sign: Heartbeat = NO_SIGN
+    """Its latest sign; before the first one, one that says nothing."""
 
     @property
     def wid(self) -> str:

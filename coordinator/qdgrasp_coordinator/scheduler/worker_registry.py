@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import ceil, inf
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage
+from qdgrasp_coordinator.metrics.time_left import WorkersAtWork
 from qdgrasp_coordinator.scheduler.batch_queue import WorkerName
 from qdgrasp_coordinator.scheduler.worker import (
     MOST_SICK_SECONDS,
@@ -105,6 +106,7 @@ class WorkerRegistry:
         self._drained: set[str] = set()
         self._link_is_up = True
         self._joins = 0
+        self._settled = 0  # Rows that all of them have settled
         self._well: dict[str, str] = {}
         """Workers that are well, each with its host."""
         self._well_on: Counter[str] = Counter()
@@ -124,6 +126,13 @@ class WorkerRegistry:
     def __len__(self) -> int:
         """Number of workers present, progressing and not leaving."""
         return len(self._well)
+
+    @property
+    def at_work(self) -> WorkersAtWork:
+        """Workers that build shapes, and those that hold rows."""
+        busy = [worker for worker in self if worker.batches]
+        signs = [worker.sign for worker in busy if not worker.is_building]
+        return WorkersAtWork(len(busy) - len(signs), signs, self._settled)
 
     def get(self, wid: str) -> Worker | None:
         """Return a worker; None: unknown."""
@@ -230,11 +239,13 @@ class WorkerRegistry:
         """Record a worker's heartbeat; it renews leases only if the simulator progresses."""
         if (worker := self._workers.get(wid)) is not None:
             worker.heard, worker.memory, worker.restarts = now, heartbeat.memory, heartbeat.restarts
+            worker.sign = heartbeat
         if heartbeat.progressed:
             self.progressed(wid, now)
 
     def on_settled(self, wid: str, rows: int, now: float) -> None:
         """Record that a worker has settled rows."""
+        self._settled += rows
         if (worker := self._workers.get(wid)) is not None:
             worker.heard = now
             worker.rows += rows

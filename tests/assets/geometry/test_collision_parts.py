@@ -298,6 +298,23 @@ def test_a_large_round_part_has_as_many_corners_as_there_may_be() -> None:
     assert heights(part, ball.vertices).max() < 4e-3
 
 
+def test_very_many_corners_are_looked_at_in_two_steps_and_none_far_outside_is_left_out(monkeypatch) -> None:
+    part = geodesic(0.004, 24)
+    monkeypatch.setattr(module, "MANY_CORNERS", 1000)
+    found = simplify_part(part)
+    assert len(found.vertices) < module.MOST_CORNERS
+    assert heights(found, part.vertices).max() <= module.CORNER_TOLERANCE
+
+
+def test_points_are_within_a_part_of_many_faces_as_within_one_of_few(monkeypatch) -> None:
+    part, points = geodesic(0.04, 16), np.random.default_rng(0).uniform(-0.045, 0.045, (2000, 3))
+    plain = module.is_within(part, points, 1e-3)
+    monkeypatch.setattr(module, "MANY_FACES", 1000)
+    monkeypatch.setattr(module, "SOME_FACES", 50)
+    np.testing.assert_array_equal(module.is_within(part, points, 1e-3), plain)
+    assert 0 < plain.sum() < len(points)
+
+
 def test_a_small_part_has_fewer_corners_than_a_large_one() -> None:
     small, large = (simplify_part(geodesic(radius, 8)) for radius in (0.005, 0.05))
     assert len(small.vertices) < len(large.vertices) / 2

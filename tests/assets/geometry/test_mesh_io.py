@@ -229,6 +229,17 @@ def test_a_header_states_as_many_triangles_as_are_read(tmp_path, suffix):
     assert stated_triangles(path) == len(read_mesh_file(path).mesh.faces) == 1280
 
 
+@pytest.mark.parametrize("block", [3, 8, 11, 64, 1 << 20])
+def test_lines_of_a_text_are_counted_whatever_stands_at_the_end_of_a_block(tmp_path, monkeypatch, block):
+    monkeypatch.setattr(mesh_io, "TEXT_BLOCK", block)
+    faces = ["f 1 2 3", "f\t1 2 3", "f 1/1 2/2 3/3 4/4"]
+    (tmp_path / "a.obj").write_text("\n".join(["v 0 0 0", "vf 1", *faces, "# f 1 2 3", "usemtl f x"]))
+    assert stated_triangles(tmp_path / "a.obj") == 3
+    facet = "facet normal 0 0 1\nouter loop\n" + "vertex 0 0 0\n" * 3 + "endloop\nendfacet\n"
+    (tmp_path / "a.stl").write_text(f"solid a\n{5 * facet}endsolid\n")
+    assert stated_triangles(tmp_path / "a.stl") == 5
+
+
 BOX_PLY = b"ply\nformat ascii 1.0\nelement vertex 8\n"
 GLB_HEAD = b"glTF\x02\0\0\0\x28\0\0\0"
 
@@ -239,7 +250,7 @@ GLB_HEAD = b"glTF\x02\0\0\0\x28\0\0\0"
         ("text.stl", b"solid ball\n" + b"facet normal 0 0 1\n" * 9),
         ("short.stl", b"\0" * 20),
         ("long.stl", b"\0" * 80 + b"\xff" * 4 + b"\0" * 50),
-        ("ball.obj", b"v 0 0 0\nf 1 1 1\n"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\nof 1 1 1\n"),
         ("none.ply", BOX_PLY + b"end_header\nelement face 99999999\n"),
         ("letters.ply", BOX_PLY + b"element face many\nend_header\n"),
         ("words.off", b"OFF\neight twelve\n"),
@@ -260,10 +271,11 @@ def test_a_header_that_is_none_states_nothing(tmp_path, name, content):
         read_solid(tmp_path / name)
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".ply", ".glb"])
-def test_what_is_too_large_by_its_header_is_refused_before_it_is_read(tmp_path, monkeypatch, suffix):
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".glb", ".off", ".obj", "_text.stl"])
+def test_what_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"ball{suffix}"
-    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(path)
+    kind = "stl_ascii" if "text" in suffix else None
+    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(path, file_type=kind)
     monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
     monkeypatch.setattr("qdgrasp_assets.object_model.MOST_PREPARED", 5000)
     monkeypatch.setattr(mesh_io, "_load_scene", lambda path: pytest.fail("it was read"))

@@ -99,6 +99,23 @@ def test_small_holes_are_filled_only_where_that_is_asked_for():
     assert mesh.volume == pytest.approx(whole.volume, rel=1e-3)
 
 
+def test_it_is_said_why_a_hole_was_not_filled():
+    whole = geodesic(0.03, 8)
+    ring = np.flatnonzero(whole.corners[:, :, 2].min(axis=1) > 0.015)  # a cap, wider than a fifth
+    mesh, _ = repair_mesh(Mesh(whole.vertices, np.delete(whole.faces, ring, axis=0)), fill_holes=True)
+    (fault,) = surface_faults(mesh, filled=True)
+    assert "1 of them is wider than 0.0120 m, a fifth of the largest side, up to which holes are" in fault
+    assert "--fill-holes" not in fault
+    corner = whole.faces[5][0]
+    beside = [f for f in np.flatnonzero((whole.faces == corner).any(axis=1)) if f != 5]
+    opposite = next(f for f in beside if len({*whole.faces[f]} & {*whole.faces[5]}) == 1)
+    mesh, _ = repair_mesh(
+        Mesh(whole.vertices, np.delete(whole.faces, (5, opposite), axis=0)), fill_holes=True
+    )
+    (fault,) = surface_faults(mesh, filled=True)
+    assert "1 of them is small, and not filled because the rim meets itself in a vertex" in fault
+
+
 def test_a_large_hole_is_not_guessed_at():
     ball = geodesic(0.03, 8)
     half = Mesh(ball.vertices, ball.faces[ball.corners[:, :, 2].mean(axis=1) > 0])

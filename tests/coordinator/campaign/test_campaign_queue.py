@@ -100,6 +100,20 @@ def test_more_shapes_are_looked_for_however_many_runs_lie_ready(runs: dict[str, 
     assert len(queue.wanted_shapes(1).shapes) == 1
 
 
+def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpec], tmp_path: Path) -> None:
+    queue = CampaignRunQueue(None, runs)
+    assert queue.expected_shapes == 0.0  # nothing was looked at
+    (first,) = queue.wanted_shapes(1).shapes
+    assert queue.expected_shapes == 1.0  # the one that was looked at had to be built
+    queue.wanted_shapes(10)
+    assert queue.expected_shapes == 0.0
+    queue.take_shape(built(first, tmp_path / "worker"))
+    again = CampaignRunQueue(None, runs)
+    assert not again.wanted_shapes(0).shapes
+    again.next()
+    assert again.expected_shapes == 0.0  # the one that was looked at lies in the store
+
+
 def test_a_shape_that_lies_in_the_store_is_not_wanted_again(runs: dict[str, RunSpec], tmp_path: Path) -> None:
     before = CampaignRunQueue(None, runs)
     for wanted in before.wanted_shapes(10).shapes:

@@ -154,6 +154,17 @@ BAD_ROWS = [
 ]
 
 
+def test_each_mesh_is_told_before_it_is_checked(library):
+    rows = [{"file": "b/part.stl", "mass": 0.1}, {"file": "b/part2.stl", "mass": 0.1}]
+    shutil.copy(library / "b" / "part.stl", library / "b" / "part2.stl")
+    told: list[str] = []
+    manifest = write_manifest(library / "objects.csv", rows)
+    specs = campaign_of_meshes(manifest, LibraryRules(), VALUES, tell=told.append).runs.values()
+    assert told == ["checking meshes: 1 of 2", "checking meshes: 2 of 2"]
+    check_meshes(specs, told.append)
+    assert told[2:] == told[:2]
+
+
 @pytest.mark.parametrize(("row", "words"), BAD_ROWS)
 def test_a_row_that_cannot_be_used_is_named_or_left_out(library, row, words):
     good = {"file": "b/../b/part2.stl", "mass": 0.1}

@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from tests.coordinator.recorded_campaigns import BUDGET, record_campaign
 from typer.testing import CliRunner
 
-from qdgrasp_coordinator.campaign.campaign_file import SATURATION, Campaign
+from qdgrasp_coordinator.campaign.campaign_file import SATURATION, Campaign, read_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_coordinator.cli import campaign_commands
 from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_protocol.errors import InputError
 
 Asked = Callable[[str], Campaign]
@@ -84,3 +87,19 @@ def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(
 def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         asked(line)
+
+
+def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = record_campaign(tmp_path / "out", 8)
+    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
+    campaign_commands.print_summary(folder, asked, is_timed=True)
+    first, counts = capsys.readouterr().out.splitlines()[:2]
+    assert first.startswith("Not all runs are finished; ")
+    recorded = CampaignRunQueue(folder, asked.runs).recorded
+    assert recorded.evaluations == 11 * BUDGET + BUDGET // 2
+    assert counts.startswith(
+        f"11 of 16 runs finished and 1 begun, with {recorded.evaluations} evaluations: "
+        f"{recorded.successes} successes in {recorded.cells} cells, {recorded.grasps} grasps, "
+    )

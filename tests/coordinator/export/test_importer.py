@@ -19,16 +19,22 @@ from tests.coordinator.export.foreign_files import (
     imported_file,
     matrix,
 )
+from typer.testing import CliRunner
 
+from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export import importer
 from qdgrasp_coordinator.export.exporter import export_run
 from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.export.imported_grasps import UnreadableGrasps
-from qdgrasp_coordinator.export.importer import ObjectFrame
+from qdgrasp_coordinator.export.importer import ImportedPoses, ObjectFrame
+from qdgrasp_coordinator.export.metadata import GraspMetadata, SourceRun, part_digest
 from qdgrasp_coordinator.metrics.arrays import bounded_memory
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.spec import to_toml
 
 
 def test_grasps_of_other_tools_in_isaac_yaml_are_read(panda, tmp_path: Path) -> None:
@@ -110,16 +116,69 @@ def test_poses_may_be_told_at_the_centre_of_mass(panda, tmp_path: Path) -> None:
 
 def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, tmp_path: Path) -> None:
     export_run(run, tmp_path / "f", "parquet")
-    assert panda(tmp_path / "f").notes == (
-        "The file tells poses of link 'palm' of gripper 'jaw'; they are taken for those of link "
-        "'panda_hand' of gripper 'panda'.",
-        "The file names joints that gripper 'panda' does not have: left, right; they are left aside.",
+    found = panda(tmp_path / "f")
+    assert found.mismatches == (
+        "The file tells poses of link 'palm' of gripper 'jaw', not of link 'panda_hand' of gripper 'panda'.",
         "The object 'block' of the file has its centre of mass elsewhere in its mesh, so it is not the same "
         "object.",
     )
+    assert found.notes == (
+        "The file names joints that gripper 'panda' does not have: left, right; they are left aside.",
+    )
     hand = run.scene().gripper
     found = importer.import_poses(tmp_path / "f", hand, ObjectFrame(COM, 1.0))
-    assert [note[:39] for note in found.notes] == ["The object 'block' of the file has its "]
+    assert [note[:39] for note in found.mismatches] == ["The object 'block' of the file has its "]
+
+
+def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_said(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    export_run(run, tmp_path / "f", "parquet")
+    out = tmp_path / "poses.npz"
+    asked = ["import", str(tmp_path / "f"), "--gripper", "panda", "--object", "mug", "-o", str(out)]
+    refusal = CliRunner().invoke(app, asked).exception
+    assert isinstance(refusal, InputError)
+    assert "of gripper 'jaw'" in str(refusal)
+    assert str(refusal).endswith(f"Name the hand and object of '{tmp_path / 'f'}', or add --anyway.")
+    assert not out.exists()
+    taken = CliRunner().invoke(app, [*asked, "--anyway"])
+    assert (taken.exit_code, out.is_file()) == (0, True)
+    assert "so it is not the same object" in taken.stderr
+
+
+def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    export_run(run, tmp_path / "f", "parquet")
+    scene = run.scene()
+    com, size = np.array(scene.object.com_in_mesh), np.subtract(scene.object_high, scene.object_low)
+    largest = float(size.max())
+
+    def imported(shift: float, more: float) -> ImportedPoses:
+        along, across = np.eye(3)[0] * shift * largest, np.eye(3)[1] * more * largest
+        there = ObjectFrame(com + along, 1.0, size + across)
+        return importer.import_poses(tmp_path / "f", scene.gripper, there)
+
+    assert (imported(0, 0).mismatches, imported(0, 0).notes) == ((), ())
+    changed = imported(0.01, 0.01)
+    assert changed.mismatches == ()
+    assert "mm: its mesh was changed, as --simplify does" in changed.notes[0]
+    assert "m large, and the one named here" in imported(0, 0.05).mismatches[0]
+    assert "centre of mass elsewhere" in imported(0.05, 0).mismatches[0]
+
+
+def test_a_hand_that_is_not_what_it_was_is_pointed_out(tmp_path: Path) -> None:
+    hand = find_gripper("panda").on_carrier("physical")
+    spec = to_toml(full_spec({"gripper": "panda", "object": "mug", "protocol": "physical"}))
+    run = SourceRun(run="run", digest="0" * 64, spec=spec)
+
+    def notes(digest: str, name: str = "panda") -> list[str]:
+        words = dict.fromkeys(GraspMetadata.__struct_fields__, "")
+        about = {"gripper": name, "gripper_sha256": digest, "runs": (run,), "qdgrasp": "0.1"}
+        return list(importer.hand_notes("panda", GraspMetadata(**(words | about))))
+
+    assert notes(part_digest(hand)) == notes("") == notes("f" * 64, "jaw") == []
+    assert "is not what it was when the file was written by version 0.1" in notes("f" * 64)[0]
 
 
 def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere(

@@ -35,6 +35,7 @@ FIGURES = JobStatus(
     workers=256,
     seconds=50_000.0,
     rate=2400.0,
+    seconds_left=12_935.0,
 )
 
 
@@ -51,7 +52,7 @@ def seen(figures: JobStatus, width: int = 80) -> list[str]:
 def test_a_terminal_shows_a_bar_with_the_time_left_and_every_figure_below_it() -> None:
     bar, *words = seen(FIGURES)
     assert bar.startswith("paper ━")
-    assert bar.endswith("80 %  3:35:35 left")
+    assert bar.endswith("80 %  about 3 h 40 min left")
     assert " ".join(words).split() == FIGURES.words.split()
 
 
@@ -101,7 +102,7 @@ def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) 
 
 def test_a_job_whose_runs_ended_early_is_done_when_nothing_remains() -> None:
     over = replace(FIGURES, remaining=0)
-    assert seen(over)[0].endswith("100 %  00:00 left")
+    assert seen(over)[0].endswith("100 %  nothing left")
     assert (over.done, replace(FIGURES, evaluations=0).done) == (1.0, 0.0)
 
 

@@ -28,7 +28,9 @@ def figures(**more: object) -> JobStatus:
     counts = dict.fromkeys(("runs_done", "runs_failed", "trials", *COUNTS), 0)
     values = {"job": "mugs", "runs": 3, "runs_open": 2, "evaluations": 1000, "budget": 3000, "cells": 5}
     values |= {"workers": 9, "seconds": 10.0, "rate": 100.0} | more
-    return JobStatus(**(counts | {"remaining": max(0, values["budget"] - values["evaluations"])} | values))
+    remaining = max(0, values["budget"] - values["evaluations"])
+    left = remaining / values["rate"] if values["rate"] else None
+    return JobStatus(**(counts | {"remaining": remaining, "seconds_left": left} | values))
 
 
 def run(name: str, **more: object) -> job_status.RunStatus:

@@ -179,7 +179,7 @@ def test_a_job_is_told_in_a_few_lines() -> None:
     assert text(values(recorders=1)) == (
         "mugs: running on head (process 7, epoch 2) for 1 d 1:02:03\n"
         "  0 of 3 runs, 1000 of 3000 evaluations, 100/s, 0 successes in 5 cells, "
-        "0 simulated of 0 proposals, 0 overlaps, 0 dead ends, 9 workers, 00:20 left\n"
+        "0 simulated of 0 proposals, 0 overlaps, 0 dead ends, 9 workers, about 20 s left\n"
         "  2 runs in progress: a 10/1000, b 10/1000\n"
         "  workers: n0 2, n1 2, n2 1, n3 1, n4 1, n5 1 and 1 more (4 idle, 5 working)"
     )

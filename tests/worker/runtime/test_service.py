@@ -220,6 +220,15 @@ def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_star
     assert office.signs == 0
 
 
+def test_a_worker_says_of_how_many_rows_its_batch_is_and_whether_its_scene_is_loaded(office, worker, go_on):
+    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
+    office.wait(lambda: office.sign and office.sign.rows == 2 and not office.sign.loading, "a loaded scene")
+    assert office.sign.done < 2
+    go_on()
+    office.wait(lambda: office.results, "a result")
+    office.wait(lambda: (office.sign.rows, office.sign.done) == (0, 0), "a sign without a batch")
+
+
 def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(office, worker):
     office.give(work(1, n=4, row_2=ABORT), work(2))
     office.wait(lambda: len(office.results) == 2, "two results")

@@ -397,6 +397,8 @@ class WorkerService:
             host=shorten(socket.gethostname()),
             run=head.work.run if head else "",
             rows=head.work.n if head else 0,
+            done=head.done if head else 0,
+            loading=head is not None and head.is_loading,
             progressed=(has_run and head is not None) or self._builder.build is not None,
             memory=self._simulator.memory + process_stats(os.getpid()).memory,
             restarts=self._simulator.restarts,

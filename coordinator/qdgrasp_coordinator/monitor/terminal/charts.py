@@ -226,7 +226,7 @@ def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
     waiting = counted(one.waiting, "row", told=count_text)
     on_disk = f"{waiting} not on disk yet" if one.waiting else "all on disk"
     phrases = [
-        words.get(view.state, ""),
+        words.get(view.state, glyphs.text(one.doing)),
         on_disk if one.recorders else "no recorder is there: rows wait for one",
         f"{counted(one.requeued, 'batch', 'batches', count_text)} given again" if one.requeued else "",
         f"{counted(one.differing, 'row', 'rows', count_text)} answered differently" if one.differing else "",

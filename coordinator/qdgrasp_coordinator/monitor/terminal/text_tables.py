@@ -207,9 +207,9 @@ def state_text(view: JobView) -> str:
 
 
 def time_left(view: JobView) -> str:
-    """Return the time that a job still takes at its mean speed."""
-    is_known = view.figures.rate > 0 and view.state not in OVER
-    return span_text(view.figures.remaining / view.figures.rate) if is_known else "-"
+    """Return the time that a job still takes."""
+    seconds = None if view.state in OVER else view.figures.seconds_left
+    return "-" if seconds is None else span_text(seconds)
 
 
 def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:

@@ -124,10 +124,10 @@ class TestRoom:
     def test_eighty_columns_and_24_lines_show_the_essential(self) -> None:
         seen = text(ONE)
         for words in (
-            ENDPOINT, "mugs", "running", "24 900 of 100 000 evaluations", "25 %", "15:05 left", "83/s lately",
-            "2 766 successes", "498 cells", "830 robust", "0 errors", "overlap 40%", "no contact", "dropped",
-            "held", "evaluations/s 83", "cells 498", "15 working, 15 idle on 7 hosts", "node-0", "310 MB",
-            "leases", "rows/s",
+            ENDPOINT, "mugs", "running", "24 900 of 100 000 evaluations", "25 %", "about 15 min left",
+            "83/s lately", "2 766 successes", "498 cells", "830 robust", "0 errors", "overlap 40%",
+            "no contact", "dropped", "held", "evaluations/s 83", "cells 498",
+            "15 working, 15 idle on 7 hosts", "node-0", "310 MB", "leases", "rows/s",
             "Worker 19 joined.", "q quit", "(27 more)",
         ):  # fmt: skip
             assert words in seen
@@ -228,6 +228,7 @@ class TestTrouble:
             (job(later=9.0), "nothing was heard of it for 9 s"),
             (job(trouble="the disk is full"), "waits: the disk is full"),
             (job(recorders=0), "no recorder is there"),
+            (job(doing="building the shape of mug.stl"), "building the shape of mug.stl · all on disk"),
             (job(state="paused"), "paused until `qdgrasp continue mugs`"),
             (job(waiting=1234), "1 234 rows not on disk yet"),
             (job(requeued=3, strays=2), "3 batches given again · 2 results dropped"),
@@ -237,7 +238,7 @@ class TestTrouble:
             (job(), "all on disk"),
         ],
         ids=[
-            *("silent", "disk", "recorder", "paused", "behind", "requeued", "alone"),
+            *("silent", "disk", "recorder", "doing", "paused", "behind", "requeued", "alone"),
             *("cancelled", "ending", "running"),
         ],
     )  # fmt: skip
@@ -292,6 +293,7 @@ def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
     of_type = {
         int: WILD,
         float: WILD_FLOAT,
+        float | None: st.none() | WILD_FLOAT,
         str: WILD_TEXT,
         datetime: st.datetimes(timezones=st.just(UTC)),
         list[str]: st.lists(WILD_TEXT, max_size=3),

@@ -32,7 +32,8 @@ export class SummaryPanel {
     const state = finished && !away ? "ended" : job.state;
     const more = away ? `, last heard ${ago(job.silent)}` : finished ? `: ${finished}` : "";
     setAttribute(node, "data-state", state);
-    setText(node, (state === "starting" ? STARTING : state) + more);
+    const doing = !away && !run && job.figures.doing ? `: ${job.figures.doing}` : "";
+    setText(node, (state === "starting" ? STARTING : state + doing) + more);
   }
 
   #origin(job, run, now) {
