@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from qdgrasp_assets.geometry.rotation import Floats, dot, unit
+from qdgrasp_assets.geometry.voxels import VoxelGrid, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import Scene
-from qdgrasp_worker.filters.voxels import VoxelGrid, convex_hulls
 
 MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
 EDGE_TOLERANCE = 1e-9  # how far beyond an edge still counts, so that no ray slips between two triangles

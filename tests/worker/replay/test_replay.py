@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.worker.replay.recorded_evaluations import RecordedEvaluation, record_evaluation, request
 
+from qdgrasp_assets.grippers.hand_surface import HandKinematics
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.hand_geometry import HandKinematics
 from qdgrasp_worker.replay import renderer, replay
 from qdgrasp_worker.replay.episode_recorder import still_snapshot
 from qdgrasp_worker.replay.renderer import (

@@ -140,3 +140,29 @@ def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Float
     bottom: Floats = np.max(heights[down] / -c[down], axis=0, initial=-np.inf)
     bottom[(heights[~(up | down)] > 0.0).any(axis=0)] = np.inf
     return bottom, top
+
+
+def rotation_matrices(quaternions: NDArray[np.float32]) -> Singles:
+    """The rotation matrices (n, 3, 3) of unit quaternions (n, 4)."""
+    x, y, z, w = quaternions.astype(np.float64).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows, dtype=np.float32), -1, 0)
+
+
+def transform_points(
+    points: Singles, rotations: Singles, positions: Singles
+) -> tuple[Singles, Singles, Singles]:
+    """x, y and z (n, p) of points (n or 1, p, 3), turned by (n, 3, 3) and moved by (n, 3).
+
+    In products and sums of single numbers, whose bits do not depend on how many poses there are.
+    """
+    x, y, z = (points[:, :, axis] for axis in range(3))
+    rows = [
+        rotations[:, i, 0, None] * x + rotations[:, i, 1, None] * y + rotations[:, i, 2, None] * z
+        for i in range(3)
+    ]
+    return rows[0] + positions[:, 0, None], rows[1] + positions[:, 1, None], rows[2] + positions[:, 2, None]
