@@ -63,6 +63,15 @@ AimFor = Literal["hold", "touch", "eta", "margin"]
 DiversityName = Literal["position", "orientation", "posture"]
 """What tells grasps apart: their cell; its orientation bin too; its synergy too."""
 
+APPROACH_DISTANCE = 0.1
+"""Distance from which a hand has to come where there is a table, unless another is said [m].
+
+About the reach of a hand such as the Panda, 0.112 m: so far back open fingers are clear of what they grasp.
+"""
+ANY_RESTING_POSE = "any"
+"""Stands for all resting poses of an object: the hand has to come above the table in one of them at least."""
+MOST_RESTING_POSES = 100  # Each has a hundredth of all probability at least
+
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
@@ -103,6 +112,7 @@ VALUE_HINTS = {
     "mass": " (kg)",
     "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)",
     "surface_seed": ", or 'seed' in the file of a campaign alone",
+    "resting_pose": ", or 'any'",
 }
 """Unit of a key's value, or what else it may be, for errors."""
 GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
@@ -145,6 +155,13 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
     engine: EngineChoice | None = None
     """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
+    approach_distance: Annotated[float, Meta(ge=0, le=1)] | None = None
+    """Distance from which the open hand comes to its pose along its approach axis, touching nothing [m].
+
+    None: it is set at its pose, or with a table comes from `APPROACH_DISTANCE`.
+    """
+    resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
+    """How the object rests on a table that the hand comes above, by number, or `any`; None: no table."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -194,6 +211,12 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     def nominal_protocol(self) -> str:
         """The protocol of its nominal evaluations: the one that `robust` disturbs, else its own."""
         return nominal_protocol(self.protocol, self.base)
+
+    @property
+    def approach(self) -> float:
+        """Distance from which the open hand has to come to its pose [m]; 0: it is set there."""
+        usual = 0.0 if self.resting_pose is None else APPROACH_DISTANCE
+        return usual if self.approach_distance is None else self.approach_distance
 
     @property
     def protocol_words(self) -> str:
@@ -247,6 +270,11 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         raise InputError(
             f"{where}: the protocol 'released' repeats the authors' code, which is Bullet's, and engine = "
             f"'{spec.engine}'; leave engine out, or take the protocol 'paper'."
+        )
+    if spec.engine == DEVICE_ENGINE and spec.approach:
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' does not look at the way of a hand to its pose; take "
+            "engine = 'mujoco', or approach_distance = 0."
         )
     if spec.engine == DEVICE_ENGINE and spec.nominal_protocol != "physical":
         raise InputError(

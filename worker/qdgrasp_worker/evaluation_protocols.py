@@ -39,6 +39,8 @@ class TrialSetup:
     """Factor of the object's lateral friction."""
     approaches: bool = False
     """The hand comes along its approach axis, and stops before a link would be inside the object."""
+    clear_way: float = 0.0
+    """Distance along its approach axis from which the open hand must come clear of the object [m]."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +212,8 @@ class EvaluationProtocol:
     """Distributions that trials from 1 on are drawn from; None: there are no trials."""
     physics: Physics | None = None
     """The settings of `physical`, in which nothing is shaken; None: the hand closes and shakes as above."""
+    approach_distance: float = 0.0
+    """Distance from which the open hand must come to its nominal pose clear of the object [m]."""
 
     @property
     def trials(self) -> int:
@@ -218,7 +222,9 @@ class EvaluationProtocol:
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
         """A grasp in one of its trials; 0 is the grasp as it was commanded."""
-        return self.mixture.trial(pose, number) if self.mixture and number else TrialSetup(pose)
+        if self.mixture and number:
+            return self.mixture.trial(pose, number)
+        return TrialSetup(pose, clear_way=self.approach_distance)
 
 
 SHAKES = (
@@ -242,7 +248,11 @@ ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_
 
 
 def scene_protocol(scene: Scene) -> EvaluationProtocol:
-    """The protocol of a scene; UnknownName if it does not exist."""
+    """The protocol of a scene, with its approach; UnknownName if it does not exist."""
+    return replace(_named_protocol(scene), approach_distance=scene.approach_distance)
+
+
+def _named_protocol(scene: Scene) -> EvaluationProtocol:
     if scene.protocol not in PROTOCOLS:
         raise UnknownName("protocol", scene.protocol, PROTOCOLS)
     if scene.protocol != ROBUST.name or scene.base == PAPER.name:

@@ -194,7 +194,7 @@ class Evaluator(BatchEvaluator):
         episode = make_episode(world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
-            if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
+            if trial and shortlist.is_choice and episode.is_blocked(self._protocol.trial(pose, 0)):
                 continue
             setup = self._protocol.trial(pose, trial)
             verdict = episode.run(setup)

@@ -1,4 +1,4 @@
-"""Geometry of a hand in its scene: postures of its free joints, and the mounts of its fingers.
+"""Geometry of a hand: postures of its free joints, and the mounts of its fingers.
 
 Fingers are mounted on links that stand still while they close: the root, and the links of free joints.
 """

@@ -3,7 +3,7 @@
 A voxel grid is a box of small cubes, each with a level, looked up for many points at once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -125,6 +125,28 @@ class VoxelGrid:
             flat += np.clip(place, np.float32(0.0), self._last[axis]).astype(np.int32)
         found: NDArray[Kind] = self.levels.ravel()[flat]
         return found
+
+
+SOLID_PITCH = 1e-3  # The side of a voxel of a solid [m]; larger for one of more than `MOST_SOLID_VOXELS`
+MOST_SOLID_VOXELS = 1 << 24
+SAFE_DEPTH = 1e-4  # Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm.
+
+
+def box_around(hulls: Sequence[Hull]) -> tuple[Floats, Floats]:
+    """The corners (3,) of the box around hulls and the origin [m]."""
+    origin = np.zeros((1, 3))
+    lows, highs = [hull.low for hull in hulls], [hull.high for hull in hulls]
+    return np.min([*lows, *origin], axis=0), np.max([*highs, *origin], axis=0)
+
+
+def solid_voxels(hulls: Sequence[Hull], low: Floats, high: Floats) -> VoxelGrid:
+    """Voxels of a box, of level 1 where the whole voxel is surely inside one of the hulls."""
+    pitch = max(SOLID_PITCH, float(np.prod(high - low) / MOST_SOLID_VOXELS) ** (1 / 3))
+    voxels = VoxelGrid(low, high, pitch)
+    for hull in hulls:
+        reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
+        voxels.mark(hull.shrunk(reach + SAFE_DEPTH), 1)
+    return voxels
 
 
 def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import Hull, Singles, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import is_all_convex, link_convex_parts
 from qdgrasp_assets.grippers.urdf import parse_robot
@@ -52,6 +52,8 @@ class HandKinematics:
 
 
 SAMPLE_POINTS = 1024
+STAGES = (slice(0, 64), slice(64, 256), slice(256, 1024))  # Points that are looked up one after the other
+POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the cache
 DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart
 DEEP_SHARE = 0.4  # The share of points that are drawn from within a part, and not from under its surface
 SURFACE_SCALE = 0.98  # Scale of a part's surface about its centre: points of the edge would be on either side
@@ -66,6 +68,12 @@ class HandSurfaceSamples:
         opened = np.array([[joint.opened for joint in gripper.joints]])
         self._opened = self._kinematics.frames(opened)
         self._links, self._points = self._sample()
+        self._corners = {
+            name: np.unique(np.concatenate([hull.triangles.reshape(-1, 3) for hull in hulls]), axis=0)
+            for name, hulls in self._kinematics.hulls.items()
+            if hulls
+        }
+        """The corners (v, 3) [m] of the convex parts of each link, link frame."""
 
     def points(self, postures: NDArray[np.float32], some: slice) -> Singles:
         """`some` of the points in the hand frame [m], for joints at `postures` (n, j): (n, p, 3).
@@ -81,6 +89,22 @@ class HandSurfaceSamples:
             frame, of_link = frames[self._names[link]], links == link
             placed[:, of_link] = points[of_link] @ np.moveaxis(frame[:, :3, :3], 1, 2) + frame[:, None, :3, 3]
         return placed
+
+    def lowest(self, up: Floats, postures: NDArray[np.float32]) -> Floats:
+        """The least component (n,) [m] along `up` (n, 3) of the hand's convex parts, hand frame.
+
+        Its joints are at `postures` (n, j) [rad or m].
+        """
+        if (postures == postures[:1]).all():
+            postures = postures[:1]
+        frames = self._kinematics.frames(postures.astype(np.float64))
+        lowest = np.full(len(up), np.inf)
+        for name, corners in self._corners.items():
+            frame = frames[name]
+            along = np.stack([dot(frame[:, :3, axis], up) for axis in range(3)], axis=-1)
+            heights = dot(corners, along[:, None]).min(axis=1) + dot(frame[:, :3, 3], up)
+            lowest = np.minimum(lowest, heights)
+        return lowest
 
     def _sample(self) -> tuple[NDArray[np.int64], Floats]:
         """The link (1024,) and place (1024, 3) of each point, link frame [m]."""

@@ -9,6 +9,7 @@ import typer
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.spec import ANY_RESTING_POSE, MOST_RESTING_POSES
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
@@ -52,6 +53,26 @@ EngineOption = Annotated[
         "--engine",
         help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
         "released has bullet alone, physical also mujoco-warp; default bullet.",
+    ),
+]
+ApproachDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--approach-distance",
+        metavar="M",
+        min=0,
+        max=1,
+        help="Distance [m] from which the open hand comes along its approach axis, touching nothing; default "
+        "0, with --resting-pose 0.1.",
+    ),
+]
+RestingPoseOption = Annotated[
+    str | None,
+    typer.Option(
+        "--resting-pose",
+        metavar="N|any",
+        help="The object rests on a table, in pose N of `qdgrasp asset resting-poses`, and the hand comes "
+        "above it; any: in one of its poses at least.",
     ),
 ]
 Trials = Annotated[
@@ -155,6 +176,15 @@ def worker_count(workers: int | None, *engines: str | None) -> int:
 def given(**values: Any) -> dict[str, Any]:
     """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
+
+
+def resting_pose(text: str | None) -> int | str | None:
+    """Parse the number of a resting pose, or `any`; raises ImpossibleValue for other text."""
+    if text is None or text == ANY_RESTING_POSE:
+        return text
+    if text.isascii() and text.isdecimal() and int(text) < MOST_RESTING_POSES:
+        return int(text)
+    raise ImpossibleValue("--resting-pose", text, f"the number of a resting pose, or '{ANY_RESTING_POSE}'")
 
 
 def preparation(simplify: int | None, remesh: bool, hull: bool, glued: bool) -> MeshPreparation | None:

@@ -85,6 +85,8 @@ def run(
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
     engine: options.EngineOption = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     trials: options.Trials = None,
     finalists: options.Finalists = None,
     aim_for: options.AimFor = None,
@@ -152,6 +154,8 @@ def run(
         protocol=protocol,
         base=base,
         engine=engine,
+        approach_distance=approach_distance,
+        resting_pose=options.resting_pose(resting_pose),
         trials=trials,
         finalists=finalists,
         aim_for=aim_for,
@@ -356,6 +360,8 @@ def rerank(
             help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
         ),
     ] = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
@@ -389,10 +395,13 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
+    ways = options.given(approach_distance=approach_distance, resting_pose=options.resting_pose(resting_pose))
+    if ways:
+        found = ranking.reachable_grasps(source, found, **ways)
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
     chosen = ranking.best_of_kinds(found, most, kinds)
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
-    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
+    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, batch_size, listening, disk_wait)

@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, multiply
+from qdgrasp_assets.geometry.rotation import Floats, multiply, rotate, unit
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
@@ -32,6 +32,9 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
+
+if TYPE_CHECKING:  # scipy takes its time
+    from qdgrasp_assets.grippers.reachability import Reach, ReachabilityCheck
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 
@@ -115,6 +118,8 @@ class Grasps:
     """(n,): trials that it is of."""
     elsewhere: dict[str, Verdicts] = field(default_factory=dict)
     """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
+    approach: "ReachabilityCheck | None" = None
+    """How hands are to come to grasps, for `reach`; None: it was not asked for."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -291,6 +296,35 @@ class Grasps:
         return object_motion(self.rows)
 
     @cached_property
+    def reach(self) -> "Reach":
+        """Answers whether hands come to their commanded poses; needs `approach`."""
+        if self.approach is None:
+            raise InputError("How hands come to these grasps was not asked for: give an approach_distance.")
+        poses = self.rows["base_to_object"]
+        return self.approach(poses[:, :3], poses[:, 3:], self.pregrasp)
+
+    @cached_property
+    def approach_directions(self) -> Floats:
+        """(n, 3): unit vectors, object's frame, along which hands come to their poses."""
+        turns = unit(self.rows["base_to_object"][:, 3:].astype(np.float64))
+        axis = np.array(self.scene.gripper.approach_axis)
+        return rotate(turns, np.broadcast_to(axis, (len(self), 3)))
+
+    @cached_property
+    def resting_poses(self) -> list[list[int]]:
+        """Numbers of the resting poses in which each hand comes to it; needs `approach`."""
+        reach, numbers = self.reach, list(self.approach.poses) if self.approach else []
+        found = reach.is_clear[:, None] & reach.is_above
+        return [[numbers[place] for place in np.flatnonzero(row)] for row in found]
+
+    def approach_poses(self, frame: Frame = MESH) -> Floats:
+        """(n, 7): the poses from which open hands come to the commanded ones; `frame` as of `poses`."""
+        poses = self.poses(frame)
+        if self.approach is not None:
+            poses[:, :3] -= self.approach.distance * self.approach_directions
+        return poses
+
+    @cached_property
     def contacts(self) -> "GraspContacts":
         """Contacts of the hand with the object after closing."""
         values = contact_values(self.rows)
@@ -338,6 +372,7 @@ def select_grasps(
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
     holds_in: str | None = None,
+    approach: "ReachabilityCheck | None" = None,
 ) -> Grasps:
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
@@ -345,7 +380,8 @@ def select_grasps(
     successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
     eta is known, then by fitness); `diverse` takes so many at most, each as far as can be from those before
     it (`spread_places`), the best one first. Without both, grasps are in journal order. `holds_in` takes
-    those that hold in this engine, by the run's table of it. Raises ImpossibleValue for other numbers,
+    those that hold in this engine, by the run's table of it, `approach` those whose hands come to their
+    poses. Raises ImpossibleValue for other numbers,
     UnknownName for another engine, and InputError where there is no such table.
     """
     _check_number("min_fitness", min_fitness, whole=False)
@@ -356,6 +392,9 @@ def select_grasps(
     if holds_in is not None:
         chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
+    if approach is not None:
+        chosen = replace(chosen, approach=approach)
+        chosen = chosen[chosen.reach.is_reachable]
     if top is None and diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]

@@ -4,15 +4,15 @@ import hashlib
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import UNSET, Struct, UnsetType
 
-from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.scene import SceneGripper, SceneObject, Vector
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
@@ -21,6 +21,9 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.rows import trial_count
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import join_numbers
+
+if TYPE_CHECKING:
+    from qdgrasp_assets.grippers.reachability import ReachabilityCheck
 
 SUCCESS_WORDS = "a finger touches the object after closing"
 GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
@@ -61,6 +64,18 @@ class SourceRun(Struct, frozen=True, kw_only=True):
     def asked(self) -> RunSpec:
         """The spec as it was asked for."""
         return from_toml(self.spec, self.run)
+
+
+class RestingPoseRecord(Struct, frozen=True, kw_only=True):
+    """A way in which the object rests on a table."""
+
+    number: int
+    """Of `qdgrasp asset resting-poses`."""
+    up: tuple[float, float, float]
+    """Unit vector in the object's frame that points away from the table."""
+    height: float
+    """Component along `up` of the table's points, in the frame of the poses [m]."""
+    probability: float
 
 
 class GraspMetadata(Struct, frozen=True, kw_only=True):
@@ -117,6 +132,10 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Place and meaning of the contacts."""
     settled: str = ""
     """Whether settled poses and contacts were recorded."""
+    approach_distance: float | UnsetType = UNSET
+    """Distance from which hands come to the commanded poses [m]; absent: not looked at, as the next one."""
+    resting_poses: tuple[RestingPoseRecord, ...] | UnsetType = UNSET
+    """Ways in which the object rests on a table, as far as they were looked at; absent: there was none."""
     scene: str
     """sha256 of the scene bundle."""
     runs: tuple[SourceRun, ...]
@@ -159,6 +178,7 @@ def grasp_metadata(
     scene = grasps.scene
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
+    check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
     with folder.journal() as journal:
         runs, bundle = _source_runs(folder, journal), journal.scene
     return GraspMetadata(
@@ -175,7 +195,7 @@ def grasp_metadata(
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
         object_frame=OBJECT_FRAMES[frame].format(MESH_FILE if file else MESH_WRITTEN),
         frame=frame,
-        object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
+        object_com=origin,
         com_in_mesh=body.com_in_mesh,
         object_mass=body.mass,
         object_friction=body.lateral_friction,
@@ -190,8 +210,23 @@ def grasp_metadata(
         grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",
         contacts=f"{CONTACT_WORDS}: {places.contacts}" if places.contacts else "not in this format",
         settled=settled_words(grasps),
+        approach_distance=UNSET if check is None else check.distance,
+        resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,
         scene=bundle,
         runs=runs,
+    )
+
+
+def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingPoseRecord, ...]:
+    """Return resting poses in a frame in which the centre of mass is at `origin` [m]."""
+    return tuple(
+        RestingPoseRecord(
+            number=number,
+            up=pose.up,
+            height=round(pose.height + running_sum(a * b for a, b in zip(pose.up, origin, strict=True)), 6),
+            probability=pose.probability,
+        )
+        for number, pose in check.poses.items()
     )
 
 

@@ -36,6 +36,7 @@ JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SETTLED = "settled_"  # What the columns of the settled pose begin with
 CONTACTS = "contact_points"
+RESTING_POSES = "resting_poses"
 SAME_MEANINGS = {
     "object": "the object",
     "gripper": "the hand",
@@ -102,6 +103,26 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
     yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
     yield GraspColumn("margin", grasps.margin, "Ferrari-Canny margin of the contacts; none: not known")
+    if grasps.approach is not None:
+        yield from _approach_columns(grasps, frame, has_table=bool(grasps.approach.poses))
+
+
+def _approach_columns(grasps: Grasps, frame: Frame, *, has_table: bool) -> Iterator[GraspColumn]:
+    """Yield how hands come to the commanded poses."""
+    for name, values in zip("xyz", grasps.approach_directions.T, strict=True):
+        yield GraspColumn(f"approach_{name}", values, "direction in which the hand comes, object's frame")
+    for name, values in zip("xyz", grasps.approach_poses(frame).T[:3], strict=True):
+        start = "where it comes from, turned as at the commanded pose, object's frame [m]"
+        yield GraspColumn(f"approach_from_{name}", values, start)
+    is_clear = grasps.reach.is_clear.astype(np.uint8)
+    yield GraspColumn("approach_clear", is_clear, "1: it touches nothing on its way")
+    if has_table:
+        words = np.array([" ".join(map(str, numbers)) for numbers in grasps.resting_poses], dtype=str)
+        yield GraspColumn(
+            RESTING_POSES, words, "the object's resting poses in which it comes above the table"
+        )
+        share = "probability of these resting poses"
+        yield GraspColumn("resting_probability", grasps.reach.probability, share)
 
 
 def _label_words(words: list[str] | tuple[str, ...], labels: NDArray[np.int64]) -> NDArray[np.str_]:

@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.voxels import rotation_matrices, transform_points
-from qdgrasp_assets.grippers.hand_surface import HandSurfaceSamples
+from qdgrasp_assets.grippers.hand_surface import POINTS_AT_ONCE, STAGES, HandSurfaceSamples
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.object_geometry import ObjectSolid
-
-STAGES = (slice(0, 64), slice(64, 256), slice(256, 1024))
-POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the cache
 
 
 class OverlapFilter:
