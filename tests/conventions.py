@@ -18,10 +18,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 278
-"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for libraries, 2
-for hands that come to their pose."""
-MOST_LINES = 59_300
+MOST_MODULES = 279
+"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for libraries, 3
+for hands that come to their pose, and lift."""
+MOST_LINES = 59_400
 MOST_TEST_FILES = 322
 MOST_TEST_LINES = 59_200
 MOST_SCRIPTS = 24

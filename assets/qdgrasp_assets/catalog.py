@@ -139,7 +139,7 @@ def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectS
         object_high=shape.object_high,
         contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
         approach_distance=spec.approach,
-        resting_poses=tuple(chosen_resting_poses(shape.collision, spec.resting_pose, spec.object).values()),
+        resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),
     )
 
 

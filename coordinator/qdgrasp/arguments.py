@@ -80,7 +80,7 @@ class SceneArguments(TypedDict, total=False):
     friction: float | None
     """The object's lateral friction coefficient; 0.5."""
     protocol: ProtocolName
-    """"paper", "physical", "released" or "robust" (docs/protocols.md)."""
+    """"paper", "physical", "lift", "released" or "robust" (docs/protocols.md)."""
     base: BaseName
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineChoice | None

@@ -20,7 +20,7 @@ from msgspec import Meta, Struct
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.rows import disturbance_count, nominal_protocol, trial_count
+from qdgrasp_protocol.rows import LIFT, disturbance_count, nominal_protocol, trial_count
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -46,7 +46,7 @@ def _dots_in_key(line: str) -> int:
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 
-ProtocolName = Literal["paper", "released", "robust", "physical"]
+ProtocolName = Literal["paper", "released", "robust", "physical", "lift"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
@@ -213,9 +213,14 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         return nominal_protocol(self.protocol, self.base)
 
     @property
+    def table_pose(self) -> int | str | None:
+        """The resting pose on a table: as asked, in `lift` the likeliest where none is."""
+        return 0 if self.protocol == LIFT and self.resting_pose is None else self.resting_pose
+
+    @property
     def approach(self) -> float:
         """Distance from which the open hand has to come to its pose [m]; 0: it is set there."""
-        usual = 0.0 if self.resting_pose is None else APPROACH_DISTANCE
+        usual = 0.0 if self.table_pose is None else APPROACH_DISTANCE
         return usual if self.approach_distance is None else self.approach_distance
 
     @property
@@ -264,6 +269,11 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         )
     if spec.mesh is not None and spec.mesh.remesh and spec.mesh.hull:
         raise InputError(f"{where}: remesh and hull each replace the mesh by another one; take one of them.")
+    if spec.protocol == LIFT and spec.resting_pose == ANY_RESTING_POSE:
+        raise InputError(
+            f"{where}: the protocol '{LIFT}' lifts the object from one resting pose; say its number with "
+            "resting_pose, or leave that out for the likeliest one."
+        )
     if spec.engine == DEFAULT_ENGINE:
         return msgspec.structs.replace(spec, engine=None)
     if spec.engine and spec.protocol == "released":

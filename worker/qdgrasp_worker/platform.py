@@ -36,7 +36,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"2003ea0b0260ada9810e8f64ac691adfe1749587ab376727bc05a9bd42a68d7b": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"78c26d0da9f6e455533072e6c52a311a1b93adf42131b348f6bb3e43ec868144": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

@@ -149,7 +149,7 @@ class ReachabilityCheck:
         cls, scene: Scene, spec: RunSpec, distance: float | None = None, resting_pose: int | str | None = None
     ) -> Self | None:
         """Make the check that is asked for of a run's grasps, else that of its spec; None: neither."""
-        pose = spec.resting_pose if resting_pose is None else resting_pose
+        pose = spec.table_pose if resting_pose is None else resting_pose
         way = distance if distance is not None else spec.approach
         if distance is None and not spec.approach and pose is not None:
             way = APPROACH_DISTANCE

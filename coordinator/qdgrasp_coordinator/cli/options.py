@@ -40,7 +40,8 @@ ProtocolOption = Annotated[
     str | None,
     typer.Option(
         "--protocol",
-        help="Evaluation protocol: paper, physical, released, robust; default paper, of `run` physical.",
+        help="Evaluation protocol: paper, physical, lift, released, robust; default paper, of `run` "
+        "physical.",
     ),
 ]
 BaseOption = Annotated[

@@ -30,7 +30,7 @@ from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
-from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
+from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
     GOAL_KEYS,
@@ -465,7 +465,7 @@ def rerank_spec(
     """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
-    disturbed = base or ("physical" if source.spec.nominal_protocol == "physical" else "paper")
+    disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
     values = to_values(source.spec) | {
         "method": GIVEN,
         "base": disturbed,

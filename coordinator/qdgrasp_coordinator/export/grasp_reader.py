@@ -161,7 +161,7 @@ class GraspChoice:
 
     def reachability(self, scene: Scene, spec: RunSpec) -> "ReachabilityCheck | None":
         """Return the check of how hands come to grasps; None: neither flags nor the run ask for it."""
-        if (self.approach_distance, self.resting_pose, spec.approach, spec.resting_pose) == NO_APPROACH:
+        if (self.approach_distance, self.resting_pose, spec.approach, spec.table_pose) == NO_APPROACH:
             return None
         from qdgrasp_assets.grippers.reachability import ReachabilityCheck  # scipy takes its time
 

@@ -193,7 +193,7 @@ class Grasps:
 
     @property
     def fitness(self) -> NDArray[np.float32]:
-        """(n,): disturbances survived in the nominal evaluation: 0 to 2 shakes, or 0 to 6 forces."""
+        """(n,): disturbances survived in the nominal evaluation: shakes, forces or a lift."""
         return np.asarray(self.rows["fitness"])
 
     @property

@@ -18,7 +18,7 @@ from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
-from qdgrasp_protocol.rows import trial_count
+from qdgrasp_protocol.rows import LIFT, trial_count
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import join_numbers
 
@@ -31,6 +31,7 @@ FITNESS_MEANING = (
     "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 forces; "
     "higher is better"
 )
+LIFT_MEANING = "1: the hand lifted the object off the table and held it there; else 0"
 ETA_WORDS = (
     "the share of disturbances survived in all trials with disturbed pose and friction, "
     "the estimated probability of transfer"
@@ -205,6 +206,7 @@ def grasp_metadata(
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
+        fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
         confidence=_confidence_words(grasps.spec),
         pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
         grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",

@@ -28,9 +28,9 @@ from qdgrasp_coordinator.export.imported_grasps import (
     decode_metadata,
     to_words,
 )
-from qdgrasp_coordinator.export.metadata import GraspMetadata
+from qdgrasp_coordinator.export.metadata import LIFT_MEANING, GraspMetadata
 from qdgrasp_coordinator.export.text_format import shortest_decimals
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.rows import LIFT, Outcome
 
 JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -69,9 +69,8 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("generation", rows["generation"], "of the search")
     yield GraspColumn("index", rows["index"], "in the generation")
     yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
-    yield GraspColumn(
-        "fitness", grasps.fitness, "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
-    )
+    survived = "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
+    yield GraspColumn("fitness", grasps.fitness, LIFT_MEANING if grasps.scene.protocol == LIFT else survived)
     for name, verdicts in grasps.elsewhere.items():
         words = np.append(OUTCOMES, "")[verdicts["outcome"]]  # -1, not known, is the last
         yield GraspColumn(f"{name}_outcome", words, f"how it ended in {name}; none: not evaluated there")

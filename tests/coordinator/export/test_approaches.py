@@ -8,10 +8,12 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 import yaml
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export.conftest import COM, random_rows
 from tests.coordinator.recorded_runs import record
 
+from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.ranking import reachable_grasps
 from qdgrasp_coordinator.export.exporter import FORMATS, export_run
@@ -140,6 +142,21 @@ def test_other_formats_say_so_too(made: RunFolder, tmp_path: Path) -> None:
     told = json.loads((folder / "grasp_data" / "block.json").read_text())["qdgrasp"]["grasps"]
     assert told["resting_poses"] == isaac["resting_poses"]
     assert np.array(told["approach_transforms"])[ABOVE, :3, 3] == pytest.approx(START, abs=1e-7)
+
+
+def test_a_lift_is_told_as_one(scene: Scene, tmp_path: Path) -> None:
+    lifted = replace(scene, protocol="lift", resting_poses=resting_poses(scene.object.collision)[:1])
+    rows = random_rows(lifted, [Outcome.HELD] * 2)
+    rows["fitness"] = 1.0
+    turn, position = POSES["from above"]
+    rows["base_to_object"] = (*position, *turn.as_quat())
+    asked = {"method": "contact_rand", "protocol": "lift", "resting_pose": 0, "approach_distance": 0.0}
+    run = record(tmp_path / "lifted", lifted, rows, **asked)
+    assert read_run(run).confidence.tolist() == [1.0, 1.0]
+    export_run(run, tmp_path / "out.csv", "csv")
+    said = (tmp_path / "out.csv").read_text()
+    assert "# protocol: lift" in said
+    assert "# fitness: 1: the hand lifted the object off the table" in said
 
 
 @pytest.mark.parametrize("name", FORMATS)
