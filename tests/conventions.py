@@ -18,12 +18,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 283
-"""5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for
-libraries."""
-MOST_LINES = 60_600
-MOST_TEST_FILES = 324
-MOST_TEST_LINES = 61_400
+MOST_MODULES = 287
+MOST_LINES = 61_500
+MOST_TEST_FILES = 328
+MOST_TEST_LINES = 62_100
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 18
 MOST_IN_MODULE = 500

@@ -9,6 +9,7 @@ from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import A_FOLDER, ASSET_PATH, NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import check_file
+from qdgrasp_assets.geometry.resting_poses import chosen_resting_poses
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
@@ -141,7 +142,17 @@ def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectS
         object_low=shape.object_low,
         object_high=shape.object_high,
         contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
+        approach_distance=spec.approach,
+        resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),
     )
+
+
+def object_shape(spec: RunSpec) -> ObjectShape:
+    """Return the shape of a spec's object, whatever its gripper is; errors of `build_scene`."""
+    if is_in_catalog(spec.object):
+        return shape_of(find_object(spec), spec.protocol, spec.surface_seed)
+    check_object(spec.object)
+    return file_shape(spec)
 
 
 def find_gripper(name: str) -> Gripper:

@@ -22,8 +22,9 @@ FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or chan
 NEWER_FORMAT = (
     4  # That of scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
 )
+REACHED_FORMAT = 5  # That of scenes with an approach or a table
 OLD_FORMAT = 2  # That of version 0.1.0; the fields that it lacks have their defaults
-FORMATS = (OLD_FORMAT, FORMAT, NEWER_FORMAT)
+FORMATS = (OLD_FORMAT, FORMAT, NEWER_FORMAT, REACHED_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -162,6 +163,17 @@ class SceneObject(Struct, frozen=True, kw_only=True):
         return float(np.sqrt((self.vertices.astype(np.float64) ** 2).sum(axis=1).max()))
 
 
+class RestingPose(Struct, frozen=True, kw_only=True):
+    """A way in which an object rests on a table, which is a plane; CoM frame."""
+
+    up: Vector
+    """Unit vector, to six decimals, away from the table and at right angles to it."""
+    height: float
+    """Component along `up` of the table's points [m], six decimals; negative."""
+    probability: float
+    """With which an object that is dropped, turned in any way, comes to rest so."""
+
+
 class Scene(Struct, frozen=True, kw_only=True):
     """All that a worker needs to evaluate genomes."""
 
@@ -185,6 +197,10 @@ class Scene(Struct, frozen=True, kw_only=True):
     object_high: Vector
     contact_slots: int = 0
     """Contacts that a row has room for; 0: rows hold nothing of what closing did, as those of 0.1.0."""
+    approach_distance: float = 0.0
+    """Distance from which the open hand has to come along its approach axis, clear of the object [m]."""
+    resting_poses: tuple[RestingPose, ...] = ()
+    """Those in one of which the hand has to come above the table; none: there is no table."""
 
     @property
     def surface_points(self) -> NDArray[np.float32]:
@@ -212,6 +228,10 @@ def pack_scene(scene: Scene) -> Bundle:
         del values["engine"]
     if scene.engine is not None or scene.base == "physical":
         values["format"] = NEWER_FORMAT
+    if scene.approach_distance or scene.resting_poses:
+        values["format"] = REACHED_FORMAT
+    else:
+        del values["approach_distance"], values["resting_poses"]
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 
@@ -224,7 +244,7 @@ def unpack_scene(payload: bytes) -> Scene:
         if came not in FORMATS:
             known = " and ".join(map(str, FORMATS))
             raise MessageError(f"it is of format {came}, this version of qdgrasp reads the formats {known}")
-        if came != NEWER_FORMAT and values.get("base") == "physical":
+        if came < NEWER_FORMAT and values.get("base") == "physical":
             raise MessageError(
                 "its trials of 'physical' are those of a version in which the hand did not come along its "
                 "approach axis; begin the run anew"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from math import inf
 from pathlib import Path
 from sys import maxsize
-from typing import Any, Required, TypedDict, TypeVar
+from typing import Any, Literal, Required, TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,12 +80,18 @@ class SceneArguments(TypedDict, total=False):
     friction: float | None
     """The object's lateral friction coefficient; 0.5."""
     protocol: ProtocolName
-    """"paper", "physical", "released" or "robust" (docs/protocols.md)."""
+    """"paper", "physical", "lift", "released" or "robust" (docs/protocols.md)."""
     base: BaseName
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineChoice | None
     """The physics engine, "bullet" or, but for "released", "mujoco", or both in their order, as in
     "bullet,mujoco"; of "physical" "mujoco-warp" too; "bullet"."""
+    approach_distance: float | None
+    """Distance [m] from which the open hand comes along its approach axis, touching nothing; 0, or 0.1 with a
+    resting pose."""
+    resting_pose: int | Literal["any"] | None
+    """How the object rests on a table that the hand comes above (`qdgrasp asset resting-poses`); "any": in
+    one of these ways at least; None: there is no table."""
     surface_seed: int
     """Seed of the surface points; 0."""
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -80,6 +80,8 @@ class Run:
         min_margin: float | None = None,
         min_links: int | None = None,
         holds_in: str | None = None,
+        approach_distance: float | None = None,
+        resting_pose: int | Literal["any"] | None = None,
     ) -> Grasps:
         """Return the grasps found so far, as arrays.
 
@@ -100,6 +102,10 @@ class Run:
             Those alone that hold in this engine, "bullet" or "mujoco", by the table that `qdgrasp verify DIR
             --engine` wrote; grasps that it does not know are left out (`Grasps.elsewhere` tells). Of a run in
             two engines those that hold in both.
+        approach_distance, resting_pose
+            Those alone that the open hand comes to from this distance [m] along its approach axis, touching
+            nothing, and above a table that the object rests on in this pose, or "any"; as the run was asked
+            unless one is given. `Grasps.reach` tells how.
 
         Returns
         -------
@@ -115,7 +121,12 @@ class Run:
         ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-        return select_grasps(read_run(self._folder), min_fitness, top, diverse, limits, holds_in)
+        found, ways = (
+            read_run(self._folder),
+            GraspChoice(approach_distance=approach_distance, resting_pose=resting_pose),
+        )
+        check = ways.reachability(found.scene, found.spec)
+        return select_grasps(found, min_fitness, top, diverse, limits, holds_in, check)
 
     def tables(self, *, min_fitness: int = 1, frame: str = "mesh") -> Iterator[Any]:
         """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.

@@ -14,7 +14,7 @@ SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", 
 """Files: scene bundle, `ReplayRequest`, `ReplayAnswer`, frames (n, height, width, 3), uint8."""
 
 ReplayPart = Literal["all", "closing", "shakes"]
-Phase = Literal["placed", "closing", "shake z", "shake x", "settling", "pushes"]
+Phase = Literal["placed", "closing", "shake z", "shake x", "settling", "pushes", "lift"]
 Vector = tuple[float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
 """x y z [m], qx qy qz qw."""

@@ -84,8 +84,10 @@ def trial_count(protocol: str) -> int:
     return TRIAL_COUNTS.get(protocol, 0)
 
 
-DISTURBANCES = {"physical": 6}
-"""Disturbances that a grasp meets after closing, six forces; elsewhere they are two shakes."""
+LIFT = "lift"
+"""The protocol in which the hand lifts the object off a table."""
+DISTURBANCES = {"physical": 6, LIFT: 1}
+"""Disturbances that a grasp meets after closing: six forces, or the lift; elsewhere they are two shakes."""
 SHAKES = 2
 
 
@@ -182,7 +184,12 @@ KEY = (
 GENOME = (RowColumn("genome", "<f4", "genes", "the genome, in [-1, 1]"),)
 RESULT = (
     RowColumn("outcome", "<u1", "1", "`Outcome`"),
-    RowColumn("fitness", "<f4", "1", "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"),
+    RowColumn(
+        "fitness",
+        "<f4",
+        "1",
+        "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces, in `lift` 0 or 1",
+    ),
     RowColumn("proposals", "<u2", "1", "poses that decoding screened for this row; 1 where it draws none"),
     RowColumn(
         "descriptor",

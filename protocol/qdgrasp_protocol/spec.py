@@ -20,7 +20,7 @@ from msgspec import Meta, Struct
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.rows import disturbance_count, nominal_protocol, trial_count
+from qdgrasp_protocol.rows import LIFT, disturbance_count, nominal_protocol, trial_count
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -46,7 +46,7 @@ def _dots_in_key(line: str) -> int:
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 
-ProtocolName = Literal["paper", "released", "robust", "physical"]
+ProtocolName = Literal["paper", "released", "robust", "physical", "lift"]
 """The evaluation protocols (docs/protocols.md)."""
 BaseName = Literal["paper", "physical"]
 """The protocols that the trials of `robust` disturb."""
@@ -62,6 +62,15 @@ AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
 DiversityName = Literal["position", "orientation", "posture"]
 """What tells grasps apart: their cell; its orientation bin too; its synergy too."""
+
+APPROACH_DISTANCE = 0.1
+"""Distance from which a hand has to come where there is a table, unless another is said [m].
+
+About the reach of a hand such as the Panda, 0.112 m: so far back open fingers are clear of what they grasp.
+"""
+ANY_RESTING_POSE = "any"
+"""Stands for all resting poses of an object: the hand has to come above the table in one of them at least."""
+MOST_RESTING_POSES = 100  # Each has a hundredth of all probability at least
 
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
@@ -103,6 +112,7 @@ VALUE_HINTS = {
     "mass": " (kg)",
     "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)",
     "surface_seed": ", or 'seed' in the file of a campaign alone",
+    "resting_pose": ", or 'any'",
 }
 """Unit of a key's value, or what else it may be, for errors."""
 GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
@@ -145,6 +155,13 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """The protocol that the trials of `robust` disturb; no other protocol has one."""
     engine: EngineChoice | None = None
     """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
+    approach_distance: Annotated[float, Meta(ge=0, le=1)] | None = None
+    """Distance from which the open hand comes to its pose along its approach axis, touching nothing [m].
+
+    None: it is set at its pose, or with a table comes from `APPROACH_DISTANCE`.
+    """
+    resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
+    """How the object rests on a table that the hand comes above, by number, or `any`; None: no table."""
     trials: Trials | None = None
     """How many trials each success has; None: all, or none where the protocol has none."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
@@ -196,6 +213,17 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         return nominal_protocol(self.protocol, self.base)
 
     @property
+    def table_pose(self) -> int | str | None:
+        """The resting pose on a table: as asked, in `lift` the likeliest where none is."""
+        return 0 if self.protocol == LIFT and self.resting_pose is None else self.resting_pose
+
+    @property
+    def approach(self) -> float:
+        """Distance from which the open hand has to come to its pose [m]; 0: it is set there."""
+        usual = 0.0 if self.table_pose is None else APPROACH_DISTANCE
+        return usual if self.approach_distance is None else self.approach_distance
+
+    @property
     def protocol_words(self) -> str:
         """The protocol, and its engine or engines where that is not Bullet alone."""
         engines = " then ".join(engine_names(self.engine))
@@ -241,12 +269,22 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         )
     if spec.mesh is not None and spec.mesh.remesh and spec.mesh.hull:
         raise InputError(f"{where}: remesh and hull each replace the mesh by another one; take one of them.")
+    if spec.protocol == LIFT and spec.resting_pose == ANY_RESTING_POSE:
+        raise InputError(
+            f"{where}: the protocol '{LIFT}' lifts the object from one resting pose; say its number with "
+            "resting_pose, or leave that out for the likeliest one."
+        )
     if spec.engine == DEFAULT_ENGINE:
         return msgspec.structs.replace(spec, engine=None)
     if spec.engine and spec.protocol == "released":
         raise InputError(
             f"{where}: the protocol 'released' repeats the authors' code, which is Bullet's, and engine = "
             f"'{spec.engine}'; leave engine out, or take the protocol 'paper'."
+        )
+    if spec.engine == DEVICE_ENGINE and spec.approach:
+        raise InputError(
+            f"{where}: engine = '{spec.engine}' does not look at the way of a hand to its pose; take "
+            "engine = 'mujoco', or approach_distance = 0."
         )
     if spec.engine == DEVICE_ENGINE and spec.nominal_protocol != "physical":
         raise InputError(

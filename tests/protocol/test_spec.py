@@ -110,6 +110,9 @@ def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
         ("first_weights", [1.0], "a table of touch"),
         ("diversity", "roll", "one of 'position', 'orientation', 'posture'"),
         ("grasps_per_cell", 61, "a whole number at least 1 and at most 60"),
+        ("approach_distance", 1.5, "a number at least 0 and at most 1"),
+        ("resting_pose", -1, "a whole number at least 0 and less than 100, or 'any'"),
+        ("resting_pose", "all", "a whole number at least 0 and less than 100, or 'any'"),
         ("gripper", 3, "text"),
         ("method", ["a"], "text"),
     ],
@@ -132,6 +135,17 @@ def test_trials_are_one_stage_or_several_where_the_protocol_has_some() -> None:
         run_spec(spec | {"trials": "all"})
     with pytest.raises(InputError, match=r"finalists = 3 .* or take trials = 'sequential'"):
         run_spec(robust | {"finalists": 3})
+
+
+def test_a_table_has_hands_come_from_a_tenth_of_a_metre_unless_another_way_is_said() -> None:
+    assert run_spec(LEAST).approach == 0.0
+    assert run_spec(LEAST | {"resting_pose": "any"}).approach == 0.1
+    assert run_spec(LEAST | {"resting_pose": 2, "approach_distance": 0}).approach == 0.0
+    assert run_spec(LEAST | {"approach_distance": 0.05}).approach == 0.05
+    device = LEAST | {"engine": "mujoco-warp", "protocol": "physical"}
+    assert run_spec(device | {"resting_pose": 0, "approach_distance": 0}).approach == 0.0
+    with pytest.raises(InputError, match="does not look at the way of a hand"):
+        run_spec(device | {"approach_distance": 0.1})
 
 
 def test_a_whole_number_may_stand_for_a_number() -> None:

@@ -35,7 +35,7 @@ FINGER_TOLERANCE = 1e-3  # How deep fingers that rest on each other may be insid
 HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow")
 
 
-def physical(engine: str | None = None, friction: float | None = None, **more: str) -> Scene:
+def physical(engine: str | None = None, friction: float | None = None, **more: str | float) -> Scene:
     values = {"gripper": "panda", "object": "rubiks_cube", "protocol": "physical", **more}
     return build_scene(RunSpec(**values, friction=friction, engine=engine))
 

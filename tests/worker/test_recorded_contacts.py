@@ -10,10 +10,10 @@ from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.rotation import rotate
+from qdgrasp_assets.geometry.voxels import Hull
+from qdgrasp_assets.grippers.hand_surface import HandKinematics
 from qdgrasp_protocol.rows import CONTACT_VALUES, RESULT, Outcome
 from qdgrasp_worker.evaluator import spread_contacts
-from qdgrasp_worker.filters.voxels import Hull
-from qdgrasp_worker.hand_geometry import HandKinematics
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.world import GraspContact
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from tests.worker.genomes import above, decoded, draw, side_of
 
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.voxels import VoxelGrid
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
-from qdgrasp_worker.filters.voxels import VoxelGrid
 from qdgrasp_worker.object_geometry import SurfaceSample
 from qdgrasp_worker.swept_volume import SweptVolumes, measure_swept_volume
 

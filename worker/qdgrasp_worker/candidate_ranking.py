@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import AIMED, PRIOR_FEATURES, TOUCH_VALUE, VALUED
 from qdgrasp_assets.geometry.rotation import Floats, dot
+from qdgrasp_assets.geometry.voxels import rotation_matrices
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.filters.overlap_filter import OverlapFilter, rotation_matrices
+from qdgrasp_worker.filters.overlap_filter import OverlapFilter
+from qdgrasp_worker.filters.table_filter import TableFilter
 from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
@@ -203,7 +205,7 @@ class CandidateScreen:
 
     `closing` closes the hand on nothing. The test for overlap has the free joints where the grasp has them
     (`follows_free_joints`), or open. It `filters` poses that surely overlap, or does not, with the same
-    results.
+    results. Hands that come below the table are refused in any case.
     """
 
     def __init__(
@@ -234,6 +236,7 @@ class CandidateScreen:
         is_choice = np.bincount(grasps.genome_of[poses], minlength=len(trials)) > 1
         (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.genome_of])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
+        left = np.setdiff1d(left, self._table(grasps, np.intersect1d(nominal, left)))
         features, order = self._rank(grasps, left)
         fallbacks = np.full(len(trials), int(Outcome.OVERLAP))
         if grasps.prior in RANKINGS:
@@ -257,6 +260,10 @@ class CandidateScreen:
     @cached_property
     def _overlap(self) -> OverlapFilter:
         return OverlapFilter(self._scene.gripper, self._solid, follows_free_joints=self._follows)
+
+    @cached_property
+    def _table(self) -> TableFilter:
+        return TableFilter(self._scene)
 
     @cached_property
     def _features(self) -> PoseFeatures:

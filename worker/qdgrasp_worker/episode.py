@@ -9,6 +9,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import rotate
+from qdgrasp_assets.grippers.reachability import APPROACH_STEP
 from qdgrasp_assets.scene import Vector
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import HandPose
@@ -22,7 +23,6 @@ from qdgrasp_worker.evaluation_protocols import (
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
-APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
 
 
@@ -91,7 +91,7 @@ class Episode(ABC, Generic[AnyWorld]):
         if trial.approaches:
             trial = self._approached(trial)
         pose = trial.pose
-        if self.overlaps(trial):
+        if self.is_blocked(trial):
             return EpisodeResult(Outcome.OVERLAP, pose.joints)
         if self.contact_filter.misses(pose):
             return EpisodeResult(Outcome.MISSED, pose.joints)
@@ -115,6 +115,20 @@ class Episode(ABC, Generic[AnyWorld]):
     @abstractmethod
     def _survived(self) -> int:
         """Disturb the grasp; how many of the disturbances the hand holds the object through."""
+
+    def is_blocked(self, trial: TrialSetup) -> bool:
+        """Place the open hand; whether a link of it is inside the object there, or on its way there."""
+        return (trial.clear_way > 0.0 and self.meets_on_way(trial)) or self.overlaps(trial)
+
+    def meets_on_way(self, trial: TrialSetup) -> bool:
+        """Move the open hand to its pose; whether a link is inside the object on the way."""
+        *way, _ = approach_path(trial.pose, self.world.approach_axis, trial.clear_way)
+        self.world.reset(trial, trial.pose.joints)
+        for pose in reversed(way):  # most contacts are near the end
+            self.world.place_hand(pose)
+            if self._is_inside():
+                return True
+        return False
 
     def overlaps(self, trial: TrialSetup) -> bool:
         """Place the open hand; whether any link of it is inside the object."""

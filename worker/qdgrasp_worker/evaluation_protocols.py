@@ -3,7 +3,8 @@
 Common to all protocols is that there is no gravity. `paper`, `released` and `robust` on `paper` have 240
 steps a second, 100 steps of closing, then two shakes with three targets of 68 steps each; figures are those
 of the public code of Huber et al. 2024 (commit 0b8f8da). `physical` closes with bounded torques on a fixed
-object, lets it go, and pushes it along six directions (`Physics`, docs/protocols.md).
+object, lets it go, and pushes it along six directions (`Physics`, docs/protocols.md); `lift` does the same on
+a table, and lifts the object in the place of pushes (`Lift`).
 
 In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). What
 a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
@@ -39,6 +40,8 @@ class TrialSetup:
     """Factor of the object's lateral friction."""
     approaches: bool = False
     """The hand comes along its approach axis, and stops before a link would be inside the object."""
+    clear_way: float = 0.0
+    """Distance along its approach axis from which the open hand must come clear of the object [m]."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,36 @@ class Physics:
 
 
 @dataclass(frozen=True)
+class Lift:
+    """The settings of `lift`, which takes an object off a table."""
+
+    height: float = 0.1
+    """How far the hand goes up [m]; an object that stays behind is lost by then (`Physics.lost_distance`)."""
+    speed: float = 0.2
+    """At which it goes [m/s]: that of an arm with something in its hand."""
+    acceleration: float = 2.0
+    """Until it goes so fast [m/s2]; a fifth is added to the object's weight meanwhile."""
+    hold: float = 0.5
+    """How long it holds the object at that height [s]."""
+
+    @property
+    def rise(self) -> float:
+        """Time in which it becomes faster [s]."""
+        return self.speed / self.acceleration
+
+    @property
+    def seconds(self) -> float:
+        """Time that the whole takes [s]."""
+        return self.rise / 2 + self.height / self.speed + self.hold
+
+    def way(self, seconds: float) -> float:
+        """Height of the hand above its place at first, after some time [m]."""
+        if seconds < self.rise:
+            return self.acceleration * seconds**2 / 2
+        return min(self.height, self.speed * (seconds - self.rise / 2))
+
+
+@dataclass(frozen=True)
 class EvaluationProtocol:
     """The settings in which the protocols differ."""
 
@@ -210,6 +243,10 @@ class EvaluationProtocol:
     """Distributions that trials from 1 on are drawn from; None: there are no trials."""
     physics: Physics | None = None
     """The settings of `physical`, in which nothing is shaken; None: the hand closes and shakes as above."""
+    lift: Lift | None = None
+    """How the object is lifted off a table, in the place of all other disturbances; None: there is none."""
+    approach_distance: float = 0.0
+    """Distance from which the open hand must come to its nominal pose clear of the object [m]."""
 
     @property
     def trials(self) -> int:
@@ -218,7 +255,9 @@ class EvaluationProtocol:
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
         """A grasp in one of its trials; 0 is the grasp as it was commanded."""
-        return self.mixture.trial(pose, number) if self.mixture and number else TrialSetup(pose)
+        if self.mixture and number:
+            return self.mixture.trial(pose, number)
+        return TrialSetup(pose, clear_way=self.approach_distance)
 
 
 SHAKES = (
@@ -236,13 +275,18 @@ ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
 PHYSICAL = EvaluationProtocol(
     "physical", (), contact_check_steps=1, ends_when_lost=True, free_joints_first=True, physics=Physics()
 )
+LIFT = replace(PHYSICAL, name=rows.LIFT, lift=Lift())
 SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4), approaches=True)
-PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL)}
+PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL, LIFT)}
 ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_MIXTURE)}
 
 
 def scene_protocol(scene: Scene) -> EvaluationProtocol:
-    """The protocol of a scene; UnknownName if it does not exist."""
+    """The protocol of a scene, with its approach; UnknownName if it does not exist."""
+    return replace(_named_protocol(scene), approach_distance=scene.approach_distance)
+
+
+def _named_protocol(scene: Scene) -> EvaluationProtocol:
     if scene.protocol not in PROTOCOLS:
         raise UnknownName("protocol", scene.protocol, PROTOCOLS)
     if scene.protocol != ROBUST.name or scene.base == PAPER.name:

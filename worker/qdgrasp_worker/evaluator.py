@@ -30,7 +30,7 @@ from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
+from qdgrasp_worker.physical_episode import LiftEpisode, PhysicalEpisode, PhysicalWorld
 from qdgrasp_worker.world import GraspContact, ShakenWorld
 
 REASON_LENGTH = 200
@@ -194,7 +194,7 @@ class Evaluator(BatchEvaluator):
         episode = make_episode(world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
-            if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
+            if trial and shortlist.is_choice and episode.is_blocked(self._protocol.trial(pose, 0)):
                 continue
             setup = self._protocol.trial(pose, trial)
             verdict = episode.run(setup)
@@ -235,6 +235,8 @@ def make_episode(
 ) -> ShakenEpisode | PhysicalEpisode:
     """The episodes of a protocol in a world that `make_world` made."""
     if isinstance(world, PhysicalWorld):
+        if protocol.lift:
+            return LiftEpisode(world, protocol, contact_filter, protocol.lift)
         return PhysicalEpisode(world, protocol, contact_filter)
     return ShakenEpisode(world, protocol, contact_filter, stops_early)
 

@@ -1,96 +1,20 @@
-"""Geometry of the hand: frames and convex parts of its links, and the mounts of its fingers.
+"""Geometry of a hand: postures of its free joints, and the mounts of its fingers.
 
 Fingers are mounted on links that stand still while they close: the root, and the links of free joints.
-All of it is the hand's alone: scenes with the same hand share it, and what is measured of its closing.
 """
 
-import hashlib
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
-from typing import Self
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.grippers.collision_shapes import is_all_convex, link_convex_parts
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_robot
+from qdgrasp_assets.grippers.hand_surface import HandKinematics
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_worker.filters.voxels import Hull, convex_hulls
 
 Closing = Callable[[Sequence[float], int], list[list[float]]]
 """Courses of a closing hand's joints, by its initial posture and its synergy."""
-
-
-HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
-
-
-@dataclass(frozen=True)
-class SharedHand:
-    """A hand that equals those of other scenes with the same content: a key of what it does."""
-
-    digest: bytes
-    gripper: SceneGripper = field(compare=False, repr=False)
-
-    @classmethod
-    def of(cls, gripper: SceneGripper) -> Self:
-        """The key of a scene's hand."""
-        content = msgspec.msgpack.encode(gripper, order="deterministic")
-        return cls(hashlib.sha256(content).digest(), gripper)
-
-    @property
-    def kinematics(self) -> "HandKinematics":
-        """Its kinematics, one object for all scenes."""
-        return _kinematics(self)
-
-    def postures(self, course: bytes) -> Floats:
-        """The postures (n, j) [rad or m] that a course is, whose bytes can be a part of a key."""
-        return np.frombuffer(course).reshape(-1, len(self.gripper.joints))
-
-
-@lru_cache(HANDS_KEPT)
-def _kinematics(hand: SharedHand) -> "HandKinematics":
-    return HandKinematics(hand.gripper)
-
-
-class HandKinematics:
-    """The links of a scene's hand from its root link outward, without the carrier."""
-
-    def __init__(self, gripper: SceneGripper) -> None:
-        robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
-        self.robot = robot.subtree(gripper.base_link)
-        """The hand, without meshes and without the carrier."""
-        self._joints = [joint.name for joint in gripper.joints]
-        parts = list(link_convex_parts(self.robot, gripper.meshes))
-        self.hulls: dict[str, list[Hull]] = {
-            link: convex_hulls(part.corners for part in parts if part.link == link)
-            for link in self.robot.links
-        }
-        """The convex parts of each link, link frame."""
-        self.is_understood = is_all_convex(robot, gripper.meshes) and (
-            sum(map(len, self.hulls.values())) == len(list(link_convex_parts(robot, gripper.meshes)))
-        )
-        """True if these are all collision shapes: all are convex, none flat, none the carrier's."""
-
-    def frames(self, postures: Floats) -> dict[str, Floats]:
-        """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
-        frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
-        shape = (len(postures), 4, 4)
-        return {link: np.broadcast_to(frame, shape) for link, frame in frames.items()}
-
-    def box(self, links: Iterable[str], frames: dict[str, Floats]) -> tuple[Floats, Floats]:
-        """The corners (3,) of the box around `links` in all of the `frames` [m]."""
-        corners = [
-            np.einsum("nij,kj->nki", frames[link][:, :3, :3], hull.triangles.reshape(-1, 3))
-            + frames[link][:, None, :3, 3]
-            for link in links
-            for hull in self.hulls[link]
-        ]
-        points = np.concatenate([each.reshape(-1, 3) for each in [*corners, np.zeros((1, 3))]])
-        return points.min(axis=0), points.max(axis=0)
 
 
 def free_posture(gripper: SceneGripper, share: float) -> list[float]:

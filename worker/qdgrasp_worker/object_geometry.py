@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from qdgrasp_assets.geometry.rotation import Floats, dot, unit
+from qdgrasp_assets.geometry.voxels import VoxelGrid, box_around, convex_hulls, solid_voxels
 from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import Scene
-from qdgrasp_worker.filters.voxels import VoxelGrid, convex_hulls
 
 MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
 EDGE_TOLERANCE = 1e-9  # how far beyond an edge still counts, so that no ray slips between two triangles
@@ -137,9 +137,6 @@ class SurfaceSample:
         return means[..., :3] * (self._scale / SAMPLE_UNIT), means[..., 3:] / SAMPLE_UNIT
 
 
-VOXEL_PITCH = 1e-3  # The side of a voxel [m]; larger for an object of more than `MOST` voxels
-MAX_VOXELS = 1 << 24
-SAFE_DEPTH = 1e-4  # Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm.
 INSIDE_POINTS = 512
 DRAWS = 8192
 ROUNDS = 64
@@ -161,13 +158,7 @@ class ObjectSolid:
     @cached_property
     def inside(self) -> VoxelGrid:
         """Level 1: the whole voxel is surely inside one of the parts."""
-        low, high = self.box
-        pitch = max(VOXEL_PITCH, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
-        voxels = VoxelGrid(low, high, pitch)
-        for hull in self.hulls:
-            reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
-            voxels.mark(hull.shrunk(reach + SAFE_DEPTH), 1)
-        return voxels
+        return solid_voxels(self.hulls, *self.box)
 
     @cached_property
     def points(self) -> Floats:
@@ -186,6 +177,4 @@ class ObjectSolid:
     @cached_property
     def box(self) -> tuple[Floats, Floats]:
         """The corners (3,) of the box around it and its centre of mass [m]."""
-        lows, highs = [hull.low for hull in self.hulls], [hull.high for hull in self.hulls]
-        origin = np.zeros((1, 3))
-        return np.min([*lows, *origin], axis=0), np.max([*highs, *origin], axis=0)
+        return box_around(self.hulls)

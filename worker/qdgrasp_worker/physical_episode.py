@@ -10,19 +10,22 @@ The constants, and where they are from: `evaluation_protocols.Physics`, docs/pro
    a jaw centres what it holds; those of other hands stay.
 3. The grasp is read. Then the object is pushed with its own weight along both ways of each axis of the hand,
    one after the other, until one of the pushes makes the hand lose it.
+
+In `lift` the object rests on a table. What moves is the table: in the frame of a hand that is lifted it goes
+down, and the object bears its weight and the inertia of the lift (`LiftEpisode`).
 """
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import acos, dist
 from typing import NamedTuple
 
 from qdgrasp_assets.geometry.rotation import running_sum
-from qdgrasp_assets.scene import Vector
+from qdgrasp_assets.scene import RestingPose, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import Physics
+from qdgrasp_worker.evaluation_protocols import Lift, Physics
 from qdgrasp_worker.finger_drive import FingerControl
 from qdgrasp_worker.world import GraspWorld, Quaternion
 
@@ -37,6 +40,15 @@ PUSHES = (
     (0.0, 0.0, -1.0),
 )
 """Directions of the pushes, hand frame."""
+TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
+HULL_MARGIN = 1e-3  # So far outside its surface both engines meet a hull, and a box at it [m]
+
+
+def table_middle(pose: RestingPose, way: float) -> Vector:
+    """The middle of a table `way` [m] below the one that an object rests on, CoM frame [m]."""
+    depth = pose.height - HULL_MARGIN - TABLE_HALF[2] - way
+    x, y, z = (depth * axis for axis in pose.up)
+    return x, y, z
 
 
 class PosesNow(NamedTuple):
@@ -51,6 +63,8 @@ class PhysicalWorld(GraspWorld):
     """A fixed hand with driven fingers, and an object that is fixed or free, in some engine."""
 
     physics: Physics
+    table: RestingPose | None = None
+    """How the object rests on a table at first; None: there is no table."""
     steps_at_once = 1
     """Steps that `step` moves on by; divides `Physics.look_every`."""
     _control: FingerControl
@@ -64,13 +78,33 @@ class PhysicalWorld(GraspWorld):
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""
 
-    @abstractmethod
     def begin_pushes(self) -> None:
         """Let all targets stay, and take the damping off the object."""
+        self._let_stay()
 
     @abstractmethod
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next step, along a direction in hand frame."""
+
+    def begin_lift(self) -> None:
+        """Do the same before the object is lifted."""
+        self._let_stay()
+
+    @abstractmethod
+    def _let_stay(self) -> None:
+        """Let all targets stay, and take the damping off the object."""
+
+    @abstractmethod
+    def weigh(self, factor: float) -> None:
+        """Let so many times its weight pull the object towards the table, during the next step."""
+
+    @abstractmethod
+    def lower_table(self, way: float) -> None:
+        """Put the table so far below the place where the object rests on it [m]."""
+
+    @abstractmethod
+    def is_on_table(self) -> bool:
+        """Return whether the object touches the table."""
 
     @abstractmethod
     def object_pose(self) -> tuple[Vector, Quaternion]:
@@ -144,8 +178,12 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
         if touched:
             world.release()
             for _ in world.steps_to_rest(world.physics.steps(world.physics.settling)):
-                world.step()
+                self._settle()
         return touched
+
+    def _settle(self) -> None:
+        """Make a step of the object's coming to rest."""
+        self.world.step()
 
     def _survived(self) -> int:
         """Push the object along the axes of the hand; how many pushes the hand holds it through."""
@@ -174,6 +212,52 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
             or angle_between(turned, quaternion) > physics.lost_angle
             or not self.world.is_touching()
         )
+
+
+@dataclass(frozen=True)
+class LiftEpisode(PhysicalEpisode):
+    """Simulates poses in a world of `lift`.
+
+    The hand closes as in `physical`. The object then comes to rest with its weight, between hand and table,
+    and is lifted: the table goes down. It ends before its time when the object is off the table and rests in
+    the hand, which by then goes up with constant speed: nothing changes any more.
+    """
+
+    lift: Lift = field(default_factory=Lift)
+
+    @property
+    def disturbances(self) -> int:
+        """Number of lifts."""
+        return 1
+
+    def _settle(self) -> None:
+        self.world.weigh(1.0)
+        self.world.step()
+
+    def _survived(self) -> int:
+        """Lift the object; whether it is in the hand in the end, and off the table."""
+        world, physics, lift = self.world, self.world.physics, self.lift
+        world.begin_lift()
+        start, before, resting = world.object_pose(), world.look(), 0
+        for step in range(0, physics.steps(lift.seconds), world.steps_at_once):
+            after = step + world.steps_at_once
+            is_rising = step < physics.steps(lift.rise)
+            world.lower_table(lift.way(after * physics.time_step))
+            world.weigh(1.0 + (lift.acceleration / physics.weight if is_rising else 0.0))
+            world.step()
+            if after % physics.look_every == 0:
+                if self._has_lost(*start):
+                    return 0
+                now = world.look()
+                resting = resting + 1 if world.rests(before, now) and not is_rising else 0
+                before = now
+                if self._ends_early(resting):
+                    return 1
+        return int(not world.is_on_table())
+
+    def _ends_early(self, resting: int) -> bool:
+        """Return whether the object has been at rest for so many looks, and off the table."""
+        return resting >= RESTING_LOOKS and not self.world.is_on_table()
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:

@@ -15,12 +15,19 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, dot
+from qdgrasp_assets.geometry.voxels import (
+    Hull,
+    Singles,
+    VoxelGrid,
+    convex_hulls,
+    rotation_matrices,
+    transform_points,
+)
+from qdgrasp_assets.grippers.hand_surface import SharedHand
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.filters.overlap_filter import rotation_matrices, transform_points
-from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid, convex_hulls
-from qdgrasp_worker.hand_geometry import Closing, SharedHand
+from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import SurfaceSample
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]

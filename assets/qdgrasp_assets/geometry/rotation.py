@@ -4,7 +4,7 @@ Everything is written out in products and sums of float64 columns: no matrix lib
 summation differs between machines, stands between a genome and its pose.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import reduce
 from operator import add
 from typing import TypeAlias
@@ -117,6 +117,12 @@ def from_frame(x: Floats, y: Floats, z: Floats) -> Floats:
     quaternions = unit(products[largest, :, np.arange(len(largest))])
     positive: Floats = np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions)
     return positive
+
+
+def facing(direction: Sequence[float]) -> Floats:
+    """Return a rotation (4,) that turns z into a direction (3,), a unit vector."""
+    z = unit(np.array([direction], dtype=np.float64))
+    return np.asarray(from_frame(*tangents(z), z)[0])
 
 
 def from_euler(angles: Floats) -> Floats:

@@ -58,6 +58,7 @@ SURFACES = {
     "released": released_surface,
     "robust": paper_surface,
     "physical": paper_surface,
+    "lift": paper_surface,
 }
 
 

@@ -114,9 +114,10 @@ CARRIERS: dict[str, Callable[[Urdf, str, float], CarriedHand]] = {
     "released": released_carrier,
     "robust": paper_carrier,
     "physical": fixed_carrier,
+    "lift": fixed_carrier,
 }
-RATED = "physical"
-"""Evaluation protocol whose scenes hold the ratings of the real drives, and the disabled collisions."""
+RATED = ("physical", "lift")
+"""Evaluation protocols whose scenes hold the ratings of the real drives, and the disabled collisions."""
 
 
 def _carrier_command(axis: CarrierAxis, hold_force: float, scale: float) -> CarrierJoint:
@@ -174,7 +175,7 @@ class Gripper:
 
     def on_carrier(self, protocol: str) -> SceneGripper:
         """Mount the hand for a protocol; `AssetError` if a mesh is missing, empty or unreadable."""
-        file, is_rated = self.file, protocol == RATED
+        file, is_rated = self.file, protocol in RATED
         urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = without_visuals(urdf).bundled()
         return SceneGripper(

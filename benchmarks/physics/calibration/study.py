@@ -37,7 +37,8 @@ from qdgrasp_protocol.spec import ProtocolName, RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_worker.decoder import Decoder, HandPose
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, SimulationDiverged
+from qdgrasp_worker.engines.mujoco_simulation import SimulationDiverged
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.evaluation_protocols import (
     PHYSICAL,
     PROTOCOLS,

@@ -66,6 +66,8 @@ SHORT_KEYS = {
     "trials": "",
     "diversity": "",
     "grasps_per_cell": "grasps",
+    "approach_distance": "approach",
+    "resting_pose": "resting",
 }
 """Short forms of keys in the names of runs."""
 NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's name begins with

@@ -88,7 +88,7 @@ DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
 TASK_NAME = re.compile(r"'mesh\.\w+'")  # The name of a mesh where its shape is built
 SCENE_KEYS = (
     *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
-    *("protocol", "base", "engine", "surface_seed"),
+    *("protocol", "base", "engine", "surface_seed", "approach_distance", "resting_pose"),
 )
 """The keys of a spec that its scene depends on."""
 

@@ -19,6 +19,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
 from qdgrasp_coordinator.metrics.niches import SynergyReader, niches, without_synergy
 from qdgrasp_coordinator.metrics.scores import best_first, nominal_scores, scored_successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
+from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
@@ -73,6 +74,31 @@ def read_run_grasps(folder: RunFolder) -> Rows:
     rows = np.concatenate(found)
     rows["trial"] = 0
     return rows[rows["outcome"] >= Outcome.SHAKEN]
+
+
+def reachable_grasps(
+    folder: RunFolder,
+    rows: Rows,
+    approach_distance: float | None = None,
+    resting_pose: int | str | None = None,
+) -> Rows:
+    """Return the grasps of a run that the hand comes to (`ReachabilityCheck.asked`).
+
+    Raises InputError where there is none.
+    """
+    from qdgrasp_assets.grippers.reachability import ReachabilityCheck  # scipy takes its time
+
+    scene, poses = folder.scene(), rows["base_to_object"]
+    check = ReachabilityCheck.asked(scene, folder.spec, approach_distance, resting_pose)
+    if check is not None:
+        starts = postures(scene, prior_of(folder.spec), rows)
+        rows = rows[check(poses[:, :3], poses[:, 3:], starts).is_reachable]
+    if not len(rows):
+        raise InputError(
+            f"The hand comes to no grasp of {folder.path} in this way; take another --resting-pose, or a "
+            "shorter --approach-distance."
+        )
+    return rows
 
 
 def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:

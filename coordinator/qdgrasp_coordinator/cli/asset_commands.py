@@ -18,14 +18,16 @@ from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_check import AssetSummary, is_gripper
 from qdgrasp_assets.asset_check import check as check_asset
 from qdgrasp_assets.asset_report import AssetReport
+from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
+from qdgrasp_assets.object_shape import is_in_catalog
 from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, fetch_scan
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, InputError, WrongScan
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import RunSpec, run_spec
 
 
 def print_findings(found: AssetReport, *, as_json: bool = False) -> None:
@@ -164,6 +166,34 @@ def check(
         raise AssetError(
             f"{len(wrong)} of {len(reports)} assets cannot be used as they are: {', '.join(wrong)}."
         )
+
+
+@asset_app.command("resting-poses")
+def resting_poses_of(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="An object of the catalog, or a mesh.")],
+    scale: options.Scale = None,
+    units: options.Units = None,
+    as_json: options.Json = False,
+) -> None:
+    """List how an object comes to rest on a table, the likeliest way first.
+
+    Of each: its number, which --resting-pose takes; its probability, where the object is dropped in any way;
+    which direction of the object's frame is up then; and how far above the table the centre of mass is.
+
+    Example: qdgrasp asset resting-poses mug
+    """
+    from qdgrasp_assets.geometry.resting_poses import resting_poses  # scipy takes its time
+
+    values = {"gripper": "", "object": name, "scale": scale_of(units, scale)}
+    mass = {} if is_in_catalog(name) else {"mass": 1.0}
+    poses = resting_poses(catalog.object_shape(run_spec(values | mass, "asset resting-poses")).collision)
+    if as_json:
+        echo(json.dumps(msgspec.to_builtins(poses)))
+        return
+    echo(f"{'pose':>4} {'probability':>11}  {'up':<22} {'height [m]':>10}")
+    for number, pose in enumerate(poses):
+        up = " ".join(f"{value:6.3f}" for value in pose.up)
+        echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
 
 
 def _asset(name: str) -> Gripper | ObjectModel:

@@ -68,6 +68,8 @@ def export(
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
     holds_in: options.HoldsIn = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
@@ -90,7 +92,9 @@ def export(
     or those of all runs of a campaign to one data set.
 
     Every file says which frames its poses are told in, the order of quaternions, scale, what success means,
-    and under which licence the assets are. A run that goes on gives what it has recorded by now. Of a
+    and under which licence the assets are. A run that goes on gives what it has recorded by now. With
+    --approach-distance or --resting-pose those grasps are written that the open hand comes to, with the way
+    that it comes, as of a run that was asked for that. Of a
     campaign OUT is a folder with an index and a card; flags choose from each run. If that is ended before,
     the same command goes on.
 
@@ -101,10 +105,13 @@ def export(
     from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    pose = options.resting_pose(resting_pose)
     if JobFolder.is_job(directory) and JobFolder(directory).is_campaign:
         from qdgrasp_coordinator.campaign import campaign_export  # takes its time to load
 
-        choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
+        choice = GraspChoice(
+            min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, pose
+        )
         shares = () if split is None else campaign_export.parse_shares(split)
         with progress_messages() as tell, lifetime("qdgrasp export") as stop:
             written = campaign_export.export_campaign(
@@ -138,6 +145,8 @@ def export(
             diverse=diverse,
             limits=limits,
             holds_in=holds_in,
+            approach_distance=approach_distance,
+            resting_pose=pose,
             frame=frame,
             negatives=negatives,
             force=force,
@@ -238,6 +247,8 @@ def evaluate(
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
     engine: options.EngineOption = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
@@ -260,6 +271,8 @@ def evaluate(
         protocol=protocol,
         base=base,
         engine=engine,
+        approach_distance=approach_distance,
+        resting_pose=options.resting_pose(resting_pose),
     )
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"

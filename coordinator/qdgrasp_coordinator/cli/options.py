@@ -10,6 +10,7 @@ from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import PROCESSES
 from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.spec import ANY_RESTING_POSE, MOST_RESTING_POSES
 
 MESH_FILE, SEARCH, EVALUATION = "Mesh file of an object", "Search", "Evaluation of a pose"
 END, CHOICE = "End, besides the budget", "Choice of grasps"
@@ -72,7 +73,8 @@ ProtocolOption = Annotated[
     str | None,
     typer.Option(
         "--protocol",
-        help="Evaluation protocol: paper, physical, released, robust; default paper, of `run` physical.",
+        help="Evaluation protocol: paper, physical, lift, released, robust; default paper, of `run` "
+        "physical.",
         rich_help_panel=EVALUATION,
     ),
 ]
@@ -90,6 +92,28 @@ EngineOption = Annotated[
         "--engine",
         help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
         "released has bullet alone, physical also mujoco-warp; default bullet.",
+        rich_help_panel=EVALUATION,
+    ),
+]
+ApproachDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--approach-distance",
+        metavar="M",
+        min=0,
+        max=1,
+        help="Distance [m] from which the open hand comes along its approach axis, touching nothing; default "
+        "0, with --resting-pose 0.1.",
+        rich_help_panel=EVALUATION,
+    ),
+]
+RestingPoseOption = Annotated[
+    str | None,
+    typer.Option(
+        "--resting-pose",
+        metavar="N|any",
+        help="The object rests on a table, in pose N of `qdgrasp asset resting-poses`, and the hand comes "
+        "above it; any: in one of its poses at least.",
         rich_help_panel=EVALUATION,
     ),
 ]
@@ -295,6 +319,15 @@ def worker_count(workers: int | None, *engines: str | None) -> int:
 def given(**values: Any) -> dict[str, Any]:
     """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
+
+
+def resting_pose(text: str | None) -> int | str | None:
+    """Parse the number of a resting pose, or `any`; raises ImpossibleValue for other text."""
+    if text is None or text == ANY_RESTING_POSE:
+        return text
+    if text.isascii() and text.isdecimal() and int(text) < MOST_RESTING_POSES:
+        return int(text)
+    raise ImpossibleValue("--resting-pose", text, f"the number of a resting pose, or '{ANY_RESTING_POSE}'")
 
 
 def preparation(simplify: int | None, remesh: bool, hull: bool, glued: bool) -> MeshPreparation | None:

@@ -30,7 +30,7 @@ from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
-from qdgrasp_protocol.rows import GIVEN, TRIAL_COUNTS, Rows
+from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
     GOAL_KEYS,
@@ -103,6 +103,8 @@ def run(
     protocol: options.ProtocolOption = None,
     base: options.BaseOption = None,
     engine: options.EngineOption = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     trials: options.Trials = None,
     finalists: options.Finalists = None,
     successes: options.Successes = None,
@@ -135,6 +137,8 @@ def run(
         protocol=protocol,
         base=base,
         engine=engine,
+        approach_distance=approach_distance,
+        resting_pose=options.resting_pose(resting_pose),
         trials=trials,
         finalists=finalists,
         aim_for=aim_for,
@@ -339,6 +343,8 @@ def rerank(
             help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
         ),
     ] = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
@@ -372,10 +378,13 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
+    ways = options.given(approach_distance=approach_distance, resting_pose=options.resting_pose(resting_pose))
+    if ways:
+        found = ranking.reachable_grasps(source, found, **ways)
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
     chosen = ranking.best_of_kinds(found, most, kinds)
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
-    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race)
+    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, batch_size, listening, disk_wait)
@@ -439,7 +448,7 @@ def rerank_spec(
     """
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
-    disturbed = base or ("physical" if source.spec.nominal_protocol == "physical" else "paper")
+    disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
     values = to_values(source.spec) | {
         "method": GIVEN,
         "base": disturbed,

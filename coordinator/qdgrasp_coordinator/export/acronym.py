@@ -23,7 +23,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_coordinator.export.frames import from_matrices, object_solid
+from qdgrasp_coordinator.export.frames import Frame, from_matrices, object_solid
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     LONGEST,
@@ -148,6 +148,7 @@ SUCCESSES = "grasps/qualities/flex/object_in_gripper"
 MOTION = "grasps/qualities/flex/object_motion_during_closing"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
+LISTS = ("runs", "resting_poses")  # What the file says of itself in its dataset `about` alone
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
 
 
@@ -162,7 +163,8 @@ def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
             file[name] = value
         file[ABOUT] = ours.json
         # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
-        file["qdgrasp"].attrs.update({name: value for name, value in ours.values.items() if name != "runs"})
+        attributes = {name: value for name, value in ours.values.items() if name not in LISTS}
+        file["qdgrasp"].attrs.update(attributes)
         file.flush()
         path.write_bytes(file.id.get_file_image())
 
@@ -201,11 +203,29 @@ def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         "grasps/contact_normals": contacts.normals.astype(np.float32),
         "grasps/contact_forces": contacts.forces.astype(np.float32),
         **opening,
+        **_approaches(grasps, metadata.frame),
         "gripper/type": hand.name,
         "gripper/link_names": list(hand.links) or np.zeros(0, "S1"),
         JOINTS: list(grasps.joint_names),
         SYNERGIES: list(grasps.synergy_names) or np.zeros(0, "S1"),
     }
+
+
+def _approaches(grasps: Grasps, frame: Frame) -> dict[str, Any]:
+    """Return how hands come to the commanded poses; nothing where that was not asked for."""
+    if grasps.approach is None:
+        return {}
+    found = {
+        "grasps/approach_transforms": jaw_transforms(grasps.approach_poses(frame), grasps.scene.gripper),
+        "grasps/approach_directions": grasps.approach_directions,
+        "grasps/approach_clear": grasps.reach.is_clear.astype(np.int8),
+    }
+    if grasps.approach.poses:
+        reach = grasps.reach
+        found["grasps/resting_poses"] = (reach.is_clear[:, None] & reach.is_above).astype(np.int8)
+        found["qdgrasp/resting_pose_numbers"] = np.array(list(grasps.approach.poses), dtype=np.int64)
+        found["qdgrasp/resting_probability"] = reach.probability
+    return found
 
 
 def read(path: Path) -> ImportedGrasps:

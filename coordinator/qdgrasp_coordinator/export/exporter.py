@@ -15,7 +15,7 @@ from qdgrasp_coordinator.export.grasp_reader import (
     choose_grasps,
     read_run,
 )
-from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.grasp_set import Grasps, select_grasps
 from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
@@ -115,6 +115,8 @@ def export_run(
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
     holds_in: str | None = None,
+    approach_distance: float | None = None,
+    resting_pose: int | str | None = None,
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
@@ -123,14 +125,17 @@ def export_run(
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
     The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
-    `diverse`, `limits` and `holds_in` are as in `select_grasps`; `min_quality` is a least confidence; poses
-    are in the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps;
-    None: as many as is usual in the format. `tell` is called with each step that begins. Raises InputError if
-    there is no such format or frame, there is nothing to write, or it cannot be read or written.
+    `diverse`, `limits` and `holds_in` are as in `select_grasps`; `min_quality` is a least confidence;
+    `approach_distance` [m] and `resting_pose` say how hands come to grasps, as in `GraspChoice`; poses are in
+    the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps; None:
+    as many as is usual in the format. `tell` is called with each step that begins. Raises InputError if there
+    is no such format or frame, there is nothing to write, or it cannot be read or written.
     """
     form, object_frame = format_of(name), frame_of(frame)
     wanted = form.failures(negatives)
-    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in)
+    choice = GraspChoice(
+        min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, resting_pose
+    )
     output = form.output(out, force=force)
     output.check()
     tell(f"reading {folder.path}")
@@ -167,6 +172,11 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
             good = good[found == Outcome.HELD]
             if not len(good):
                 return f"{folder.path} has no such grasp: {here}, {int((found < 0).sum())} are not known."
+        check = choice.reachability(good.scene, good.spec)
+        if check is not None:
+            if not len(reached := select_grasps(good, 0, approach=check)):
+                return f"{folder.path} has no such grasp: of {counted(len(good), 'grasp')} none is reachable."
+            good = reached
         admitted = choice.limits.admitted(good.rows, good.scene)
         if admitted.any():
             highest = good.confidence[admitted].max()

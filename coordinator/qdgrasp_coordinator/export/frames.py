@@ -1,4 +1,4 @@
-"""Frames of an object that grasps are given in, and its mesh, mass and inertia in them."""
+"""Frames of an object that grasps are given in, its mesh, mass and inertia in them; distances of poses."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -101,3 +101,21 @@ def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:
     vertices = body.vertices.astype(np.float64)
     faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
     return UniformSolid(Mesh(vertices + com, faces), body.mass, com)
+
+
+def squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
+    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
+    apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
+    if hand.jaw:
+        half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
+        cosine = np.maximum(
+            cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
+        )
+    x, y, z = apart.T
+    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
+
+
+def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
+    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
+    x, y, z, w = quaternions.T
+    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))

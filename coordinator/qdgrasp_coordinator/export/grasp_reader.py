@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
@@ -20,6 +20,9 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
+
+if TYPE_CHECKING:
+    from qdgrasp_assets.grippers.reachability import ReachabilityCheck
 
 
 class KnownEtas(NamedTuple):
@@ -55,6 +58,8 @@ class GraspReader:
         """Read with verdicts in `engines`, unknown without a table, and in those of its tables."""
         no_table = np.zeros(0, TABLE)
         self._tables = dict.fromkeys(engines, no_table) | other_tables(folder)
+        self.approach: ReachabilityCheck | None = None
+        """How hands are to come to the grasps that are read; None: it is not asked for."""
         self.scene = folder.scene()
         self.spec = folder.spec
         self._journal = journal
@@ -95,7 +100,18 @@ class GraspReader:
             etas[here[is_known]] = known.eta[places[is_known]]
             trials[here[is_known]] = known.trials[places[is_known]]
         elsewhere = {name: verdicts(table, numbers, rows["outcome"]) for name, table in self._tables.items()}
-        return Grasps(self.scene, self.spec, self._sources, origins, numbers, rows, etas, trials, elsewhere)
+        return Grasps(
+            self.scene,
+            self.spec,
+            self._sources,
+            origins,
+            numbers,
+            rows,
+            etas,
+            trials,
+            elsewhere,
+            self.approach,
+        )
 
     def _known_etas(self, origin: int) -> KnownEtas:
         if origin not in self._etas:
@@ -123,6 +139,7 @@ RANKED_BY = (
     "settled",
 )
 """Columns that grasps are ranked and spread by."""
+NO_APPROACH = (None, None, 0.0, None)
 ALL_FAILURES = -1  # So many failures as there are
 
 
@@ -137,6 +154,18 @@ class GraspChoice:
     diverse: int | None = None
     limits: GraspLimits = NO_LIMITS
     holds_in: str | None = None
+    approach_distance: float | None = None
+    """Distance from which hands come to their poses, touching nothing [m]; None: as in the run."""
+    resting_pose: int | str | None = None
+    """How the object rests on a table that they come above, or "any"; None: as in the run."""
+
+    def reachability(self, scene: Scene, spec: RunSpec) -> "ReachabilityCheck | None":
+        """Return the check of how hands come to grasps; None: neither flags nor the run ask for it."""
+        if (self.approach_distance, self.resting_pose, spec.approach, spec.table_pose) == NO_APPROACH:
+            return None
+        from qdgrasp_assets.grippers.reachability import ReachabilityCheck  # scipy takes its time
+
+        return ReachabilityCheck.asked(scene, spec, self.approach_distance, self.resting_pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +212,11 @@ class ChosenGrasps:
         return self.reader.spec
 
     @property
+    def approach(self) -> "ReachabilityCheck | None":
+        """Check of the hands' ways to grasps; None: it was not asked for."""
+        return self.reader.approach
+
+    @property
     def is_success(self) -> NDArray[np.bool_]:
         """(n,): as of `Grasps`."""
         return np.asarray(self.index["is_success"])
@@ -200,9 +234,16 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
     """
     is_ranked = choice.top is not None or choice.diverse is not None
     unknown = 0
+    reader.approach = choice.reachability(reader.scene, reader.spec)
     good, bad, ranked = [np.zeros(0, CHOSEN)], [np.zeros(0, CHOSEN)], []
     for block in reader.blocks(Outcome.MISSED if failures else Outcome.DROPPED):
-        found = select_grasps(block, choice.min_fitness, limits=choice.limits, holds_in=choice.holds_in)
+        found = select_grasps(
+            block,
+            choice.min_fitness,
+            limits=choice.limits,
+            holds_in=choice.holds_in,
+            approach=reader.approach,
+        )
         if choice.holds_in is not None:
             every = select_grasps(block, choice.min_fitness)
             unknown += int((every.verdicts_in(choice.holds_in) < 0).sum())

@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, multiply
-from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
+from qdgrasp_assets.geometry.rotation import Floats, rotate, unit
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.export.frames import (
+    COM,
+    MESH,
+    Frame,
+    change_frame,
+    frame_of,
+    squared_distances,
+    to_matrices,
+)
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import (
     NO_LIMITS,
@@ -33,8 +41,10 @@ from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # scipy takes its time
     from trimesh import Scene as TrimeshScene
+
+    from qdgrasp_assets.grippers.reachability import Reach, ReachabilityCheck
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 
@@ -165,6 +175,8 @@ class Grasps:
     """(n,): trials that it is of."""
     elsewhere: dict[str, Verdicts] = field(default_factory=dict)
     """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
+    approach: "ReachabilityCheck | None" = None
+    """How hands are to come to grasps, for `reach`; None: it was not asked for."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -240,7 +252,7 @@ class Grasps:
 
     @property
     def fitness(self) -> NDArray[np.float32]:
-        """(n,): disturbances survived in the nominal evaluation: 0 to 2 shakes, or 0 to 6 forces."""
+        """(n,): disturbances survived in the nominal evaluation: shakes, forces or a lift."""
         return np.asarray(self.rows["fitness"])
 
     @property
@@ -343,6 +355,35 @@ class Grasps:
         return object_motion(self.rows)
 
     @cached_property
+    def reach(self) -> "Reach":
+        """Answers whether hands come to their commanded poses; needs `approach`."""
+        if self.approach is None:
+            raise InputError("How hands come to these grasps was not asked for: give an approach_distance.")
+        poses = self.rows["base_to_object"]
+        return self.approach(poses[:, :3], poses[:, 3:], self.pregrasp)
+
+    @cached_property
+    def approach_directions(self) -> Floats:
+        """(n, 3): unit vectors, object's frame, along which hands come to their poses."""
+        turns = unit(self.rows["base_to_object"][:, 3:].astype(np.float64))
+        axis = np.array(self.scene.gripper.approach_axis)
+        return rotate(turns, np.broadcast_to(axis, (len(self), 3)))
+
+    @cached_property
+    def resting_poses(self) -> list[list[int]]:
+        """Numbers of the resting poses in which each hand comes to it; needs `approach`."""
+        reach, numbers = self.reach, list(self.approach.poses) if self.approach else []
+        found = reach.is_clear[:, None] & reach.is_above
+        return [[numbers[place] for place in np.flatnonzero(row)] for row in found]
+
+    def approach_poses(self, frame: Frame = MESH) -> Floats:
+        """(n, 7): the poses from which open hands come to the commanded ones; `frame` as of `poses`."""
+        poses = self.poses(frame)
+        if self.approach is not None:
+            poses[:, :3] -= self.approach.distance * self.approach_directions
+        return poses
+
+    @cached_property
     def contacts(self) -> "GraspContacts":
         """Contacts of the hand with the object after closing."""
         values = contact_values(self.rows)
@@ -405,6 +446,7 @@ def select_grasps(
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
     holds_in: str | None = None,
+    approach: "ReachabilityCheck | None" = None,
 ) -> Grasps:
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
@@ -412,7 +454,8 @@ def select_grasps(
     successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
     eta is known, then by fitness); `diverse` takes so many at most, each as far as can be from those before
     it (`spread_places`), the best one first. Without both, grasps are in journal order. `holds_in` takes
-    those that hold in this engine, by the run's table of it. Raises ImpossibleValue for other numbers,
+    those that hold in this engine, by the run's table of it, `approach` those whose hands come to their
+    poses. Raises ImpossibleValue for other numbers,
     UnknownName for another engine, and InputError where there is no such table.
     """
     _check_number("min_fitness", min_fitness, whole=False)
@@ -423,6 +466,9 @@ def select_grasps(
     if holds_in is not None:
         chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
+    if approach is not None:
+        chosen = replace(chosen, approach=approach)
+        chosen = chosen[chosen.reach.is_reachable]
     if top is None and diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
@@ -450,24 +496,6 @@ def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
     while len(chosen) < min(most, len(poses)):
         place = int(np.argmax(nearest)) if chosen else 0
         chosen.append(place)
-        nearest = np.minimum(nearest, _squared_distances(poses, poses[place], hand))
+        nearest = np.minimum(nearest, squared_distances(poses, poses[place], hand))
         nearest[place] = -1.0
     return np.array(chosen, dtype=np.int64)
-
-
-def _squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
-    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
-    apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
-    if hand.jaw:
-        half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
-        cosine = np.maximum(
-            cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
-        )
-    x, y, z = apart.T
-    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
-
-
-def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
-    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
-    x, y, z, w = quaternions.T
-    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))

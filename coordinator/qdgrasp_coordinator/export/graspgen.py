@@ -100,7 +100,7 @@ def _values(name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> dict[st
         | {
             "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
             "joint_names": [joint.name for joint in hand.joints],
-            "grasps": dict.fromkeys(EXTRA_LISTS, LIST),
+            "grasps": dict.fromkeys((*EXTRA_LISTS, *(APPROACH_LISTS if chosen.approach else ())), LIST),
         },
     }
 
@@ -111,8 +111,22 @@ EXTRA_LISTS = (
 )
 
 
+APPROACH_LISTS = ("approach_transforms", "approach_clear", "resting_poses", "resting_probability")
+"""Lists that are there where hands are to come to grasps."""
+
+
 def _lists(grasps: Grasps, frame: Frame) -> dict[str, list[Any]]:
     """Return the lists with an item for each grasp."""
+    approaches: dict[str, list[Any]] = {}
+    if grasps.approach is not None:
+        approaches = {
+            "approach_transforms": jaw_transforms(
+                grasps.approach_poses(frame), grasps.scene.gripper
+            ).tolist(),
+            "approach_clear": grasps.reach.is_clear.tolist(),
+            "resting_poses": grasps.resting_poses,
+            "resting_probability": grasps.reach.probability.tolist(),
+        }
     names, hand = (*grasps.synergy_names, ""), grasps.scene.gripper
     settled = settled_jaw_transforms(grasps, frame).tolist()
     return {
@@ -128,6 +142,7 @@ def _lists(grasps: Grasps, frame: Frame) -> dict[str, list[Any]]:
         "margin": grasps.margin.tolist(),
         "settled_transforms": _where_settled(grasps, settled),
         "contacts": _where_settled(grasps, _contacts(grasps, frame)),
+        **approaches,
     }
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_coordinator.export.frames import Frame
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.imported_grasps import ImportedGrasps, UnreadableGrasps, to_words
 from qdgrasp_coordinator.export.metadata import GraspMetadata
@@ -53,12 +54,12 @@ def write_isaac(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
         frames = {f"{key}_link": name for key, name in names.items()} | names
         ours = msgspec.structs.replace(metadata, quaternions=WXYZ)
         file.write(yaml_block(frames | {"qdgrasp": ours.values}))
-        file.writelines(_extra_lines(grasps))
+        file.writelines(_extra_lines(grasps, metadata.frame))
         file.write("grasps:\n")
         file.writelines(_lines(grasps, metadata))
 
 
-def _extra_lines(grasps: Grasps) -> Iterator[str]:
+def _extra_lines(grasps: Grasps, frame: Frame) -> Iterator[str]:
     """Yield values without a place in the format, as the end of the block `qdgrasp`.
 
     They are in the order of the grasps; lists of nothing are left out.
@@ -74,6 +75,17 @@ def _extra_lines(grasps: Grasps) -> Iterator[str]:
             yield f"    {key}: [{', '.join(np.where(known, shortest_decimals(values), 'null'))}]\n"
     if (grasps.synergies != NO_SYNERGY).any():
         yield f"    synergy: [{', '.join(names[label] for label in grasps.synergies.tolist())}]\n"
+    if grasps.approach is not None:
+        for key, table in (
+            ("approach_directions", grasps.approach_directions),
+            ("approach_positions", grasps.approach_poses(frame)[:, :3]),
+        ):
+            vectors = (f"[{', '.join(vector)}]" for vector in table_decimals(table + 0.0))
+            yield f"    {key}: [{', '.join(vectors)}]\n"
+        if grasps.approach.poses:
+            yield f"    resting_poses: {grasps.resting_poses}\n"
+            shares = ", ".join(shortest_decimals(grasps.reach.probability))
+            yield f"    resting_probability: [{shares}]\n"
 
 
 def _lines(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
@@ -200,7 +212,7 @@ def write_moveit(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as a YAML list of MoveIt's messages."""
     with path.open("w", encoding="utf-8") as file:
         file.write(yaml_block({"qdgrasp": metadata.values}))
-        file.writelines(_extra_lines(grasps))
+        file.writelines(_extra_lines(grasps, metadata.frame))
         poses = [f"[{', '.join(pose)}]" for pose in table_decimals(grasps.poses(metadata.frame))]
         file.write(f"    pregrasp_poses: [{', '.join(poses)}]\n")
         file.write("grasps:\n")
@@ -238,15 +250,16 @@ def _posture(names: str, positions: list[str]) -> str:
 
 
 def _moves(grasps: Grasps) -> str:
-    """Write approach and retreats: the hand's reach, at least the range of its stand-off."""
-    hand = grasps.scene.gripper
+    """Write approach and retreats: as looked at, or the hand's reach and its stand-off."""
+    hand, check = grasps.scene.gripper, grasps.approach
+    way = check.distance if check and check.distance else hand.reach
     header = HEADER.format(_quoted(hand.base_link))
     lines = ""
     for name, sign in (("pre_grasp_approach", 1), ("post_grasp_retreat", -1), ("post_place_retreat", -1)):
         ((x, y, z),) = table_decimals(sign * np.array([hand.approach_axis]) + 0.0)
         lines += (
             f"  {name}: {{direction: {{header: {header}, vector: {{x: {x}, y: {y}, z: {z}}}}}, "
-            f"desired_distance: {hand.reach:.6f}, min_distance: {hand.standoff[1]:.6f}}}\n"
+            f"desired_distance: {way:.6f}, min_distance: {min(way, hand.standoff[1]):.6f}}}\n"
         )
     return lines
 

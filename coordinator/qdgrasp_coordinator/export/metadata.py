@@ -4,23 +4,26 @@ import hashlib
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import UNSET, Struct, UnsetType
 
-from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneGripper, SceneObject, vector
+from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.scene import SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
-from qdgrasp_protocol.rows import trial_count
+from qdgrasp_protocol.rows import LIFT, trial_count
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import join_numbers
+
+if TYPE_CHECKING:
+    from qdgrasp_assets.grippers.reachability import ReachabilityCheck
 
 SUCCESS_WORDS = "a finger touches the object after closing"
 GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
@@ -28,6 +31,7 @@ FITNESS_MEANING = (
     "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 forces; "
     "higher is better"
 )
+LIFT_MEANING = "1: the hand lifted the object off the table and held it there; else 0"
 ETA_WORDS = (
     "the share of disturbances survived in all trials with disturbed pose and friction, "
     "the estimated probability of transfer"
@@ -62,6 +66,18 @@ class SourceRun(Struct, frozen=True, kw_only=True):
     def asked(self) -> RunSpec:
         """The spec as it was asked for."""
         return from_toml(self.spec, self.run)
+
+
+class RestingPoseRecord(Struct, frozen=True, kw_only=True):
+    """A way in which the object rests on a table."""
+
+    number: int
+    """Of `qdgrasp asset resting-poses`."""
+    up: tuple[float, float, float]
+    """Unit vector in the object's frame that points away from the table."""
+    height: float
+    """Component along `up` of the table's points, in the frame of the poses [m]."""
+    probability: float
 
 
 class GraspMetadata(Struct, frozen=True, kw_only=True):
@@ -120,6 +136,10 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Place and meaning of the contacts."""
     settled: str = ""
     """Whether settled poses and contacts were recorded."""
+    approach_distance: float | UnsetType = UNSET
+    """Distance from which hands come to the commanded poses [m]; absent: not looked at, as the next one."""
+    resting_poses: tuple[RestingPoseRecord, ...] | UnsetType = UNSET
+    """Ways in which the object rests on a table, as far as they were looked at; absent: there was none."""
     scene: str
     """sha256 of the scene bundle."""
     runs: tuple[SourceRun, ...]
@@ -162,6 +182,7 @@ def grasp_metadata(
     scene = grasps.scene
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
+    check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
     with folder.journal() as journal:
         runs, bundle = _source_runs(folder, journal), journal.scene
     return GraspMetadata(
@@ -178,7 +199,7 @@ def grasp_metadata(
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
         object_frame=OBJECT_FRAMES[frame].format(MESH_FILE if file else MESH_WRITTEN),
         frame=frame,
-        object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
+        object_com=origin,
         com_in_mesh=body.com_in_mesh,
         object_size=vector(np.subtract(scene.object_high, scene.object_low).round(MICROMETRE)),
         object_mass=body.mass,
@@ -189,13 +210,29 @@ def grasp_metadata(
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
+        fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
         confidence=_confidence_words(grasps.spec),
         pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
         grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",
         contacts=f"{CONTACT_WORDS}: {places.contacts}" if places.contacts else "not in this format",
         settled=settled_words(grasps),
+        approach_distance=UNSET if check is None else check.distance,
+        resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,
         scene=bundle,
         runs=runs,
+    )
+
+
+def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingPoseRecord, ...]:
+    """Return resting poses in a frame in which the centre of mass is at `origin` [m]."""
+    return tuple(
+        RestingPoseRecord(
+            number=number,
+            up=pose.up,
+            height=round(pose.height + running_sum(a * b for a, b in zip(pose.up, origin, strict=True)), 6),
+            probability=pose.probability,
+        )
+        for number, pose in check.poses.items()
     )
 
 

@@ -29,15 +29,16 @@ from qdgrasp_coordinator.export.imported_grasps import (
     decode_metadata,
     to_words,
 )
-from qdgrasp_coordinator.export.metadata import GraspMetadata
+from qdgrasp_coordinator.export.metadata import LIFT_MEANING, GraspMetadata
 from qdgrasp_coordinator.export.text_format import shortest_decimals
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.rows import LIFT, Outcome
 
 JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SETTLED = "settled_"  # What the columns of the settled pose begin with
 CONTACTS = "contact_points"
+RESTING_POSES = "resting_poses"
 SAME_MEANINGS = {
     "object": "the object",
     "gripper": "the hand",
@@ -70,9 +71,8 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("generation", rows["generation"], "of the search")
     yield GraspColumn("index", rows["index"], "in the generation")
     yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
-    yield GraspColumn(
-        "fitness", grasps.fitness, "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
-    )
+    survived = "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
+    yield GraspColumn("fitness", grasps.fitness, LIFT_MEANING if grasps.scene.protocol == LIFT else survived)
     for name, verdicts in grasps.elsewhere.items():
         words = np.append(OUTCOMES, "")[verdicts["outcome"]]  # -1, not known, is the last
         yield GraspColumn(f"{name}_outcome", words, f"how it ended in {name}; none: not evaluated there")
@@ -104,6 +104,26 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
     yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
     yield GraspColumn("margin", grasps.margin, "Ferrari-Canny margin of the contacts; none: not known")
+    if grasps.approach is not None:
+        yield from _approach_columns(grasps, frame, has_table=bool(grasps.approach.poses))
+
+
+def _approach_columns(grasps: Grasps, frame: Frame, *, has_table: bool) -> Iterator[GraspColumn]:
+    """Yield how hands come to the commanded poses."""
+    for name, values in zip("xyz", grasps.approach_directions.T, strict=True):
+        yield GraspColumn(f"approach_{name}", values, "direction in which the hand comes, object's frame")
+    for name, values in zip("xyz", grasps.approach_poses(frame).T[:3], strict=True):
+        start = "where it comes from, turned as at the commanded pose, object's frame [m]"
+        yield GraspColumn(f"approach_from_{name}", values, start)
+    is_clear = grasps.reach.is_clear.astype(np.uint8)
+    yield GraspColumn("approach_clear", is_clear, "1: it touches nothing on its way")
+    if has_table:
+        words = np.array([" ".join(map(str, numbers)) for numbers in grasps.resting_poses], dtype=str)
+        yield GraspColumn(
+            RESTING_POSES, words, "the object's resting poses in which it comes above the table"
+        )
+        share = "probability of these resting poses"
+        yield GraspColumn("resting_probability", grasps.reach.probability, share)
 
 
 def _label_words(words: list[str] | tuple[str, ...], labels: NDArray[np.int64]) -> NDArray[np.str_]:

@@ -37,6 +37,7 @@ PHASE_WORDS = {
     "shake x": "shake about x, {seconds:.2f} s",
     "settling": "settling, {seconds:.2f} s",
     "pushes": "pushes, {seconds:.2f} s",
+    "lift": "lift, {seconds:.2f} s",
 }
 
 

@@ -101,7 +101,8 @@ def words_of(path: Path, name: str) -> dict[str, object]:
 def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_path: Path, name: str) -> None:
     export_run(run, tmp_path / "out", name)
     said = words_of(tmp_path / "out", name)
-    assert set(GraspMetadata.__struct_fields__) - {"runs"} <= set(said)
+    asked = {"approach_distance", "resting_poses"}
+    assert set(GraspMetadata.__struct_fields__) - {"runs"} - asked <= set(said)
     assert (said["gripper"], said["gripper_frame"], said["object"]) == ("jaw", "palm", "block")
     assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg, N", "paper")
     assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")

@@ -10,7 +10,7 @@ from qdgrasp_worker.engines.lockstep import (
     StepResult,
     WorldContacts,
 )
-from qdgrasp_worker.engines.mujoco_world import Simulation
+from qdgrasp_worker.engines.mujoco_simulation import Simulation
 
 
 class LoopedWorlds(BatchWorlds):

@@ -19,7 +19,8 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_model import SceneModel, couplings, reach_of
-from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, MujocoShakenWorld, SimulationDiverged
+from qdgrasp_worker.engines.mujoco_simulation import SimulationDiverged
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, MujocoShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PAPER, PHYSICAL, Physics, TrialSetup
 from qdgrasp_worker.physical_episode import PhysicalEpisode

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.worker.genomes import HANDS, REFERENCE, decoded
 
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.voxels import convex_hulls
+from qdgrasp_assets.grippers.hand_surface import HandKinematics, SharedHand
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
@@ -27,8 +29,7 @@ from qdgrasp_worker.filters.contact_filter import (
     interpolate_course,
     measure_zones,
 )
-from qdgrasp_worker.filters.voxels import convex_hulls
-from qdgrasp_worker.hand_geometry import HandKinematics, SharedHand, free_posture
+from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 RADIUS = 0.05

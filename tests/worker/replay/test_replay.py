@@ -10,12 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.worker.replay.recorded_evaluations import RecordedEvaluation, record_evaluation, request
 
+from qdgrasp_assets.geometry.resting_poses import resting_poses
+from qdgrasp_assets.grippers.hand_surface import HandKinematics
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.replay import renderer, replay
 from qdgrasp_worker.replay.episode_recorder import still_snapshot
 from qdgrasp_worker.replay.renderer import (
@@ -29,7 +31,7 @@ from qdgrasp_worker.replay.renderer import (
     corners_around,
     fit_camera,
 )
-from qdgrasp_worker.replay.replay import EpisodeReplay, requested_trial
+from qdgrasp_worker.replay.replay import EpisodeReplay, requested_grasp
 
 WIDTH, HEIGHT = 640, 480
 SLACK = 2.0
@@ -112,6 +114,17 @@ def test_a_replay_in_two_engines_shows_the_first_one_and_judges_in_both(make_sce
     assert judged.snapshots[-1].phase == "pushes"
 
 
+def test_hands_that_cannot_come_to_their_pose_are_drawn_there_and_overlap_as_recorded(make_scene):
+    scene = make_scene("panda", "rubiks_cube", "physical")
+    poses = resting_poses(scene.object.collision)[:1]
+    table = msgspec.structs.replace(scene, resting_poses=poses, approach_distance=0.1)
+    found, free = record_evaluation(table, 12), record_evaluation(scene, 12)
+    refused = (found.rows["outcome"] == Outcome.OVERLAP) & (free.rows["outcome"] == Outcome.HELD)
+    assert refused.any()
+    for row in (found.rows[refused][0], found.rows[found.rows["outcome"].argmax()]):
+        assert_same(row, EpisodeReplay(table, request(row)))
+
+
 @pytest.mark.parametrize("engine", [None, "mujoco"])
 def test_a_hand_that_was_stopped_on_its_way_is_drawn_where_it_stopped(make_scene, engine):
     robust = make_scene("panda", "rubiks_cube", "robust")
@@ -123,7 +136,7 @@ def test_a_hand_that_was_stopped_on_its_way_is_drawn_where_it_stopped(make_scene
         assert_same(row, replay)
         placed = msgspec.structs.replace(request(row), pregrasp=True)
         (shot,) = drawn(EpisodeReplay(scene, placed))[0].shots
-        goal = requested_trial(scene, request(row)).pose
+        goal = scene_protocol(scene).trial(requested_grasp(scene, request(row))[0], 3).pose
         back = np.linalg.inv(frame((*goal.position, *goal.quaternion))) @ frame(shot.hand)
         assert np.allclose(back[:3, :3], np.eye(3), atol=1e-6)
         assert np.allclose(back[:2, 3], 0.0, atol=1e-6)

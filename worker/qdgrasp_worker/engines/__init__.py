@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import NamedTuple
 
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import RestingPose, Scene
 from qdgrasp_protocol.engines import DEVICE_ENGINE, check_engine, engine_names
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
@@ -48,12 +48,22 @@ def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> Sh
         raise UnknownName("engine", name, ENGINES)
     engine = ENGINES[name]
     if protocol.physics:
-        physical: PhysicalWorld = _named(engine, engine.physical_world)(scene, protocol.physics)
+        table = lifting_table(scene) if protocol.lift else None
+        physical: PhysicalWorld = _named(engine, engine.physical_world)(scene, protocol.physics, table)
         return physical
     if engine.shaken_world is None:
         raise AssetError(f"The engine {name} does not simulate the protocol '{protocol.name}'.")
     shaken: ShakenWorld = _named(engine, engine.shaken_world)(scene)
     return shaken
+
+
+def lifting_table(scene: Scene) -> RestingPose:
+    """The resting pose from which a scene's object is lifted; AssetError without one."""
+    if len(scene.resting_poses) != 1:
+        raise AssetError(
+            f"The protocol '{scene.protocol}' needs a scene with one resting pose of its object."
+        )
+    return scene.resting_poses[0]
 
 
 def _named(engine: Engine, world: str) -> type:

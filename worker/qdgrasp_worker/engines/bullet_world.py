@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
+from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
 from qdgrasp_assets.grippers.urdf import parse_robot
-from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject, Vector
+from qdgrasp_assets.scene import Joint, RestingPose, Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet import BASE, BREAKING_THRESHOLD, Bullet, BulletLink, Motor
@@ -24,7 +24,7 @@ from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture, neighbours
-from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.physical_episode import TABLE_HALF, PhysicalWorld, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     FREE_POSTURES,
@@ -44,8 +44,14 @@ from qdgrasp_worker.world import (
     seen_from,
 )
 
-HAND_GROUP, OBJECT_GROUP = 1, 2
-"""Collision groups: an object meets hands only, a hand itself if it is asked to."""
+HAND_GROUP, OBJECT_GROUP, TABLE_GROUP = 1, 2, 4
+"""Collision groups: an object meets hands and a table only, a hand itself if it is asked to."""
+TABLE_AWAY = [0.0, 0.0, -20.0]  # Where it is out of touch with everything [m]
+TABLE_URDF = """<robot name="table"><link name="table">
+<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<collision><geometry><box size="{sides}"/></geometry></collision>
+</link></robot>
+"""
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
@@ -95,6 +101,26 @@ class ObjectBody:
         """Its own coefficients of rolling and spinning friction."""
         self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
         """Largest distance of a vertex from the centre of mass [m]."""
+
+
+class TableBody:
+    """A table on which the object rests where it is placed; it stands still."""
+
+    def __init__(self, bullet: Bullet, pose: RestingPose) -> None:
+        self._bullet = bullet
+        sides = " ".join(str(2.0 * half) for half in TABLE_HALF)
+        self.body = load_body(bullet, TABLE_URDF.format(sides=sides), {}, fixed=True)
+        bullet.collide(self.body, TABLE_GROUP, HAND_GROUP | OBJECT_GROUP)
+        bullet.set_friction(self.body, HAND_FRICTION, 0.0, 0.0)
+        self._pose, self._turn = pose, facing(pose.up).tolist()
+
+    def put_away(self) -> None:
+        """Take it away from everything."""
+        self._bullet.place(self.body, TABLE_AWAY, UPRIGHT)
+
+    def put_below(self, way: float) -> None:
+        """Put it so far below the place where the object rests on it [m]."""
+        self._bullet.place(self.body, table_middle(self._pose, way), self._turn)
 
 
 def obj_vertices(obj: bytes) -> Iterator[list[float]]:
@@ -288,8 +314,9 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
 
     _links_meet = True
 
-    def __init__(self, scene: Scene, physics: Physics) -> None:
-        self.physics = physics
+    def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
+        self.physics, self.table = physics, table
+        self._up = table.up if table else STILL
         self._breaking_threshold = physics.breaking_threshold
         super().__init__(scene)
 
@@ -320,6 +347,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         ]
         for index, drive in zip(hand.fingers, drives, strict=True):
             self._add_inertia(index, drive.inertia, slides=links[index].slides)
+        self._table = None if self.table is None else self._add_table(self.table)
         bullet.switch_motors_off(hand.body, hand.fingers)
         self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
 
@@ -335,6 +363,12 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
             pairs |= bullet.touching_links(body)
         for one, other in sorted(pairs):
             bullet.pass_through(body, one, other)
+
+    def _add_table(self, pose: RestingPose) -> TableBody:
+        """Add a table that hand and object meet."""
+        self._bullet.collide(self._hand.body, HAND_GROUP, OBJECT_GROUP | HAND_GROUP | TABLE_GROUP)
+        self._bullet.collide(self._target.body, OBJECT_GROUP, HAND_GROUP | TABLE_GROUP)
+        return TableBody(self._bullet, pose)
 
     def _place_away(self, gripper: SceneGripper, posture: Sequence[float]) -> None:
         self._bullet.place(self._hand.body, AWAY_POSITION, UPRIGHT)
@@ -355,7 +389,10 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         """Put hand and object in place as `BulletWorld.reset` does; the object is free and undamped."""
         self._bullet.set_damping(self._target.body, 0.0)
         self._bullet.set_inertia(self._target.body, self._mass, self._moments)
+        if self._table:
+            self._table.put_away()
         super().reset(trial, posture)
+        self.lower_table(0.0)
         self._axes = trial.pose.axes
         self._posture = list(posture)
 
@@ -377,7 +414,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         if not self._control.is_coupled:
             self._control.stop()
 
-    def begin_pushes(self) -> None:
+    def _let_stay(self) -> None:
         """Let all targets stay, and take the damping off the object."""
         self._bullet.set_damping(self._target.body, 0.0)
         self._control.stop()
@@ -396,6 +433,21 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         (a, b, c), (x, y, z) = self._axes, direction
         along = [force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)]
         self._bullet.push(self._target.body, along, self._bullet.position(self._target.body))
+
+    def weigh(self, factor: float) -> None:
+        """Let so many times its weight pull the object towards the table, during the next step."""
+        force, target = -factor * self._mass * self.physics.weight, self._target.body
+        self._bullet.push(target, [force * axis for axis in self._up], self._bullet.position(target))
+
+    def lower_table(self, way: float) -> None:
+        """Put the table, if there is one, so far below the place where the object rests on it [m]."""
+        if self._table:
+            self._table.put_below(way)
+
+    def is_on_table(self) -> bool:
+        """Return whether the object touches the table."""
+        contacts = self._bullet.contacts(self._table.body, self._target.body) if self._table else []
+        return any(contact.distance < NEAR for contact in contacts)
 
     def object_pose(self) -> tuple[Vector, Quaternion]:
         """The object's position and quaternion; the hand does not move."""

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, multiply, rotate, unit
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.engines.mujoco_world import FREE_DOFS, MujocoPhysicalWorld, Simulation
+from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import TrialSetup
 from qdgrasp_worker.finger_drive import FingerDrive

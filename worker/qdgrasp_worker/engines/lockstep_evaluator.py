@@ -17,7 +17,8 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.candidate_ranking import Shortlist
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.engines.lockstep import BatchWorlds, BufferSizes, LockstepEpisodes
-from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, Simulation
+from qdgrasp_worker.engines.mujoco_simulation import Simulation
+from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, approach_path
 from qdgrasp_worker.evaluation_protocols import TrialSetup
 from qdgrasp_worker.evaluator import Evaluator, GenomeResult

@@ -27,11 +27,12 @@ from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.evaluation_protocols import Physics
 from qdgrasp_worker.finger_drive import FingerDrive
+from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF
 
-HULL_MARGIN = 1e-3  # Distance from its surface at which a hull is met, as in Bullet [m]
 DETECTION_GAP = 5e-4  # So much farther away contacts are seen; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # Of a link to which Bullet gives none [kg, kg m2]
-OBJECT = "*object"  # Name of the object's body
+OBJECT, TABLE = "*object", "*table"  # Names of the bodies of the object and the table
+TABLE_AWAY = "0 0 -20"  # Where it is until it is placed: out of touch with everything
 TWELFTH = 0.08333333  # As it stands in Bullet
 INFLATIONS = {"box": (0, 0), "sphere": (0, 0), "cylinder": (1, 1), ".stl": (1, 1), ".obj": (3, 0)}
 """Margins that Bullet adds to each side of a shape's box before it is turned, and after."""
@@ -220,9 +221,10 @@ class SceneModel:
     An AssetError for a collision shape that MuJoCo cannot take, or a joint that the URDF does not have.
     """
 
-    def __init__(self, scene: Scene, time_step: float) -> None:
+    def __init__(self, scene: Scene, time_step: float, *, has_table: bool = False) -> None:
         gripper = scene.gripper
         check_convex(gripper)
+        self._has_table = has_table
         self._time_step = time_step
         self.robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
         self.links = hand_links(self.robot, gripper)
@@ -277,6 +279,10 @@ class SceneModel:
         group = {"contype": HAND_GROUP, "conaffinity": "3" if meets_itself else OBJECT_GROUP}
         self._add_link(world, meshes, self.robot.root, joints, group | {"friction": PAIR_FRICTION})
         self._add_object(world, meshes, is_free=is_free)
+        if self._has_table:
+            table = ET.SubElement(world, "body", name=TABLE, mocap="true", pos=TABLE_AWAY)
+            meeting = {"contype": "0", "conaffinity": "3", "friction": PAIR_FRICTION}
+            ET.SubElement(table, "geom", meeting, type="box", size=words(TABLE_HALF))
         equality = ET.SubElement(root, "equality")
         for joint, leader, offset, ratio in self.couplings:
             polynomial = words([offset, ratio, 0.0, 0.0, 0.0])

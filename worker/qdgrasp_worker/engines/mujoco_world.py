@@ -1,4 +1,4 @@
-"""Worlds of the protocols in MuJoCo; the one module that imports it.
+"""Worlds of the protocols in MuJoCo.
 
 The hand's root stays at the origin, and the object comes to where the hand sees it. Before every evaluation
 all of a model's state is reset, the start of its solver too.
@@ -13,28 +13,29 @@ all of a model's state is reset, the start of its solver too.
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate, unit
-from qdgrasp_assets.scene import Scene, SceneGripper, Vector
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate, unit
+from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, HULL_MARGIN, OBJECT, SceneModel, finger_drives
+from qdgrasp_worker.engines.mujoco_model import (
+    DETECTION_GAP,
+    SceneModel,
+    finger_drives,
+)
+from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.hand_geometry import free_posture, neighbours
-from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.physical_episode import HULL_MARGIN, PhysicalWorld, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     FREE_POSTURES,
     HAND_FRICTION,
-    NEAR,
     STILL,
     UPRIGHT,
     Contact,
@@ -43,153 +44,17 @@ from qdgrasp_worker.world import (
     HandFrame,
     Quaternion,
     ShakenWorld,
-    Touch,
     WorldState,
     indices_by_name,
     seen_from,
 )
 
-FREE_DOFS = 6
 TIME_STEP = 1 / 240  # Where the hand is shaken [s]
 HOLD = 0.1, 1.0
 """Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
 BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
 LEAST_FORCE = 1e-9  # A motor without force keeps its row [N or Nm]
 AT_ORIGIN = HandPose(STILL, UPRIGHT, [], NO_SYNERGY)
-mujoco.set_mju_user_warning(lambda _text: None)  # counted in `Simulation.step`; else a file is written
-
-
-class SimulationDiverged(RuntimeError):
-    """MuJoCo met numbers that are not finite, or had no room for its contacts."""
-
-
-class Simulation:
-    """A model of a scene with its state; MuJoCo's own quaternions are wxyz."""
-
-    def __init__(self, scene: SceneModel, mjcf: str, *, is_free: bool = True) -> None:
-        try:
-            self.model: Any = mujoco.MjModel.from_xml_string(mjcf)
-        except ValueError as error:
-            raise AssetError(f"MuJoCo cannot take this hand with this object: {error}") from None
-        self.data: Any = mujoco.MjData(self.model)
-        self._warnings = self.data.warning.number  # A view: numbers of each warning since the last reset
-        joints = [self.model.joint(joint.name) for joint in scene.joints]
-        self.places = np.array([joint.qposadr[0] for joint in joints])
-        """(j,): of the finger joints in `qpos`."""
-        self.dofs = np.array([joint.dofadr[0] for joint in joints])
-        """(j,): of the finger joints in `qvel`."""
-        self.object = int(self.model.body(OBJECT).id)
-        self._is_free = is_free
-        self._couplings = scene.couplings
-        self.is_object = self.model.geom_bodyid == self.object
-        self.of_object = np.flatnonzero(self.is_object)
-        self._force = np.zeros(6)
-        moving = [self.model.joint(i) for i in range(self.model.njnt)]
-        self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
-
-    def reset(self, posture: Sequence[float], friction: Sequence[float]) -> None:
-        """Reset all; the fingers are at `posture`.
-
-        `friction` is that of hand and object: sliding, spinning, rolling.
-        """
-        mujoco.mj_resetData(self.model, self.data)
-        self.model.geom_friction[self.of_object] = friction
-        self.damp(0.0)
-        self.data.qpos[self.places] = posture
-
-    def damp(self, rate: Floats | float) -> None:
-        """Damp the free object's velocity with these forces [N s/m, Nm s/rad]."""
-        if self._is_free:
-            self.model.dof_damping[-FREE_DOFS:] = rate
-
-    def couple(self, closing: Sequence[str]) -> None:
-        """Couple the joints that close together, where both close, and no others."""
-        self.data.eq_active[:] = self.coupled(closing)
-
-    def coupled(self, closing: Sequence[str]) -> list[bool]:
-        """Return which of the couplings hold while these joints close."""
-        return [{coupling.joint, coupling.leader} <= {*closing} for coupling in self._couplings]
-
-    def place(self, position: Floats, quaternion: Floats) -> None:
-        """Put the object at a position (3,) [m] and quaternion (4,)."""
-        pose = np.array([*position, quaternion[3], *quaternion[:3]])
-        if self._is_free:
-            self.data.qpos[-7:] = pose
-        else:
-            self.data.mocap_pos[0], self.data.mocap_quat[0] = pose[:3], pose[3:]
-
-    def object_pose(self) -> tuple[Floats, Floats]:
-        """Position (3,) [m] and quaternion (4,) of the free object."""
-        pose = self.data.qpos[-7:]
-        return pose[:3].copy(), pose[[4, 5, 6, 3]]
-
-    def detect(self) -> None:
-        """Find the contacts of the poses as they are."""
-        mujoco.mj_fwdPosition(self.model, self.data)
-
-    def step(self, steps: int) -> None:
-        """Move on by some steps; a SimulationDiverged where the state is not to be trusted."""
-        mujoco.mj_step(self.model, self.data, steps)
-        self.check()
-
-    def check(self) -> None:
-        """Raise a SimulationDiverged where the state is not to be trusted."""
-        if any(warnings := self._warnings.tolist()):
-            raise SimulationDiverged(f"MuJoCo warned: {warnings}")
-
-    def hand_boxes(self) -> list[Box]:
-        """The axis-aligned box around each collision shape of the hand [m]."""
-        model, shapes = self.model, np.flatnonzero(~self.is_object)
-        turn = self.data.geom_xmat[shapes].reshape(-1, 3, 3)
-        middle = self.data.geom_xpos[shapes] + np.einsum("gij,gj->gi", turn, model.geom_aabb[shapes, :3])
-        half = np.einsum("gij,gj->gi", np.abs(turn), model.geom_aabb[shapes, 3:]) + HULL_MARGIN
-        corners = np.stack([middle - half, middle + half], axis=1).tolist()
-        return [((a, b, c), (x, y, z)) for (a, b, c), (x, y, z) in corners]
-
-    @property
-    def buffers_used(self) -> tuple[int, int]:
-        """The most contacts, and constraints, that there were at a time since it was reset."""
-        return int(self.data.maxuse_con), int(self.data.maxuse_efc)
-
-    def hand_contacts(self, nearest: float = NEAR) -> list[tuple[int, int, float]]:
-        """Number, body of the hand and distance [m] of each contact with the object.
-
-        They are nearer than `nearest`; the distance is 0 where forces begin.
-        """
-        data, model = self.data, self.model
-        if not data.ncon:
-            return []
-        contact = data.contact
-        distance = contact.dist - contact.includemargin
-        geoms = contact.geom
-        is_object = self.is_object[geoms]
-        chosen = np.flatnonzero((distance < nearest) & is_object.any(axis=1))
-        links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
-        return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
-
-    def force(self, contact: int) -> tuple[Floats, Floats, float]:
-        """Point (3,) on the object, unit normal (3,) into it, and force along it [N]; world frame."""
-        found = self.data.contact[contact]
-        mujoco.mj_contactForce(self.model, self.data, contact, self._force)
-        normal = found.frame[:3] * (-1.0 if self.is_object[found.geom[0]] else 1.0)
-        return found.pos + normal * found.dist / 2, normal, float(self._force[0])
-
-    def touches(self) -> list[Touch]:
-        """The contacts of the hand with the object; distances are those of `hand_contacts`."""
-        found = []
-        for contact, link, distance in self.hand_contacts():
-            point, normal, _ = self.force(contact)
-            found.append(Touch(self.model.body(link).name, point.tolist(), normal.tolist(), distance))
-        return found
-
-    def joint_positions(self) -> dict[str, float]:
-        """Positions of the joints of the hand that move, by name [rad or m]."""
-        return {name: float(self.data.qpos[place]) for name, place in self._joint_places.items()}
-
-    def touching_links(self) -> set[tuple[str, str]]:
-        """The pairs of the hand's links between which there is a contact."""
-        bodies = self.model.geom_bodyid[self.data.contact.geom].tolist()
-        return {(self.model.body(one).name, self.model.body(other).name) for one, other in bodies}
 
 
 class MujocoWorld(GraspWorld):
@@ -345,8 +210,8 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
 
         A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
         """
-        model, data, wanted, velocity = self.free.model, self.free.data, self._wanted, self._velocity
-        mujoco.mj_step1(model, data)
+        data, wanted, velocity = self.free.data, self._wanted, self._velocity
+        self.free.begin_step()
         np.subtract(self._goals, self._at, wanted)
         np.multiply(wanted, self._gains, wanted)
         np.add(wanted, np.multiply(velocity, self._damping, self._slowed), wanted)
@@ -354,8 +219,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         np.maximum(wanted, self._least, out=wanted)
         np.subtract(wanted, velocity, wanted)
         data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
-        mujoco.mj_step2(model, data)
-        self.free.check()
+        self.free.end_step()
 
     def is_touching(self) -> bool:
         """Return whether any link of the hand touches the object; links pass through each other."""
@@ -389,11 +253,11 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
 class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
     """A world of `physical`."""
 
-    def __init__(self, scene: Scene, physics: Physics) -> None:
+    def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
         gripper = scene.gripper
         super().__init__(gripper)
-        self.physics, self.steps_at_once = physics, physics.look_every
-        model = SceneModel(scene, physics.time_step)
+        self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
+        model = SceneModel(scene, physics.time_step, has_table=table is not None)
         self.drives, self.is_coupled = finger_drives(gripper, model, physics), gripper.jaw is not None
         self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
         passing = passing_links(gripper, model, self.drives)
@@ -409,6 +273,12 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         """Friction of hand and object, which is the object's alone."""
         return trial.grip * self._target.lateral_friction, self.physics.spinning, self.physics.rolling
 
+    def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
+        """Put hand, object and table in place, at rest, with nothing left of what happened before."""
+        super().reset(trial, posture)
+        self._origin, self._turn = self.free.object_pose()
+        self.lower_table(0.0)
+
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
         self._closing = self.closing_joints(synergy)
@@ -418,6 +288,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         self._now.reset(self._posture, self._friction)
         self._now.place(*place)
         self._now.couple(self._closing)
+        self.lower_table(0.0)
 
     def release(self) -> None:
         """Let the object go, damped; the targets of a jaw go on, others stay."""
@@ -429,10 +300,11 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         free.couple(self._closing)
         free.damp(self.damping)
         self._now = free
+        self.lower_table(0.0)
         if not self._control.is_coupled:
             self._control.stop()
 
-    def begin_pushes(self) -> None:
+    def _let_stay(self) -> None:
         """Let all targets stay, and take the damping off the object."""
         self._now.damp(0.0)
         self._control.stop()
@@ -440,6 +312,21 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next steps, along a direction in hand frame."""
         self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, self.push_force)
+
+    def weigh(self, factor: float) -> None:
+        """Let so many times its weight pull the object towards the table, during the next steps."""
+        along = rotate(self._turn, np.array(self.table.up if self.table else STILL))
+        self._now.data.xfrc_applied[self._now.object, :3] = -factor * self.push_force * along
+
+    def lower_table(self, way: float) -> None:
+        """Put the table, if there is one, so far below the place where the object rests on it [m]."""
+        if self.table is not None:
+            middle = rotate(self._turn, np.array(table_middle(self.table, way)))
+            self._now.place_table(self._origin + middle, multiply(self._turn, facing(self.table.up)))
+
+    def is_on_table(self) -> bool:
+        """Return whether the object touches the table."""
+        return self._now.is_on_table()
 
     def step(self) -> None:
         """Move on to the next look, with the targets of the fingers on their way."""

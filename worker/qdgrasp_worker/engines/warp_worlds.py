@@ -29,7 +29,7 @@ from qdgrasp_worker.engines.lockstep import (
     WorldContacts,
 )
 from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator, next_power
-from qdgrasp_worker.engines.mujoco_world import FREE_DOFS, Simulation
+from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.world import NEAR
 
 OVERFLOWS = (

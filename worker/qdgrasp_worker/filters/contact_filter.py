@@ -37,10 +37,11 @@ from scipy.ndimage import distance_transform_edt
 
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.geometry.voxels import Hull, Singles, VoxelGrid
+from qdgrasp_assets.grippers.hand_surface import SharedHand
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.filters.voxels import Hull, Singles, VoxelGrid
-from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, SharedHand, free_posture
+from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 Box = tuple[Vector, Vector]  # Low and high corner

@@ -20,9 +20,9 @@ STEPS_PER_FRAME = 6  # Least number of them from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
-    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes"),
+    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes", "lift"),
     "closing": ("placed", "closing", "settling"),
-    "shakes": ("shake z", "shake x", "pushes"),
+    "shakes": ("shake z", "shake x", "pushes", "lift"),
 }
 
 
@@ -92,6 +92,7 @@ class EpisodeRecorder:
             "shake_to": self._shaken,
             "release": lambda: self._begin("settling"),
             "begin_pushes": lambda: self._begin("pushes"),
+            "begin_lift": lambda: self._begin("lift"),
         }
         for verb, look in looks.items():
             if hasattr(world, verb):

@@ -34,11 +34,13 @@ from qdgrasp_protocol.replay_messages import (
     ReplayFrame,
     ReplayRequest,
 )
-from qdgrasp_protocol.rows import GIVEN
-from qdgrasp_worker.decoder import Decoder
+from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
+from qdgrasp_worker.episode import EpisodeResult
+from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
+from qdgrasp_worker.filters.table_filter import TableFilter
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
@@ -65,8 +67,13 @@ class EpisodeReplay:
         with closing(make_world(scene, protocol)) as world:
             recorder = EpisodeRecorder(world, scene.gripper)
             episode = make_episode(world, protocol, stops_early=False)
-            trial = requested_trial(scene, request)
-            verdict = episode.run(trial)
+            grasps = requested_grasp(scene, request)
+            trial = protocol.trial(grasps[0], request.trial)
+            if request.trial == 0 and len(TableFilter(scene)(grasps, np.arange(1))):
+                episode.overlaps(trial)
+                verdict = EpisodeResult(Outcome.OVERLAP, trial.pose.joints)
+            else:
+                verdict = episode.run(trial)
         self.snapshots = recorder.snapshots
         with ExitStack() as opened:
             names = engine_names(scene.engine)[1:]
@@ -126,11 +133,10 @@ class EpisodeReplay:
         )
 
 
-def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
-    """The grasp to simulate, disturbed by its trial."""
+def requested_grasp(scene: Scene, request: ReplayRequest) -> DecodedGrasps:
+    """The one grasp that is asked for."""
     genome = np.array([request.genome], dtype=np.float32)
-    grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
-    return scene_protocol(scene).trial(grasp, request.trial)
+    return Decoder(scene, GIVEN, ObjectSurface(scene))(genome)
 
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -25,6 +25,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
+from qdgrasp_worker.filters.table_filter import TableFilter
 from qdgrasp_worker.platform import code_digest
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve
@@ -38,6 +39,7 @@ class CustomEvaluator(BatchEvaluator):
     def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
         super().__init__(scene)
         self._judge: EvaluatorFn = make(scene)
+        self._table = TableFilter(scene)
         self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
 
     def close(self) -> None:
@@ -61,6 +63,9 @@ class CustomEvaluator(BatchEvaluator):
         failures = [(place, reason) for place, reason in enumerate(reasons) if reason]
         _fill_poses(rows, grasps, np.array([not reason for reason in reasons], dtype=bool))
         asked = np.flatnonzero([not reason for reason in reasons] & ~grasps.dead_ends)
+        refused = self._table(grasps, asked[trials[asked] == 0])
+        rows["outcome"][refused] = Outcome.OVERLAP
+        asked = np.setdiff1d(asked, refused)
         if len(asked):
             failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
         return Evaluation(rows, sorted(failures))

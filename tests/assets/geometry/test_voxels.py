@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_worker.filters.voxels import VoxelGrid, convex_hulls
+from qdgrasp_assets.geometry.voxels import VoxelGrid, convex_hulls
 
 CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
 

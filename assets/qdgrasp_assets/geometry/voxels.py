@@ -3,7 +3,7 @@
 A voxel grid is a box of small cubes, each with a level, looked up for many points at once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -127,6 +127,28 @@ class VoxelGrid:
         return found
 
 
+SOLID_PITCH = 1e-3  # The side of a voxel of a solid [m]; larger for one of more than `MOST_SOLID_VOXELS`
+MOST_SOLID_VOXELS = 1 << 24
+SAFE_DEPTH = 1e-4  # Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm.
+
+
+def box_around(hulls: Sequence[Hull]) -> tuple[Floats, Floats]:
+    """The corners (3,) of the box around hulls and the origin [m]."""
+    origin = np.zeros((1, 3))
+    lows, highs = [hull.low for hull in hulls], [hull.high for hull in hulls]
+    return np.min([*lows, *origin], axis=0), np.max([*highs, *origin], axis=0)
+
+
+def solid_voxels(hulls: Sequence[Hull], low: Floats, high: Floats) -> VoxelGrid:
+    """Voxels of a box, of level 1 where the whole voxel is surely inside one of the hulls."""
+    pitch = max(SOLID_PITCH, float(np.prod(high - low) / MOST_SOLID_VOXELS) ** (1 / 3))
+    voxels = VoxelGrid(low, high, pitch)
+    for hull in hulls:
+        reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
+        voxels.mark(hull.shrunk(reach + SAFE_DEPTH), 1)
+    return voxels
+
+
 def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Heights (a, b) [m] at which columns at `x` (a, 1) and `y` (1, b) enter and leave a hull.
 
@@ -140,3 +162,29 @@ def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Float
     bottom: Floats = np.max(heights[down] / -c[down], axis=0, initial=-np.inf)
     bottom[(heights[~(up | down)] > 0.0).any(axis=0)] = np.inf
     return bottom, top
+
+
+def rotation_matrices(quaternions: NDArray[np.float32]) -> Singles:
+    """The rotation matrices (n, 3, 3) of unit quaternions (n, 4)."""
+    x, y, z, w = quaternions.astype(np.float64).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows, dtype=np.float32), -1, 0)
+
+
+def transform_points(
+    points: Singles, rotations: Singles, positions: Singles
+) -> tuple[Singles, Singles, Singles]:
+    """x, y and z (n, p) of points (n or 1, p, 3), turned by (n, 3, 3) and moved by (n, 3).
+
+    In products and sums of single numbers, whose bits do not depend on how many poses there are.
+    """
+    x, y, z = (points[:, :, axis] for axis in range(3))
+    rows = [
+        rotations[:, i, 0, None] * x + rotations[:, i, 1, None] * y + rotations[:, i, 2, None] * z
+        for i in range(3)
+    ]
+    return rows[0] + positions[:, 0, None], rows[1] + positions[:, 1, None], rows[2] + positions[:, 2, None]

@@ -1,0 +1,72 @@
+"""Resting poses of shapes of which they are known."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
+from qdgrasp_assets.geometry.primitives import box, geodesic
+from qdgrasp_assets.geometry.resting_poses import LEAST_PROBABILITY, resting_poses
+from qdgrasp_protocol.errors import AssetError
+
+
+def poses_of(*parts: Mesh):
+    return resting_poses(parts_to_obj(parts))
+
+
+def moved(mesh: Mesh, *by: float) -> Mesh:
+    return Mesh(mesh.vertices + np.array(by), mesh.faces)
+
+
+def brick(*sides: float) -> Mesh:
+    return box(sides)
+
+
+def test_a_cube_rests_on_each_side_alike_and_first_as_it_was_modelled():
+    poses = poses_of(brick(0.04, 0.04, 0.04))
+    assert [pose.up for pose in poses] == [
+        (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0),
+        (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),
+    ]  # fmt: skip
+    assert [pose.probability for pose in poses] == pytest.approx([1 / 6] * 6, abs=1e-5)
+    assert {pose.height for pose in poses} == {-0.02}
+
+
+def test_a_flat_box_rests_on_its_large_sides_and_a_thin_one_never_on_its_ends():
+    flat = poses_of(brick(0.08, 0.06, 0.02))
+    assert [pose.up for pose in flat[:2]] == [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
+    assert [pose.height for pose in flat[:2]] == [-0.01, -0.01]
+    assert sum(pose.probability for pose in flat[:2]) > 0.7
+    stick = poses_of(brick(0.5, 0.01, 0.01))
+    assert not [pose for pose in stick if abs(pose.up[0]) > 0.5]
+    assert all(pose.probability >= LEAST_PROBABILITY for pose in stick)
+
+
+def test_an_object_comes_to_rest_on_its_heavy_side():
+    tall = moved(brick(0.04, 0.04, 0.2), -0.03, 0.0, 0.0)
+    with pytest.raises(AssetError, match="its centre of mass is not inside it"):
+        poses_of(tall)
+    leaning = moved(brick(0.04, 0.04, 0.2), -0.019, 0.0, 0.0)
+    shares = {pose.up: pose.probability for pose in poses_of(leaning)}
+    assert shares[(-1.0, 0.0, 0.0)] > 3 * shares.get((1.0, 0.0, 0.0), 0.0)
+
+
+def test_probabilities_are_those_of_dropped_shapes_and_sum_to_one():
+    found = poses_of(brick(0.03, 0.05, 0.07))
+    assert sum(pose.probability for pose in found) == pytest.approx(1.0, abs=1e-5)
+    assert len({pose.up for pose in found}) == len(found)
+
+
+def test_a_ball_has_one_and_a_flat_object_none():
+    assert len(poses_of(geodesic(0.03, 3))) == 1
+    flat = Mesh(
+        np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]) * 0.1, np.array([(0, 1, 2), (1, 3, 2)])
+    )
+    with pytest.raises(AssetError, match="flat"):
+        poses_of(flat)
+
+
+def test_the_table_touches_the_object_in_each_pose():
+    mesh = moved(brick(0.03, 0.05, 0.07), 0.004, -0.003, 0.01)
+    for pose in poses_of(mesh, moved(brick(0.01, 0.01, 0.12), 0.0, 0.0, 0.01)):
+        heights = mesh.vertices @ np.array(pose.up)
+        assert heights.min() >= pose.height - 1e-6

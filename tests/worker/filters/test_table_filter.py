@@ -1,0 +1,98 @@
+"""Which hands cannot come to their pose: below a table, or through the object; in every engine."""
+
+from contextlib import closing
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.worker.genomes import draw, evaluated, outcomes, results
+from tests.worker.test_physical_episode import ABOVE, SIDE, physical
+
+from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
+from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_worker.engines import make_world
+from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
+from qdgrasp_worker.evaluator import make_episode
+
+ENGINES = [None, "mujoco"]
+
+
+def genome(turn: Rotation) -> np.ndarray:
+    """The hand above the cube as a genome of the prior given, turned about the centre of mass."""
+    position = turn.apply(ABOVE.position)
+    quaternion = (turn * Rotation.from_quat(ABOVE.quaternion)).as_quat()
+    return np.array([[*position, *quaternion]], dtype=np.float32)
+
+
+UNDER = genome(Rotation.from_rotvec(np.pi * np.array([np.cos(SIDE), np.sin(SIDE), 0.0])))
+ABOVE_IT = genome(Rotation.identity())
+
+
+def found(scene: Scene, genomes: np.ndarray, **more: bool) -> list[Outcome]:
+    return outcomes(evaluated(scene, GIVEN, genomes, **more))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_cube_on_a_table_is_grasped_from_above_and_not_from_below(engine):
+    genomes = np.concatenate([ABOVE_IT, UNDER])
+    assert found(physical(engine), genomes) == [Outcome.HELD, Outcome.HELD]
+    assert found(physical(engine, resting_pose=0), genomes) == [Outcome.HELD, Outcome.OVERLAP]
+    assert found(physical(engine, resting_pose=5), genomes) == [Outcome.OVERLAP, Outcome.HELD]
+    assert found(physical(engine, resting_pose="any"), genomes) == [Outcome.HELD, Outcome.HELD]
+
+
+def with_parts(scene: Scene, *parts: Mesh) -> Scene:
+    target = msgspec.structs.replace(scene.object, collision=parts_to_obj(parts))
+    return msgspec.structs.replace(scene, object=target)
+
+
+def bar(*centre: float) -> Mesh:
+    """A bar along x, as that of a handle."""
+    mesh = box((0.3, 0.01, 0.01))
+    return Mesh(mesh.vertices + np.array(centre), mesh.faces)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_hand_that_would_have_to_come_through_a_handle_is_refused(engine):
+    cube = box((0.05, 0.05, 0.05))
+    handle = with_parts(physical(engine, approach_distance=0.1), cube, bar(0.0, 0.0, 0.19))
+    apart = with_parts(physical(engine, approach_distance=0.1), cube, bar(0.0, 0.0, 0.5))
+    anywhere = with_parts(physical(engine), cube, bar(0.0, 0.0, 0.19))
+    for shortcuts in (True, False):
+        assert found(handle, ABOVE_IT, shortcuts=shortcuts) == [Outcome.OVERLAP]
+        assert found(apart, ABOVE_IT, shortcuts=shortcuts)[0] >= Outcome.DROPPED
+        assert found(anywhere, ABOVE_IT, shortcuts=shortcuts)[0] >= Outcome.DROPPED
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_is_blocked_changes_no_other_result_and_nothing_depends_on_order_or_shortcuts(engine):
+    scene, genomes = physical(engine, approach_distance=0.15, resting_pose=0), draw(60, seed=5, near=60)
+    rows = evaluated(scene, "approach", genomes, batch=16)
+    assert results(rows) == results(evaluated(scene, "approach", genomes, shortcuts=False))
+    assert results(rows[::-1]) == results(evaluated(scene, "approach", genomes[::-1], batch=7))
+    free = evaluated(physical(engine), "approach", genomes)
+    blocked = (rows["outcome"] == Outcome.OVERLAP) & (free["outcome"] != Outcome.OVERLAP)
+    assert 0 < blocked.sum() < len(rows)
+    assert results(rows[~blocked]) == results(free[~blocked])
+
+
+def test_a_way_is_looked_at_to_its_end():
+    """The bar is met from the distance on at which the palm is, and no nearer."""
+    scene = with_parts(physical(), box((0.05, 0.05, 0.05)), bar(0.0, 0.0, 0.19))
+    protocol = scene_protocol(scene)
+    with closing(make_world(scene, protocol)) as world:
+        episode = make_episode(world, protocol)
+        met = [episode.meets_on_way(TrialSetup(ABOVE, clear_way=way / 1000)) for way in range(4, 104, 4)]
+    assert not met[0]
+    assert met[-1]
+    assert met == sorted(met)
+
+
+def test_a_scene_that_asks_for_neither_keeps_its_protocol():
+    scene = physical()
+    assert scene_protocol(scene).trial(ABOVE, 0) == TrialSetup(ABOVE)
+    way = scene_protocol(msgspec.structs.replace(scene, approach_distance=0.1)).trial(ABOVE, 0)
+    assert way == TrialSetup(ABOVE, clear_way=0.1)

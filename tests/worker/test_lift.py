@@ -1,0 +1,169 @@
+"""Episodes of `lift` in each engine: what a hand takes off a table, and that it forgets."""
+
+from contextlib import closing
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.worker.filters.test_table_filter import ABOVE_IT, UNDER
+from tests.worker.genomes import elsewhere, evaluated, outcomes, results
+from tests.worker.replay.recorded_evaluations import RecordedEvaluation, request
+from tests.worker.test_physical_episode import ABOVE, physical
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import AssetError, InputError
+from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_protocol.spec import run_spec
+from qdgrasp_worker.engines import make_world
+from qdgrasp_worker.evaluation_protocols import LIFT, PHYSICAL, TrialSetup
+from qdgrasp_worker.evaluator import make_episode
+from qdgrasp_worker.replay.replay import EpisodeReplay
+
+ENGINES = [None, "mujoco"]
+
+
+def lifting(engine: str | None, **more: str | float) -> Scene:
+    return physical(engine, **{"protocol": "lift", "resting_pose": 0, **more})
+
+
+@pytest.fixture(scope="module", params=ENGINES, ids=["bullet", "mujoco"])
+def scene(request) -> Scene:
+    return lifting(request.param)
+
+
+def hands_above(n: int, seed: int) -> np.ndarray:
+    """Genomes of the prior given (n, 7): hands that come from above, somewhere over the cube, in any roll."""
+    random = np.random.default_rng(seed)
+    rolls = Rotation.from_rotvec(random.uniform(-0.6, 0.6, (n, 1)) * [(0.0, 0.0, 1.0)])
+    leans = Rotation.from_rotvec(random.normal(0.0, 0.15, (n, 3)))
+    turns = leans * rolls * Rotation.from_quat(ABOVE.quaternion)
+    positions = leans.apply(ABOVE.position) + random.normal(0.0, 0.008, (n, 3))
+    return np.hstack([positions, turns.as_quat()]).astype(np.float32)
+
+
+def outcome(scene: Scene, genome: np.ndarray = ABOVE_IT) -> Outcome:
+    return outcomes(evaluated(scene, GIVEN, genome))[0]
+
+
+def test_a_cube_is_lifted_from_above_and_no_hand_comes_from_below(scene):
+    rows = evaluated(scene, GIVEN, np.concatenate([ABOVE_IT, UNDER]))
+    assert outcomes(rows) == [Outcome.HELD, Outcome.OVERLAP]
+    assert rows["fitness"].tolist() == [1.0, 0.0]
+    assert rows["contacts"][0] == 2
+
+
+def test_it_is_lifted_from_each_side_that_it_rests_on_alike(scene):
+    """The cube with a hand that comes from what is up then is ever the same scene."""
+    lying = lifting(scene.engine, resting_pose=5)
+    assert lying.resting_poses[0].up == (0.0, 0.0, -1.0)
+    one, other = (evaluated(*each)[0] for each in ((scene, GIVEN, ABOVE_IT), (lying, GIVEN, UNDER)))
+    assert one["outcome"] == other["outcome"] == Outcome.HELD
+    assert one["joints"] == pytest.approx(other["joints"], abs=1e-4)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_is_too_heavy_or_too_slippery_stays_on_the_table(engine):
+    grip, weight = 2 * 35.0 * 0.5, 9.81 + LIFT.lift.acceleration
+    assert outcome(lifting(engine, mass=0.8 * grip / weight)) is Outcome.HELD
+    assert outcome(lifting(engine, mass=1.3 * grip / weight)) is Outcome.DROPPED
+    assert outcome(lifting(engine, friction=0.004)) <= Outcome.DROPPED
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_object_that_the_hand_does_not_hold_stays_on_the_table_as_that_goes_down(engine):
+    scene = lifting(engine)
+    far = replace(ABOVE, position=[0.0, 0.0, 0.3])
+    with closing(make_world(scene, LIFT)) as world:
+        world.reset(TrialSetup(far), far.joints)
+        start = world.object_pose()[0]
+        world.close_fingers(far.synergy)
+        world.step()
+        world.release()
+        world.begin_lift()
+        for step in range(0, LIFT.physics.steps(LIFT.lift.seconds), world.steps_at_once):
+            after = (step + world.steps_at_once) * LIFT.physics.time_step
+            world.lower_table(LIFT.lift.way(after))
+            world.weigh(1.0)
+            world.step()
+        assert world.is_on_table()
+        fallen = np.linalg.norm(np.subtract(world.object_pose()[0], start))
+    assert fallen == pytest.approx(LIFT.lift.height, abs=2e-3)
+
+
+def test_the_hand_goes_up_by_the_height_without_a_jump():
+    lift = LIFT.lift
+    ways = np.array([lift.way(seconds) for seconds in np.linspace(0, lift.seconds, 1001)])
+    steps = np.diff(ways) / (lift.seconds / 1000)
+    assert ways[0] == 0.0
+    assert ways[-1] == lift.height
+    assert (np.diff(ways) >= 0).all()
+    assert steps.max() == pytest.approx(lift.speed)
+    assert np.abs(np.diff(steps[: np.searchsorted(ways, lift.height) - 1])).max() < 0.01
+
+
+def never(*_: object) -> bool:
+    return False
+
+
+def test_lifting_ends_early_only_where_it_would_end_so_anyway(scene, monkeypatch):
+    scene, genomes = lifting(scene.engine, mass=1.8), hands_above(40, seed=4)
+    rows = evaluated(scene, GIVEN, genomes)
+    monkeypatch.setattr("qdgrasp_worker.physical_episode.LiftEpisode._ends_early", never)
+    assert results(evaluated(scene, GIVEN, genomes)) == results(rows)
+
+
+class TestResults:
+    genomes = hands_above(40, seed=3)
+
+    def test_they_depend_on_scene_and_genome_alone(self, scene):
+        scene = lifting(scene.engine, mass=1.8)
+        rows = evaluated(scene, GIVEN, self.genomes)
+        expected = {Outcome.OVERLAP, Outcome.DROPPED, Outcome.HELD}
+        assert expected <= set(outcomes(rows)), "genomes were to get everywhere"
+        again = evaluated(scene, GIVEN, self.genomes[::-1], batch=7)[::-1]
+        assert results(again) == results(rows)
+        assert results(evaluated(scene, GIVEN, self.genomes, shortcuts=False)) == results(rows)
+        assert results(elsewhere(evaluated, scene, GIVEN, self.genomes)) == results(rows)
+
+    def test_beside_physical_they_are_the_same_again(self, scene):
+        other = physical(scene.engine)
+        alone = evaluated(other, GIVEN, self.genomes[:10])
+        rows = evaluated(scene, GIVEN, self.genomes[:10])
+        assert results(evaluated(other, GIVEN, self.genomes[:10])) == results(alone)
+        assert results(evaluated(scene, GIVEN, self.genomes[:10])) == results(rows)
+
+    def test_a_replay_comes_to_the_same_verdict_and_shows_the_lift(self, scene):
+        rows = evaluated(lifting(scene.engine, mass=1.8), GIVEN, self.genomes)
+        found = RecordedEvaluation(lifting(scene.engine, mass=1.8), rows)
+        for each in sorted({*outcomes(found.rows)}):
+            row = found.one(each)
+            replay = EpisodeReplay(found.scene, request(row))
+            assert (replay.verdict.outcome, replay.verdict.fitness) == (each, row["fitness"])
+            assert np.array(replay.verdict.joints, np.float32).tobytes() == row["joints"].tobytes()
+        phases = [
+            snapshot.phase
+            for snapshot in EpisodeReplay(found.scene, request(found.one(Outcome.HELD))).snapshots
+        ]
+        assert [*dict.fromkeys(phases)] == ["placed", "closing", "settling", "lift"]
+
+
+def test_it_needs_one_resting_pose():
+    asked = {"gripper": "panda", "object": "mug", "protocol": "lift"}
+    assert run_spec(asked).table_pose == 0
+    assert run_spec(asked).approach == 0.1
+    assert run_spec(asked | {"resting_pose": 3}).table_pose == 3
+    assert run_spec(asked).disturbances == 1
+    with pytest.raises(InputError, match="lifts the object from one resting pose"):
+        run_spec(asked | {"resting_pose": "any"})
+    with pytest.raises(InputError, match="mujoco-warp"):
+        run_spec(asked | {"engine": "mujoco-warp", "approach_distance": 0.0})
+    with pytest.raises(AssetError, match="one resting pose"):
+        make_world(msgspec.structs.replace(physical(protocol="lift"), resting_poses=()), LIFT)
+
+
+def test_the_way_to_the_table_and_the_settings_of_physical_are_shared():
+    assert LIFT.physics == PHYSICAL.physics
+    with closing(make_world(lifting(None), LIFT)) as world:
+        assert make_episode(world, LIFT).disturbances == 1
