@@ -1,4 +1,4 @@
-"""Frames of an object that grasps are given in, its mesh, mass and inertia in them; distances of poses."""
+"""Frames that grasps are given in, an object's mass and inertia there; distances of poses."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args

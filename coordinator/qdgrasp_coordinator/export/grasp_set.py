@@ -395,9 +395,8 @@ class Grasps:
         """The same contacts with points in a frame of the object, as of `poses`."""
         links, points, normals, forces = self.contacts
         moved = change_frame(points.reshape(-1, 3), self.scene.object.com_in_mesh, COM, frame_of(frame))
-        return GraspContacts(
-            links, np.where(links[..., None] > 0, moved.reshape(points.shape), 0.0), normals, forces
-        )
+        points = np.where(links[..., None] > 0, moved.reshape(points.shape), 0.0)
+        return GraspContacts(links, points, normals, forces)
 
     @cached_property
     def margin(self) -> Floats:
