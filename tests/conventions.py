@@ -21,8 +21,8 @@ ROOMS = ("protocol", "assets", "worker", "coordinator")
 MOST_MODULES = 276
 """5 for recorded contacts, margins and `physical`, 6 for value and trials, 8 for engines, 13 for
 libraries."""
-MOST_LINES = 58_600
-MOST_TEST_FILES = 318
+MOST_LINES = 59_000
+MOST_TEST_FILES = 322
 MOST_TEST_LINES = 59_200
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 17
