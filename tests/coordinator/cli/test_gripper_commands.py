@@ -154,13 +154,14 @@ def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_pat
 
 
 def test_a_hand_of_a_mujoco_file_is_mended_like_others(gripper, tmp_path):
-    (tmp_path / "parts").mkdir()
-    example_mjcf.write(tmp_path, example_mjcf.JAW)
-    done = gripper("new", "hand.xml", "--mend", "--yes")
+    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
+    flags = ("hand.xml", "--yes", "--closed", "left_crank=0.4")
+    done = gripper("new", *flags, "--mend")
     assert done.exit_code == 0, done.output
     assert "mended: nothing had to be" in done.stdout
-    assert gripper("new", "hand.xml", "--yes", "--force").exit_code == 0
-    assert gripper("new", "hand.xml", "--yes").exception is not None
+    assert "hand_meshes/left_crank_capsule.obj" in Path("hand_mended.urdf").read_text()
+    assert gripper("new", *flags).exception is not None  # it is there already
+    assert gripper("new", *flags, "--force").exit_code == 0
 
 
 def test_a_mujoco_file_alone_is_checked_and_drawn_as_it_is_guessed(gripper, tmp_path):
