@@ -30,6 +30,7 @@ from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_fa
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, read_gripper_file, urdf_path
 from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
+from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
 from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
 from qdgrasp_assets.object_model import ObjectDraft
@@ -304,21 +305,34 @@ def examine(path: Path, name: str) -> GripperReport:
 def examine_urdf(
     urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
 ) -> tuple[GripperReport, Gripper | None]:
-    """Examine a URDF with the gripper file guessed for it, and return the gripper too.
+    """Examine a URDF or MJCF file with the gripper file guessed for it; return the gripper too.
 
     None where they do not make a usable gripper.
     """
     try:
-        robot, faults = read_robot(urdf)
+        robot, faults, notes = read_hand(urdf)
         if robot is not None:
             base = overrides.base_link or guess_base(robot)[0]
             faults = hand_faults(robot, base)
             if not faults:
                 file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
-                return examine_hand(robot, file, name), Gripper(name, urdf.name, file, robot)
+                found = examine_hand(robot, file, name)
+                found = msgspec.structs.replace(found, notes=(*notes, *found.notes))
+                return found, Gripper(name, urdf.name, file, robot)
     except QdgraspError as error:
         faults = (str(error).rstrip("."),)
     return GripperReport(name=name, faults=faults), None
+
+
+def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]]:
+    """Return the robot of a URDF or MJCF file, its faults, and how an MJCF file was translated.
+
+    Errors as of `read_robot`, and of `read_mjcf`.
+    """
+    if not is_mjcf(path):
+        return *read_robot(path), ()
+    robot, notes = read_mjcf(path)
+    return robot, (), notes
 
 
 def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from tests.assets import example_hands
+from tests.assets import example_hands, example_mjcf
 from tests.docs.pages import ROOT
 from tests.system.commands import Commands
 
@@ -195,6 +195,7 @@ MAKERS: dict[str, Maker] = {
     "bracket.stl": bracket,
     "deploy": campaigns,
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
+    "gripper.xml": lambda _, path: path.write_text(example_mjcf.LINKAGE) and None,
     "grasps.yaml": grasps_file,
     "in.npz": poses,
     "library.csv": library,

@@ -36,7 +36,7 @@ EVALUATION: tuple[Callable[..., object] | Key, ...] = (
 """Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
 """Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"a8050498a04c61954e18e794bccf73466098c27018c0f7cb7e1dabba8e010c6e": VERSION_0_1_0}
+FIRST_RECORDED_AS = {"ec629a62bd41020a6ea4718a93ee6bdfa7ffbaff910c416c23932158670aaa51": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is

@@ -87,12 +87,23 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
-    splitter = MeshSplitter(hand.path, folder, tell, time_limit)
+    splitter = MeshSplitter(hand, folder, tell, time_limit)
     changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
     if visuals := drop_visuals(hand.element):  # their meshes may be missing
         changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
+
+
+def transcribe(robot: Urdf, base: str, folder: str) -> Mended:
+    """Return the hand from link `base` on as it is; meshes that are no files yet go to `folder`."""
+    element = copy.deepcopy(robot.subtree(base).element)
+    files = {}
+    for mesh in element.iter("mesh"):
+        if (name := mesh.get("filename", "")) in robot.meshes:
+            mesh.set("filename", f"{folder}/{name}")
+            files[f"{folder}/{name}"] = robot.meshes[name]
+    return element, files, ()
 
 
 def _joints(element: ET.Element) -> Iterator[str]:
@@ -204,9 +215,18 @@ def check_replaceable(robot: Urdf, toml: Path) -> None:
 
 @contextmanager
 def mended_copy(
-    robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: bool, time_limit: float = TIME_LIMIT
+    robot: Urdf,
+    base: str,
+    toml: Path,
+    tell: Tell,
+    *,
+    may_centre: bool,
+    as_it_is: bool = False,
+    time_limit: float = TIME_LIMIT,
 ) -> Iterator[MendedCopy]:
     """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
+
+    With `as_it_is` nothing is mended: a hand whose file is no URDF becomes one.
 
     It replaces an older copy at once. Where the with-block fails, what was there before is there again.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
@@ -223,8 +243,12 @@ def mended_copy(
         for each in (new, old, failed):
             each.mkdir()
         with _writing(urdf):
-            mended = mend(robot, base, names[1], tell, time_limit)
-            copy = _write_copy(mended, base, new / urdf.name, may_centre=may_centre)
+            if as_it_is:
+                mended = transcribe(robot, base, names[1])
+            else:
+                mended = mend(robot, base, names[1], tell, time_limit)
+            origin = robot.path.name
+            copy = _write_copy(mended, base, new / urdf.name, origin, may_centre=may_centre)
         try:
             with _writing(urdf):
                 _move_files(names, toml.parent, old)
@@ -236,24 +260,25 @@ def mended_copy(
             raise
 
 
-def _write_copy(mended: Mended, base: str, urdf: Path, *, may_centre: bool) -> MendedCopy:
-    """Write the copy: its URDF to `urdf`, and its meshes to their paths from there."""
+def _write_copy(mended: Mended, base: str, urdf: Path, origin: str, *, may_centre: bool) -> MendedCopy:
+    """Write the copy of file `origin`: its URDF to `urdf`, its meshes to their paths from there."""
     element, meshes, changes = mended
     for name, content in meshes.items():
         (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (urdf.parent / name).write_bytes(content)
-    _write_urdf(element, urdf)
+    _write_urdf(element, urdf, origin)
     copied = read_urdf(urdf)
     centred = centre_base(copied, base) if may_centre else None
     if centred is None:
         return MendedCopy(copied, base, changes)
-    _write_urdf(centred.robot.element, urdf)
+    _write_urdf(centred.robot.element, urdf, origin)
     return replace(centred, changes=(*changes, *centred.changes))
 
 
-def _write_urdf(element: ET.Element, path: Path) -> None:
+def _write_urdf(element: ET.Element, path: Path, origin: str) -> None:
     ET.indent(element)
-    path.write_text(HEAD + ET.tostring(element, encoding="unicode") + "\n", encoding="utf-8")
+    source = f"<!-- It was made from '{origin.replace('--', '- -')}'. -->\n"  # a comment holds no two hyphens
+    path.write_text(HEAD + source + ET.tostring(element, encoding="unicode") + "\n", encoding="utf-8")
 
 
 def _move_files(names: tuple[str, ...], source: Path, target: Path) -> None:

@@ -7,7 +7,7 @@ import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from math import isclose
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
         if element is None or shape.get(CONCAVE) is not None:
             continue
         parts = tuple(hull(corners) for corners in collision_corners(hand, link, shape) if is_solid(corners))
-        mesh, frame = read_mesh_of(hand.path, element), parse_origin(hand.path, shape.find("origin"))
+        mesh, frame = read_mesh_of(hand, element), parse_origin(hand.path, shape.find("origin"))
         surface = Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
         volume = sum(part.volume for part in parts)
         if not parts or isclose(volume, surface.volume, rel_tol=VOLUME_TOLERANCE):
@@ -47,12 +47,12 @@ def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
             yield link, filled
 
 
-def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
-    """Read a `<mesh>`, scaled, coincident vertices merged; `AssetError` if it cannot be read."""
+def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
+    """Read a robot's `<mesh>`, scaled, equal vertices merged; `AssetError` if it cannot be read."""
     import trimesh
 
     name = element.get("filename", "")
-    content, kind = mesh_bytes(urdf, name), PurePosixPath(name).suffix.removeprefix(".").lower()
+    content, kind = mesh_bytes(robot, name), PurePosixPath(name).suffix.removeprefix(".").lower()
     try:
         read = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
     except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
@@ -80,14 +80,14 @@ NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of t
 
 
 class MeshSplitter:
-    """Rewrites the collision meshes of the hand whose URDF is at `path`.
+    """Rewrites the collision meshes of a hand.
 
     The new meshes go to `folder`, relative to the URDF that will be written. `tell` is called with a sentence
     before each slow step. CoACD has `time_limit` [s] for each.
     """
 
-    def __init__(self, path: Path, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> None:
-        self._path = path
+    def __init__(self, hand: Urdf, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> None:
+        self._hand = hand
         self._folder = folder
         self._tell = tell
         self._time_limit = time_limit
@@ -129,7 +129,7 @@ class MeshSplitter:
     def _rewrite(self, link: str, element: ET.Element) -> tuple[str, str]:
         """Write a mesh anew; return its new name and the change."""
         name, words = element.get("filename", ""), []
-        mesh = read_mesh_of(self._path, element)
+        mesh = read_mesh_of(self._hand, element)
         side = float(np.ptp(mesh.vertices, axis=0).max())
         if side > LARGEST_SHAPE:
             mesh = mesh.scaled(MILLIMETRES)
@@ -148,7 +148,7 @@ class MeshSplitter:
         filled = clearance.fit(own).filled
         if filled <= MUCH_FILLED:
             kind = PurePosixPath(name).suffix.lower()
-            is_text = kind == ".stl" and stl_triangles(mesh_bytes(self._path, name)) is None
+            is_text = kind == ".stl" and stl_triangles(mesh_bytes(self._hand, name)) is None
             is_read = kind in SIMULATOR_FORMATS and not is_text
             return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
@@ -171,7 +171,7 @@ class MeshSplitter:
         """Return the hulls that the simulator itself would make of a mesh, with few corners."""
         shapes = [mesh.vertices]
         if PurePosixPath(name).suffix.lower() == ".obj":
-            text = mesh_bytes(self._path, name).decode("utf-8", "replace")
+            text = mesh_bytes(self._hand, name).decode("utf-8", "replace")
             shapes = [
                 corners * attribute_numbers(element, "scale", "1 1 1") for corners in obj_group_corners(text)
             ]

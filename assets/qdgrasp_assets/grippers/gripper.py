@@ -154,7 +154,7 @@ def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: fl
             ET.SubElement(joint, "axis", xyz=axis.axis)
             ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)
     robot.extend(hand.element)
-    return parse_robot(hand.path, robot)
+    return parse_robot(hand.path, robot, hand.meshes)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -250,15 +249,15 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
         ) from None
 
 
-def mesh_bytes(path: Path, name: str) -> bytes:
-    """Return the content of mesh `name` of the URDF at `path`; `AssetError` if unreadable."""
+def mesh_bytes(robot: Urdf, name: str) -> bytes:
+    """Return the content of a mesh that a robot names; `AssetError` if it cannot be read."""
     element = ET.Element("robot")
     link = ET.SubElement(element, "link", name="")
     ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "mesh", filename=name)
     try:
-        _, files = Urdf(path, element, (), ()).bundled()
+        _, files = replace(robot, element=element, links=(), joints=()).bundled()
     except OSError as error:
-        raise AssetError(f"The mesh '{name}' of '{path}' cannot be read: {error.strerror}.") from None
+        raise AssetError(f"The mesh '{name}' of '{robot.path}' cannot be read: {error.strerror}.") from None
     return next(iter(files.values()))
 
 

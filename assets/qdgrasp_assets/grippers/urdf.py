@@ -8,7 +8,7 @@ import importlib.util
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,8 @@ class Urdf:
     element: ET.Element
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
+    meshes: Mapping[str, bytes] = field(default_factory=dict)
+    """Contents of meshes that are no files, by the names that the element has for them."""
 
     @property
     def root(self) -> str:
@@ -137,8 +139,10 @@ class Urdf:
         Raises `AssetError` if a mesh, of a visual shape too, is missing.
         """
         element = copy.deepcopy(self.element)
-        files: dict[str, Path] = {}
+        files: dict[str, Path] = {name: Path(name) for name in self.meshes}
         for name in (mesh.get("filename", "") for mesh in element.iter("mesh")):
+            if name in files:
+                continue
             found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
             if found is None:
                 raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
@@ -148,7 +152,10 @@ class Urdf:
         for mesh in element.iter("mesh"):
             name = mesh.get("filename", "")
             mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{files[name].name}"))
-        return element, {new: _mesh_bytes(files[name]) for name, new in flat.items()}
+        return element, {
+            new: self.meshes[name] if name in self.meshes else _mesh_bytes(files[name])
+            for name, new in flat.items()
+        }
 
 
 def read_urdf(path: Path) -> Urdf:
@@ -156,8 +163,11 @@ def read_urdf(path: Path) -> Urdf:
     return parse_robot(path, read_robot_element(path))
 
 
-def parse_robot(path: Path, element: ET.Element) -> Urdf:
-    """Return the robot of a `<robot>` element, one tree; its mesh references start at `path`."""
+def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | None = None) -> Urdf:
+    """Return the robot of a `<robot>` element, one tree; its mesh references start at `path`.
+
+    `meshes` are the contents of those that are no files.
+    """
     links = tuple(link.get("name", "") for link in element.findall("link"))
     joints = tuple(_joint(path, joint) for joint in element.findall("joint"))
     for joint in joints:
@@ -172,7 +182,7 @@ def parse_robot(path: Path, element: ET.Element) -> Urdf:
             f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
             f"{len(roots)} roots."
         )
-    return Urdf(path, element, links, joints)
+    return Urdf(path, element, links, joints, meshes or {})
 
 
 def _joint(path: Path, element: ET.Element) -> UrdfJoint:
@@ -288,7 +298,8 @@ XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro f
 XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
 OTHER_FORMATS = {
     "sdf": "an SDF file, which describes worlds for Gazebo; look for the robot's URDF, or export one from it",
-    "mujoco": "a MuJoCo file (MJCF); look for the robot's URDF, or export one from it",
+    "mujoco": "a MuJoCo file (MJCF), of which `qdgrasp gripper new` writes a URDF and a gripper's file",
+    "mujocoinclude": "a part of a MuJoCo file (MJCF); name the file that includes it, whose root is <mujoco>",
     "gripper": "the description of a gripper for another program; name the robot's URDF",
 }
 """Root elements of formats that are not URDF, with advice."""

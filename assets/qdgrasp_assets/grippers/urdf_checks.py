@@ -285,7 +285,7 @@ def missing_meshes(hand: Urdf) -> tuple[str, ...]:
     faults = []
     for name, links in _references(hand).items():
         try:
-            mesh_bytes(hand.path, name)
+            mesh_bytes(hand, name)
         except AssetError:
             whose = f"of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))}"
             faults.append(f"the mesh '{name}' {whose} {_missing_mesh(hand, name)}")
@@ -343,7 +343,7 @@ def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     mesh = f"the mesh '{name}' of the link '{link}'"
     if _suffix(name) not in SIMULATOR_FORMATS:
         return ""  # `_kind_faults` lists all such meshes at once
-    if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand.path, name)) is None:
+    if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand, name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
     try:
         corners = np.concatenate([np.zeros((0, 3)), *collision_corners(hand, link, shape)])

@@ -15,11 +15,12 @@ from typing import Annotated, Any
 import typer
 
 from qdgrasp_assets.asset_check import examine_gripper
-from qdgrasp_assets.asset_report import examine_hand, examine_urdf, hand_faults, read_robot
+from qdgrasp_assets.asset_report import examine_hand, examine_urdf, hand_faults, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.grippers.hand_model import guess_base
+from qdgrasp_assets.grippers.mjcf import is_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.storage import atomic_files
@@ -137,7 +138,10 @@ gripper_app = typer.Typer(
 
 @gripper_app.command()
 def new(
-    urdf: Annotated[Path, typer.Argument(metavar="URDF", help="The hand, or a robot that ends in one.")],
+    urdf: Annotated[
+        Path,
+        typer.Argument(metavar="URDF|MJCF", help="The hand, or a robot that ends in one."),
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -218,7 +222,10 @@ def new(
 @gripper_app.command()
 def check(
     name: Annotated[
-        str, typer.Argument(metavar="NAME|TOML|URDF", help="A gripper; of a URDF alone the rest is guessed.")
+        str,
+        typer.Argument(
+            metavar="NAME|TOML|URDF|MJCF", help="A gripper; of a URDF or MJCF file the rest is guessed."
+        ),
     ],
     picture: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw it open and closed, with its frames.")
@@ -249,9 +256,11 @@ def is_asked() -> bool:
 
 
 def _single_tree(urdf: Path) -> Urdf:
-    robot, found = read_robot(urdf)
+    robot, found, translated = read_hand(urdf)
     if robot is None:
         raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
+    for sentence in translated:
+        echo(f"read: {sentence}")
     return robot
 
 
@@ -260,7 +269,8 @@ def _usable_robot(
 ) -> tuple[Urdf, DraftOverrides]:
     """The robot, or a mended copy of its hand, with the base link that is to be used.
 
-    The copy goes where `until_written` ends with an error.
+    A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` ends with an
+    error.
     """
     base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
     if base not in robot.links:
@@ -273,15 +283,18 @@ def _usable_robot(
             f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
             "--mend writes a copy of the hand in which what can be mended is."
         )
-    if not mend:
+    translates = is_mjcf(robot.path)
+    if not mend and not translates:
         return robot, given
     OutFile(mended_urdf(file.path), force=file.force).check()
     OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
-    may_centre = given.base_link is None
+    may_centre = mend and given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
-    mending = mended_copy(robot, base, file.path, _print_examination, may_centre=may_centre)
+    mending = mended_copy(
+        robot, base, file.path, _print_examination, may_centre=may_centre, as_it_is=not mend
+    )
     copy = until_written.enter_context(mending)
-    for change in copy.changes or ("nothing had to be",):
+    for change in copy.changes or (("nothing had to be",) if mend else ()):
         echo(f"mended: {change}")
     echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.assets import example_hands
+from tests.assets import example_hands, example_mjcf
 from typer.testing import CliRunner
 
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
@@ -133,6 +133,49 @@ def test_check_says_all_that_is_wrong_and_ends_so(gripper):
     assert done.stdout.count("WRONG") >= 3
     assert isinstance(done.exception, AssetError)
     assert "\n" not in str(done.exception)
+
+
+def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_path):
+    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
+    done = gripper("new", "hand.xml", "--licence", "CC0", "--closed", "left_crank=0.4")
+    assert done.exit_code == 0, done.output
+    assert "read: 'left_rocker' (1 times it), " in done.stdout
+    assert "written: hand_mended.urdf" in done.stdout
+    assert "mended:" not in done.stdout
+    assert (read_gripper_file(Path("hand.toml")).urdf, len(list(Path("hand_meshes").iterdir()))) == (
+        "hand_mended.urdf",
+        4,
+    )
+    urdf = Path("hand_mended.urdf").read_text()
+    assert "<!-- It was made from 'hand.xml'. -->" in urdf
+    assert 'filename="hand_meshes/left_crank_capsule.obj"' in urdf
+    Path("hand.xml").unlink()  # the file and its copy stand alone
+    assert gripper("check", "hand.toml").exit_code == 0
+
+
+def test_a_hand_of_a_mujoco_file_is_mended_like_others(gripper, tmp_path):
+    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
+    flags = ("hand.xml", "--yes", "--closed", "left_crank=0.4")
+    done = gripper("new", *flags, "--mend")
+    assert done.exit_code == 0, done.output
+    assert "mended: nothing had to be" in done.stdout
+    assert "hand_meshes/left_crank_capsule.obj" in Path("hand_mended.urdf").read_text()
+    assert gripper("new", *flags).exception is not None  # it is there already
+    assert gripper("new", *flags, "--force").exit_code == 0
+
+
+def test_a_mujoco_file_alone_is_checked_and_drawn_as_it_is_guessed(gripper, tmp_path):
+    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
+    done = gripper("check", "hand.xml", "--picture", "pictures")
+    assert "note             'left_rocker' (1 times it)" in done.stdout
+    assert is_drawn_here(Path("pictures/hand.png"))
+    assert [path.name for path in tmp_path.iterdir() if "mended" in path.name] == []
+
+
+def test_a_gripper_s_file_that_names_a_mujoco_file_is_told_the_way(gripper, tmp_path):
+    example_mjcf.write(tmp_path, example_mjcf.JAW)
+    Path("jaw.toml").write_text(example_hands.JAW_TOML.replace("jaw.urdf", "hand.xml"))
+    assert "of which `qdgrasp gripper new` writes a URDF" in gripper("check", "jaw.toml").stdout
 
 
 @pytest.mark.parametrize("name", ["hand.xacro", "world.sdf", "hand.urdf"])

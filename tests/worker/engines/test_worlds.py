@@ -138,6 +138,18 @@ def test_a_joint_that_nothing_drives_stays_where_it_was_put(scene):
         assert world.closing([0.04, 0.013], NO_SYNERGY)[-1][1] == pytest.approx(0.013, abs=1e-3)
 
 
+def test_joints_without_limits_close_as_far_as_they_are_told(engine):
+    spec = RunSpec(gripper="robotiq_2f", object="rubiks_cube", protocol="physical")
+    scene = build_scene(msgspec.structs.replace(spec, engine=None if engine == "bullet" else engine))
+    endless = scene.gripper.urdf.replace('type="revolute"', 'type="continuous"')
+    ends = []
+    for changed in (scene, with_gripper(scene, urdf=endless)):
+        with closing(make_world(changed, PROTOCOLS["physical"])) as world:
+            ends.append(world.closing(world.opened, NO_SYNERGY)[-1])
+    assert ends[1] == pytest.approx(ends[0], abs=0.15)  # limits stop the preload of some of them
+    assert min(np.abs(ends[1])) > 0.4
+
+
 @pytest.mark.parametrize("change", ["finger_links", "joints"])
 def test_a_name_that_the_hand_does_not_have_is_an_asset_error(change, scene):
     joint = msgspec.structs.replace(scene.gripper.joints[0], name="thumb")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
-from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import Joint, RestingPose, Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.decoder import HandPose
@@ -332,14 +332,16 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         for link in range(BASE, len(links)):
             bullet.set_friction(hand.body, HAND_FRICTION, 0.0, 0.0, link)
         self._mass, self._moments = bullet.inertia(target.body)
-        self._let_pass(gripper, links)
+        robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        endless = {joint.name for joint in robot.joints if joint.kind == "continuous"}  # 0 to -1 in Bullet
+        self._let_pass(gripper, robot, links)
         self._place_away(gripper, self.opened)
         drives = [
             FingerDrive.of(
                 joint,
                 reach_of(bullet, hand, index, links),
                 slides=links[index].slides,
-                limits=(links[index].lower, links[index].upper),
+                limits=(0.0, 0.0) if joint.name in endless else (links[index].lower, links[index].upper),
                 in_jaw=gripper.jaw is not None,
                 haste=self.physics.haste,
             )
@@ -351,11 +353,10 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         bullet.switch_motors_off(hand.body, hand.fingers)
         self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
 
-    def _let_pass(self, gripper: SceneGripper, links: Sequence[BulletLink]) -> None:
+    def _let_pass(self, gripper: SceneGripper, robot: Urdf, links: Sequence[BulletLink]) -> None:
         """Let links pass through each other that are said to, or that touch while the hand is open."""
         bullet, body = self._bullet, self._hand.body
         named = {link.link: index for index, link in enumerate(links)}
-        robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
         passing = neighbours(robot).union(gripper.disabled_collisions)
         pairs = {(named.get(one, BASE), named.get(other, BASE)) for one, other in passing}
         for i in range(FREE_POSTURES if gripper.free_joints else 1):

@@ -1,0 +1,221 @@
+"""MJCF files become URDFs that stand, weigh and are shaped as MuJoCo has them."""
+
+import mujoco
+import numpy as np
+import pytest
+from tests.assets import example_mjcf
+
+from qdgrasp_assets.asset_report import examine_urdf, read_hand
+from qdgrasp_assets.grippers.hand_model import followers, guess_base, read_hand_model
+from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
+from qdgrasp_assets.grippers.urdf import parse_origin
+from qdgrasp_protocol.errors import AssetError
+
+POSTURES = 20
+
+
+@pytest.fixture
+def crooked(tmp_path):
+    """The crooked hand: as MuJoCo's model and as the URDF made of it."""
+    path = example_mjcf.write_crooked(tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    return model, read_mjcf(path)[0]
+
+
+def bodies(model, robot):
+    """Yield each body's number with its link, and the place of the link in the body's frame."""
+    for number in range(1, model.nbody):
+        first, count = model.body_jntadr[number], model.body_jntnum[number]
+        hinges = [j for j in range(first, first + count) if model.jnt_type[j] == 3]
+        anchor = model.jnt_pos[hinges[-1]] if hinges else np.zeros(3)
+        yield number, model.body(number).name or f"body_{number}", anchor
+
+
+def body_frame(data, number, anchor):
+    frame = np.eye(4)
+    frame[:3, :3] = data.xmat[number].reshape(3, 3)
+    frame[:3, 3] = data.xpos[number] + frame[:3, :3] @ anchor
+    return frame
+
+
+def test_links_stand_where_mujoco_has_the_bodies(crooked):
+    model, robot = crooked
+    data, random = mujoco.MjData(model), np.random.default_rng(3)
+    for _ in range(POSTURES):
+        positions = {}
+        for joint in robot.joints:
+            if joint.moves:
+                positions[joint.name] = data.joint(joint.name).qpos[0] = random.uniform(-1, 1) * 0.5
+        mujoco.mj_kinematics(model, data)
+        frames = robot.forward(positions)
+        for number, link, anchor in bodies(model, robot):
+            assert frames[link] == pytest.approx(body_frame(data, number, anchor), abs=1e-9)
+
+
+def test_links_weigh_what_mujoco_has_and_where(crooked):
+    model, robot = crooked
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frames = robot.forward(
+        {joint.name: data.joint(joint.name).qpos[0] for joint in robot.joints if joint.moves}
+    )
+    for number, link, _ in bodies(model, robot):
+        inertial = next(each for each in robot.element.findall("link") if each.get("name") == link).find(
+            "inertial"
+        )
+        frame = frames[link] @ parse_origin(robot.path, inertial.find("origin"))
+        turn = data.ximat[number].reshape(3, 3)
+        moments = [float(inertial.find("inertia").get(key)) for key in ("ixx", "iyy", "izz")]
+        assert float(inertial.find("mass").get("value")) == pytest.approx(model.body_mass[number])
+        assert frame[:3, 3] == pytest.approx(data.xipos[number], abs=1e-9)
+        assert frame[:3, :3] @ np.diag(moments) @ frame[:3, :3].T == pytest.approx(
+            turn @ np.diag(model.body_inertia[number]) @ turn.T, abs=1e-12
+        )
+
+
+def test_shapes_reach_as_far_as_mujocos(crooked):
+    model, robot = crooked
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = read_hand_model(robot, robot.root)
+    posture = {joint.name: data.joint(joint.name).qpos[0] for joint in robot.joints if joint.moves}
+    mesh = next(n for n in range(model.ngeom) if model.geom_type[n] == 7)
+    vertices = model.mesh_vert @ data.geom_xmat[mesh].reshape(3, 3).T + data.geom_xpos[mesh]
+    corners = body.corners(["root"], posture)
+    assert np.sort(corners, axis=0) == pytest.approx(np.sort(vertices, axis=0), abs=1e-7)
+    capsule = next(n for n in range(model.ngeom) if model.geom_type[n] == 3)
+    axis = data.geom_xmat[capsule].reshape(3, 3)[:, 2]
+    along = body.corners(["twice"], posture) @ axis - data.geom_xpos[capsule] @ axis
+    assert np.abs([along.min(), along.max()]) == pytest.approx(model.geom_size[capsule][:2].sum(), abs=1e-6)
+    assert len(body.parts["body_3"]) == 1  # the cylinder is only seen
+
+
+def test_joints_have_the_names_zeros_and_limits_of_the_file(crooked):
+    _, robot = crooked
+    assert robot.joint("one").lower == pytest.approx(np.radians(-60))
+    assert robot.joint("along").upper == pytest.approx(0.03)
+    assert robot.joint("three").kind == "continuous"
+    assert {"twice_one", "twice_two"} <= set(robot.links)  # between the joints of one body
+
+
+def test_a_hand_in_the_style_of_menagerie_is_one_that_can_be_used(tmp_path):
+    path = example_mjcf.write(tmp_path, example_mjcf.JAW)
+    assert is_mjcf(path)
+    found, gripper = examine_urdf(path, "jaw")
+    assert found.faults == ()
+    assert (found.base_link, found.fingers, found.followers) == ("palm", 2, 1)
+    assert gripper.file.approach_axis == (0.0, 0.0, 1.0)
+    assert gripper.file.jaw.opening == pytest.approx(0.08, abs=1e-3)
+    assert gripper.on_carrier("paper").urdf.count("<box") == 3  # what is only seen may be missing
+    assert any("'thing' left out" in note for note in found.notes)
+
+
+def test_forces_of_tendons_reach_joints(tmp_path):
+    robot, _ = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.JAW))
+    assert [robot.joint(name).effort for name in ("slide", "other")] == [60, 60]  # 120 N, arms of 0.5
+
+
+def test_visual_shapes_are_taken_where_none_collides(tmp_path):
+    text = example_mjcf.FINGER.format(tendon="", equality="", actuator="", spring="")
+    text = text.replace("<worldbody>", '<default><geom contype="0" conaffinity="0"/></default><worldbody>')
+    robot, notes = read_mjcf(example_mjcf.write(tmp_path, text))
+    assert set(read_hand_model(robot, "root").parts) == {"root", "near", "far"}
+    assert any("the visual ones were taken" in note for note in notes)
+
+
+def test_radians_that_are_read_as_degrees_are_told(tmp_path):
+    text = example_mjcf.LINKAGE.replace(' angle="radian"', "")
+    _, notes = read_mjcf(example_mjcf.write(tmp_path, text))
+    assert any('<compiler angle="radian"/>' in note for note in notes)
+
+
+def test_bodies_and_joints_without_names_get_some(tmp_path):
+    inner = '<body name="body_1"><joint/><geom size="0.01"/></body>'
+    outer = f'<body><joint range="0 90"/><geom size="0.01"/>{inner}</body>'
+    text = f"<mujoco><worldbody>{outer}</worldbody></mujoco>"
+    robot, _ = read_mjcf(example_mjcf.write(tmp_path, text))
+    assert robot.links == ("world", "body_1_1", "body_1")
+    assert [joint.name for joint in robot.joints] == ["joint_0", "joint_1"]
+
+
+BODY = '<mujoco><worldbody><body name="a"><geom size="0.01"/>{}</body></worldbody></mujoco>'
+MESH = BODY.format('<geom type="mesh" mesh="m"/>').replace(
+    "<worldbody>", '<asset><mesh name="m" file="no.stl"/></asset><worldbody>'
+)
+COPIES = '<replicate count="100"><replicate count="100"><geom size="0.01"/></replicate></replicate>'
+SLIDE = '<body name="b"><joint name="s" type="slide"/><geom size="0.01"/></body>'
+HINGE = '<body name="c"><joint/><geom size="0.01"/></body>'
+BALL = '<body name="b"><joint name="ball" type="ball"/><geom size="0.01"/></body>'
+ENTITIES = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa">{}]>'.format(
+    "".join(f'<!ENTITY {two} "{f"&{one};" * 10}">' for one, two in zip("abcdefgh", "bcdefghi", strict=True))
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (MESH, "no.stl"),
+        (BODY.format('<joint type="knee"/>'), "invalid keyword: 'knee'"),
+        (BODY.format("<body>" * 50_000 + "</body>" * 50_000), "nesting is too deep"),
+        (BODY.format("").replace("<w", '<include file="hand.xml"/><w'), "'hand.xml' already included"),
+        (BODY.format("").replace("<w", '<include file="none.xml"/><w'), "none.xml"),
+        (ENTITIES + BODY.format('<body name="&i;"/>'), "is not XML"),
+        (BODY.format(COPIES), "100 x 100"),
+        (BODY.format('<flexcomp name="f" type="grid"/>'), "soft bodies (<flexcomp>)"),
+        (BODY.format("".join("<body/>" for _ in range(1001))), "has 1003 bodies, and at most 1000"),
+        (BODY.format("</geom>"), "is not XML"),
+    ],
+    ids=["mesh", "keyword", "deep", "circle", "include", "entities", "replicate", "soft", "many", "broken"],
+)  # fmt: skip
+def test_what_cannot_be_read_is_told_in_a_sentence(tmp_path, text, sentence):
+    with pytest.raises(AssetError) as error:
+        read_mjcf(example_mjcf.write(tmp_path, text))
+    assert sentence in str(error.value)
+    assert "\n" not in str(error.value)
+    assert "hand.xml'" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("inner", "fault"),
+    [
+        (BALL + HINGE, "the joint 'ball' is of the type 'ball'"),
+        (SLIDE, "the joint 's' is prismatic and has no <limit>"),
+        ("", "none of its joints moves"),
+        (HINGE.replace('name="c"', 'name="c" pos="nan 0 0"'), "numbers that are not finite"),
+    ],
+    ids=["ball", "slide", "no joints", "nan"],
+)  # fmt: skip
+def test_what_the_simulator_does_not_take_is_a_fault_of_the_hand(tmp_path, monkeypatch, inner, fault):
+    monkeypatch.chdir(tmp_path)
+    found, gripper = examine_urdf(example_mjcf.write(tmp_path, BODY.format(inner)), "hand")
+    assert gripper is None
+    assert fault in "; ".join(found.faults)
+    assert [each.name for each in tmp_path.iterdir()] == ["hand.xml"]  # MuJoCo wrote no log
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path):
+    path = example_mjcf.write(tmp_path, example_mjcf.JAW)
+    with path.open("ab") as file:
+        file.truncate(30_000_000)
+    with pytest.raises(AssetError, match="has 30 MB, and at most 20 are read"):
+        read_mjcf(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"<robot/>", b"solid x", b"<mujoco"])
+def test_other_files_are_no_mjcf(tmp_path, content):
+    (tmp_path / "hand.xml").write_bytes(content)
+    assert not is_mjcf(tmp_path / "hand.xml")
+    assert not is_mjcf(tmp_path)
+    assert not is_mjcf(tmp_path / "none.xml")
+
+
+def test_an_include_file_alone_is_told_for_what_it_is(tmp_path):
+    with pytest.raises(AssetError, match="a part of a MuJoCo file"):
+        read_hand(example_mjcf.write(tmp_path, example_mjcf.DEFAULTS))
+
+
+def test_followers_of_the_jaw_are_in_the_urdf(tmp_path):
+    robot, _ = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.JAW))
+    assert guess_base(robot)[0] == "palm"
+    (follower,) = followers(robot).values()
+    assert (follower.leader, follower.multiplier, follower.offset) == ("slide", 1.0, 0.0)

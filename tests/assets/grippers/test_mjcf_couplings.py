@@ -1,0 +1,127 @@
+"""Joints that tendons, equalities and linkages of MuJoCo couple become followers."""
+
+import mujoco
+import numpy as np
+import pytest
+from tests.assets import example_mjcf
+
+from qdgrasp_assets.grippers.hand_model import followers
+from qdgrasp_assets.grippers.mjcf import read_mjcf
+
+PULL = '<fixed name="pull"{}><joint joint="J2" coef="{}"/><joint joint="J1" coef="{}"/></fixed>'
+TENDON_MOTOR = '<position tendon="pull" kp="1" ctrlrange="0 3.1415" forcerange="-1 1"/>'
+JOINT_MOTOR = '<position joint="J2" kp="1" ctrlrange="0 1.57"/>'
+
+
+def finger(folder, *, tendon="", equality="", actuator=JOINT_MOTOR, spring=""):
+    """The finger as URDF, with the notes on it."""
+    text = example_mjcf.FINGER.format(tendon=tendon, equality=equality, actuator=actuator, spring=spring)
+    return read_mjcf(example_mjcf.write(folder, text))
+
+
+def only_follower(robot):
+    ((name, follower),) = followers(robot).items()
+    return name, follower.leader, follower.multiplier, follower.offset
+
+
+@pytest.mark.parametrize(
+    ("couples", "multiplier", "offset"),
+    [
+        ({"tendon": PULL.format("", 1, 1), "actuator": TENDON_MOTOR}, 1, 0),
+        ({"tendon": PULL.format("", 1, 0.5), "actuator": TENDON_MOTOR}, 0.5, 0),
+        ({"equality": '<joint joint1="J1" joint2="J2" polycoef="0 0.7 0 0 0"/>'}, 0.7, 0),
+        ({"equality": '<joint joint1="J1" joint2="J2" polycoef="0.2 0.7 0 0 0"/>'}, 0.7, 0.2),
+        ({"equality": '<joint joint1="J2" joint2="J1" polycoef="0 2 0 0 0"/>'}, 0.5, 0),
+        ({"tendon": PULL.format("", 1, -1.25), "equality": '<tendon tendon1="pull"/>'}, 0.8, 0),
+        ({"tendon": PULL.format(' range="-0.001 0.001" limited="true"', 0.008, -0.008)}, 1, 0),
+    ],
+    ids=["tendon", "arms", "equality", "offset", "other way", "length", "tight tendon"],
+)
+def test_one_joint_follows_the_other(tmp_path, couples, multiplier, offset):
+    robot, notes = finger(tmp_path, **couples)
+    assert only_follower(robot) == (
+        "J1",
+        "J2",
+        pytest.approx(multiplier, abs=2e-4),
+        pytest.approx(offset, abs=2e-4),
+    )
+    assert any("'J1'" in note and "'J2'" in note for note in notes)
+
+
+def test_springs_share_what_a_tendon_pulls(tmp_path):
+    text = example_mjcf.FINGER.format(
+        tendon=PULL.format("", 1, 1), equality="", actuator=TENDON_MOTOR, spring='stiffness="4"'
+    ).replace('"J2" axis', '"J2" stiffness="2" axis')
+    robot, _ = read_mjcf(example_mjcf.write(tmp_path, text))
+    assert only_follower(robot) == ("J1", "J2", pytest.approx(0.5, abs=1e-3), pytest.approx(0, abs=1e-3))
+
+
+def test_what_is_no_straight_line_is_told(tmp_path):
+    robot, notes = finger(tmp_path, equality='<joint joint1="J1" joint2="J2" polycoef="0 0 0.5 0 0"/>')
+    _, _, multiplier, offset = only_follower(robot)
+    turns = np.linspace(0, np.pi / 2, 11)
+    assert np.clip(multiplier * turns + offset, 0, None) == pytest.approx(0.5 * turns**2, abs=0.2)
+    assert any("to within 0.1" in note for note in notes)
+
+
+def test_a_tendon_that_is_slack_couples_nothing(tmp_path):
+    robot, notes = finger(tmp_path, tendon=PULL.format(' range="-1 1" limited="true"', 1, -1))
+    assert followers(robot) == {}
+    assert any("no actuator moves 'J1'" in note for note in notes)
+
+
+def test_an_equality_that_is_not_active_couples_nothing(tmp_path):
+    equality = '<joint joint1="J1" joint2="J2" polycoef="0 1 0 0 0" active="false"/>'
+    assert followers(finger(tmp_path, equality=equality)[0]) == {}
+
+
+def test_a_coupling_that_limits_forbid_is_left_out_and_told(tmp_path):
+    robot, notes = finger(tmp_path, equality='<joint joint1="J1" joint2="J2" polycoef="0 -1 0 0 0"/>')
+    assert followers(robot) == {}
+    assert any("the coupling of 'J1' is not kept" in note for note in notes)
+
+
+def test_linkages_are_closed_by_their_followers(tmp_path):
+    robot, notes = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.LINKAGE))
+    found = followers(robot)
+    assert {each.leader for each in found.values()} == {"left_crank"}
+    ratios = {name: round(each.multiplier, 3) for name, each in found.items()}
+    assert ratios == {
+        "left_rocker": 1, "left_pad": -1, "right_crank": 1, "right_rocker": 1, "right_pad": -1,
+    }  # fmt: skip
+    assert len([note for note in notes if "follow 'left_crank'" in note]) == 1
+
+
+def test_linkages_follow_as_they_do_in_a_simulation(tmp_path):
+    pull = '<position tendon="split" kp="20" kv="2" ctrlrange="0 0.8"/>'
+    text = example_mjcf.LINKAGE.replace(example_mjcf.LINKAGE_MOTOR, pull)
+    calm = '<option gravity="0 0 0" timestep="0.001"><flag contact="disable"/></option>'
+    text = text.replace('axis="1 0 0"', 'axis="1 0 0" damping="0.1" armature="0.01"')
+    text = text.replace("<worldbody>", f"{calm}<worldbody>")
+    path = example_mjcf.write(tmp_path, text)
+    model, found = mujoco.MjModel.from_xml_path(str(path)), followers(read_mjcf(path)[0])
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 0.5
+    mujoco.mj_step(model, data, 2000)
+    assert data.joint("left_crank").qpos[0] == pytest.approx(0.5, abs=0.05)
+    for name, follower in found.items():
+        meant = follower.position(data.joint(follower.leader).qpos[0])
+        assert data.joint(name).qpos[0] == pytest.approx(meant, abs=0.01)
+
+
+THREE = """<mujoco><worldbody>
+<body><joint name="a" range="-9 9"/><geom size="1"/></body>
+<body><joint name="b" range="-9 9"/><geom size="1"/></body>
+<body><joint name="c" range="-9 9"/><geom size="1"/></body>
+</worldbody>
+<tendon><fixed name="sum">
+  <joint joint="a" coef="1"/><joint joint="b" coef="1"/><joint joint="c" coef="1"/>
+</fixed></tendon>
+<equality><tendon tendon1="sum"/></equality>
+<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def test_a_joint_that_follows_two_motors_is_left_free_and_told(tmp_path):
+    robot, notes = read_mjcf(example_mjcf.write(tmp_path, THREE))
+    assert followers(robot) == {}
+    assert any("the coupling of 'c' is not kept, as 2 motors move" in note for note in notes)
