@@ -11,7 +11,10 @@ from msgspec import UNSET, Struct, structs
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.grasp_inference import ClosingMotion, find_closing, joint_motor, pinches
+from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion
+from qdgrasp_assets.gripper_setup.closing_search import find_closing
+from qdgrasp_assets.gripper_setup.finger_contact import stop_at_contact
+from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
 from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
@@ -151,7 +154,9 @@ def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
     opened = {**found.opened, **overrides.opened}
     closed = {**found.closed, **overrides.closed}
-    return ClosingMotion(body, found.fingers, opened, closed, fixed)
+    motion = ClosingMotion(body, found.fingers, opened, closed, fixed)
+    synergies = [Synergy(name=name, joints=joints) for name, joints in pinches(motion)[0].items()]
+    return stop_at_contact(motion, synergies, overrides.closed)
 
 
 def _axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Floats, str]:
@@ -205,6 +210,8 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
             "by a motor of its own, as the simulator couples no joints",
             *notes,
         )
+    elif name in closing.stopped:
+        notes = (closing.stopped[name], *notes)
     elif name in closing.fixed_joints:
         notes = (closing.fixed_joints[name], *notes)
     target = None if closed == opened else closed

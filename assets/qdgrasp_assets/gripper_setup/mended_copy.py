@@ -20,7 +20,7 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
+from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import read_hand_model
