@@ -15,15 +15,17 @@ from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.finger_contact import stop_at_contact
 from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
+from qdgrasp_assets.gripper_setup.guess_warnings import guess_warnings
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
 from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf
-from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
+from qdgrasp_assets.scene import Jaw, OriginalBase, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.text import counted
 
 AS_TOLD = "as told"
+TOLD_STILL = "does not close, as told"
 RATINGS_REASON = (
     "where the rated_effort and rated_velocity of the joints come from: replace them by those of the data "
     "sheet, and name it"
@@ -45,6 +47,11 @@ class DraftOverrides:
     opened: Mapping[str, float] = field(default_factory=dict)
     closed: Mapping[str, float] = field(default_factory=dict)
     free: tuple[str, ...] | None = None
+    finger_roots: tuple[str, ...] = ()
+    """The links that begin fingers; empty: guessed."""
+    not_closing: tuple[str, ...] = ()
+    """Joints that do not close."""
+    original_base: OriginalBase | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,8 @@ class GripperDraft:
     file: GripperFile
     reasons: Mapping[str, str]
     """Reasons by key; those of a joint by `joints.NAME`."""
+    warnings: tuple[str, ...] = ()
+    """Signs that the guess is wrong, each with the flag that mends it."""
 
 
 def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
@@ -113,6 +122,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         free_joints=free,
         jaw=jaw,
         ratings_source="the URDF's limits, not compared with a data sheet",
+        original_base=overrides.original_base,
     )
     file = structs.replace(file, disabled_collisions=overlapping_pairs(HandPostures(file, body)))
     licence_advice = "" if overrides.licence else ", so state it"
@@ -130,14 +140,19 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         "free_joints": free_reason,
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
-    return GripperDraft(file, reasons)
+    told = frozenset(("approach_axis",) if overrides.approach_axis else ())
+    return GripperDraft(file, reasons, tuple(guess_warnings(closing, axis, told)))
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
+    beyond = [joint.child for joint in body.robot.joints]
+    for link in overrides.finger_roots:
+        if link not in beyond:
+            raise UnknownName("link beyond the base link", link, beyond)
     for link in overrides.finger_links or ():
         if link not in body.robot.links:
             raise UnknownName("link", link, body.robot.links)
-    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ())):
+    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ()), *overrides.not_closing):
         if name not in body.moving:
             raise UnknownName("moving joint", name, body.moving)
     for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
@@ -149,9 +164,10 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
 
 
 def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
-    found = find_closing(body)
+    found = find_closing(body, overrides.finger_roots, overrides.not_closing)
     fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
+    fixed |= {name: TOLD_STILL for name in overrides.not_closing if name in fixed}
     opened = {**found.opened, **overrides.opened}
     closed = {**found.closed, **overrides.closed}
     motion = ClosingMotion(body, found.fingers, opened, closed, fixed)
@@ -228,6 +244,10 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
 
 
 LINE_WIDTH = 108
+ORIGINAL_BASE_REASON = (
+    "the base link of the maker's URDF, in the frame of base_link [m]; exports give it, so that grasps can "
+    "be used with that URDF"
+)
 TOML_HEAD = """\
 What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
 What the keys mean: docs/grippers.md.
@@ -246,6 +266,8 @@ def draft_toml(draft: GripperDraft, name: str) -> str:
     for key in PLAIN_KEYS:
         comment = _comment(reasons[key] + KEY_UNITS.get(key, ""))
         lines += ["", *comment, f"{key} = {_value(getattr(file, key))}"]
+    if file.original_base is not None:
+        lines += ["", *_comment(ORIGINAL_BASE_REASON), "[original_base]", *_table(file.original_base)]
     if file.jaw is not None:
         lines += ["", *_comment(reasons["jaw"]), "[jaw]", *_table(file.jaw)]
     for joint, table in file.joints.items():

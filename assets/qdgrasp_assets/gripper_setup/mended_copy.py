@@ -24,10 +24,10 @@ from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import read_hand_model
-from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
+from qdgrasp_assets.scene import OriginalBase, vector
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.text import counted
 
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]
 FRAME_MASS = 1e-3  # Mass of links without shapes: frames, tips, mounts [kg]
@@ -89,8 +89,7 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand.path, folder, tell, time_limit)
     changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
-    if visuals := drop_visuals(hand.element):  # their meshes may be missing
-        changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
+    changes += splitter.copy_visuals(hand)
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 
@@ -130,6 +129,12 @@ def _shapes(element: ET.Element) -> Iterator[str]:
         yield f"{listed('link', taken)} given the visual shapes for collision, as there were no others"
 
 
+def with_visual_shapes(robot: Urdf) -> Urdf:
+    """Return the robot with its visual shapes for collision, if no moving link has collision shapes."""
+    element = copy.deepcopy(robot.element)
+    return replace(robot, element=element) if tuple(_shapes(element)) else robot
+
+
 CENTRE = "_centre"  # Suffix of the name of an added base link
 
 
@@ -140,6 +145,8 @@ class MendedCopy:
     robot: Urdf
     base: str
     changes: tuple[str, ...]
+    original_base: OriginalBase | None = None
+    """`base` of the original, where another one was added before it."""
 
 
 def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
@@ -168,9 +175,11 @@ def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
     ET.SubElement(joint, "origin", xyz=" ".join(f"{0.0 - value:g}" for value in place), rpy="0 0 0")
     change = (
         f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
-        f"on the line on which the fingers close: poses are those of '{name}'"
+        f"on the line on which the fingers close: poses are those of '{name}', and exports say where "
+        f"'{base}' is"
     )
-    return MendedCopy(parse_robot(robot.path, element), name, (change,))
+    original = OriginalBase(link=base, position=vector(0.0 - place))
+    return MendedCopy(parse_robot(robot.path, element), name, (change,), original)
 
 
 HEAD = (

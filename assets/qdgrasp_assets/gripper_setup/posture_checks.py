@@ -88,7 +88,8 @@ def _open_overlaps(hand: HandPostures) -> Iterator[str]:
         if not is_always_deep(hand, one, other):
             yield (
                 f"the links '{one}' and '{other}' are {1000 * deep:.0f} mm in each other in the open "
-                "posture; correct the open positions of the joints between them, or the place of their shapes"
+                "posture; correct the open positions of the joints between them (--open JOINT=POSITION), or "
+                "the place of their shapes"
             )
 
 
@@ -135,7 +136,8 @@ def _closing_faults(hand: HandPostures) -> Iterator[str]:
     elif min(distances) >= NEARER * distances[0]:
         yield (
             f"the fingers do not close: their tips are {1000 * distances[0]:.0f} mm apart when open and "
-            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them"
+            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them "
+            "(--open, --closed, --not-closing JOINT)"
         )
 
 
@@ -237,7 +239,8 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
         yield (
             f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet "
             f"at {100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the "
-            "simulator lets them, so that they may hold thin objects as no real hand can: close them less far"
+            "simulator lets them, so that they may hold thin objects as no real hand can: close them less "
+            "far (--closed), or leave that to `qdgrasp gripper new`, which stops fingers where they meet"
         )
     late = []
     for name, closed in hand.closing.closed.items():

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
-from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_assets.scene import OriginalBase, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import UnknownName
 
 Frame = Literal["mesh", "com"]
@@ -36,6 +36,17 @@ def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
     """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
     rotations = np.broadcast_to(rotation, (len(poses), 4))
     return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
+
+
+def original_base_poses(poses: Floats, base: OriginalBase) -> Floats:
+    """Return the poses (n, 7) of the base link of a hand's own URDF, from those of its base link.
+
+    Poses are xyz [m] and xyzw.
+    """
+    position = np.broadcast_to(np.array(base.position), (len(poses), 3))
+    moved = poses[:, :3] + rotate(poses[:, 3:], position)
+    orientation = np.array(base.orientation) / np.linalg.norm(base.orientation)
+    return turn_hand_axes(np.hstack([moved, poses[:, 3:]]), orientation)
 
 
 def to_matrices(poses: Floats) -> Floats:

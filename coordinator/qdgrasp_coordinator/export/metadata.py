@@ -9,10 +9,10 @@ from typing import Any
 import msgpack
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import UNSET, Struct, UnsetType
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_assets.scene import OriginalBase, SceneGripper, SceneObject
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
@@ -78,6 +78,11 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     gripper_licence: str
     gripper_sha256: str = ""
     """Digest of its part of a scene bundle; empty in a file of an earlier version."""
+    original_base: OriginalBase | UnsetType = UNSET
+    """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
+
+    A pose of it is a pose of `gripper_frame` times this one (`frames.original_base_poses`).
+    """
     object: str
     object_file: str
     """The mesh file's name; empty for an object that is built in or from the asset path."""
@@ -170,6 +175,7 @@ def grasp_metadata(
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
         gripper_sha256=_part_digest(hand),
+        original_base=UNSET if hand.original_base is None else hand.original_base,
         object=body.name,
         object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
@@ -223,6 +229,8 @@ def _public_spec(spec: RunSpec) -> str:
 def _part_digest(part: SceneGripper | SceneObject) -> str:
     """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
     values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
+    if isinstance(part, SceneGripper) and part.original_base is None:
+        del values["original_base"]
     return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
 
 
