@@ -306,7 +306,7 @@ def examine(path: Path, name: str) -> GripperReport:
 def examine_urdf(
     urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
 ) -> tuple[GripperReport, Gripper | None]:
-    """Examine a URDF with the gripper file guessed for it, and return a gripper that can be drawn.
+    """Examine a URDF with the file guessed for it, and return a gripper that can be drawn.
 
     It may have links without masses, and visual shapes where no link that moves has others. None where
     nothing can be guessed.

@@ -17,7 +17,6 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
 FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
 NEWER_FORMAT = (
@@ -84,19 +83,6 @@ class Jaw(Struct, frozen=True, kw_only=True):
     """Distance between the open fingers [m]."""
 
 
-class OriginalBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The link from which a hand goes out in its maker's URDF, where another is its base link.
-
-    A pose of that link is the base link's pose times this one.
-    """
-
-    link: str
-    position: Vector
-    """[m], base link's frame."""
-    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    """x, y, z, w, base link's frame."""
-
-
 class SceneGripper(Struct, frozen=True, kw_only=True):
     """A hand on its carrier."""
 
@@ -131,8 +117,6 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     """All links from the base link on, in the order in which rows count them."""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that may overlap, besides a joint's parent and child."""
-    original_base: OriginalBase | None = None
-    """The base link of the maker's URDF; None: it is `base_link`. Bundles without it lack the field."""
 
     @property
     def reach(self) -> float:
@@ -226,8 +210,6 @@ def pack_scene(scene: Scene) -> Bundle:
     values = msgspec.to_builtins(scene, builtin_types=(bytes,), order="sorted")
     if scene.engine is None:
         del values["engine"]
-    if scene.gripper.original_base is None:
-        del values["gripper"]["original_base"]
     if scene.engine is not None or scene.base == "physical":
         values["format"] = NEWER_FORMAT
     payload = bytes(msgpack.packb(values, use_bin_type=True))

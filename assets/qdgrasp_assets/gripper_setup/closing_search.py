@@ -1,4 +1,4 @@
-"""Search for the joints that close a hand, and the ends of their ranges at which it is closed.
+"""Search for the joints that close a hand, and the ends at which they are closed.
 
 A hand closes well where little is left of the distances between its fingertips. So each way of closing is
 judged by the least share of the open hand's distances that is left on the way from open to closed. Outer
@@ -69,7 +69,7 @@ Choice = tuple[JointGroup, float]
 """A group that closes, and the end of its range, 0 or 1, at which it is closed."""
 
 
-class RestedChoice(NamedTuple):
+class FingerChoice(NamedTuple):
     """A finger's choice with the place of its other joints."""
 
     choice: Choice
@@ -88,7 +88,10 @@ class ClosingSearch:
         self.fingers = find_fingers(body, postures, roots)
         movable = [name for name in self.leaders if name not in still]
         self.groups = tuple(_groups(body, self.fingers, movable))
-        self.resting = {name: self._start(name) for name in self.leaders}
+        in_fingers = {name for finger in self.fingers for name in finger.joints} - set(still)
+        self.resting = {
+            name: self._start(name) if name in in_fingers else self._zero(name) for name in self.leaders
+        }
         self.reasons = dict.fromkeys(self.leaders, STAYS_REASON)
         self.choices: dict[int, Choice] = {}
         self.rows: tuple[frozenset[int], ...] = ()
@@ -175,7 +178,7 @@ class ClosingSearch:
     def opposition(
         self, number: int, choices: Mapping[int, Choice], resting: Mapping[str, float | Floats]
     ) -> Floats:
-        """Return how badly a thumb opposes the other fingers: (k,), 0 where it meets each face to face.
+        """Return how badly a thumb opposes the other fingers: (k,), 0 where it meets them.
 
         The mean over the others of the least distance of the two tips, each anywhere on its way, as a share
         of the thumb's length; and by how much the thumb turns another way than against them.
@@ -194,7 +197,7 @@ class ClosingSearch:
         return np.asarray(np.mean(least, axis=0) / self._length(number) + TURN_WEIGHT * against)
 
     def _turn(self, number: int, choices: Mapping[int, Choice], frames: Mapping[str, Floats]) -> Floats:
-        """Return the axis (k, 3) about which the outermost joint of a finger's group closes, open hand."""
+        """Return the axis (k, 3) about which a finger's outermost joint closes, open hand."""
         group, end = choices[number]
         joint = self.body.joint(group.joints[-1])
         sense = group.senses[-1] * (1 if end else -1)
@@ -224,6 +227,10 @@ class ClosingSearch:
         low, high = self.body.range(name)
         return 0.0 if self._may_rest_at_zero(name) else mix(low, high, 0.5)
 
+    def _zero(self, name: str) -> float:
+        """Return zero, or the limit next to it."""
+        return float(np.clip(0.0, *self.body.range(name)))
+
     def _may_rest_at_zero(self, name: str) -> bool:
         low, high = self.body.range(name)
         return min(-low, high) > WITHIN * (high - low)
@@ -240,7 +247,7 @@ class ClosingSearch:
         return [group for group, way in zip(groups, moved, strict=True) if way > SHARE * max(moved)]
 
     def _choose_ends(self) -> None:
-        """Choose the closing directions of fingers: those that ranges tell, then the others together."""
+        """Choose the closing directions of all fingers together, where ranges do not tell."""
         ends = {number: self._possible_ends(group) for number, (group, _) in self.choices.items()}
         if np.prod([len(each) for each in ends.values()]) > MOST_COMBINATIONS:
             return
@@ -310,7 +317,7 @@ class ClosingSearch:
         """Return whether a finger turns unlike all others, among which some turn alike."""
         return frozenset({number}) in self.rows and max(map(len, self.rows)) > 1
 
-    def _rested(self, choices: dict[int, Choice], number: int) -> "RestedChoice":
+    def _rested(self, choices: dict[int, Choice], number: int) -> "FingerChoice":
         """Return a finger's choice with the best place of those of its joints that do not close.
 
         A thumb's is where it passes nearest by the other fingertips, any other's where least is left of the
@@ -321,7 +328,7 @@ class ClosingSearch:
         plain = {name: self._start(name) for name in rest}
         if self._is_in_row(number):
             resting = self._spread(choices, number, plain)
-            return RestedChoice(choices[number], float(self.left(choices, resting)[0]), resting)
+            return FingerChoice(choices[number], float(self.left(choices, resting)[0]), resting)
         looks = max(3, min(LOOKS, int(MOST_LOOKS ** (1 / max(len(rest), 1)))))
         grid = [np.linspace(*self.body.range(name), looks) for name in rest]
         tried = np.array([[plain[name] for name in rest], *product(*grid)])
@@ -337,7 +344,7 @@ class ClosingSearch:
             resting = {**plain, **dict(zip(rest, tried[best].tolist(), strict=True))}
             if not rest or self._is_clear(number, choices, resting):
                 break
-        return RestedChoice(choices[number], float(scores[best]), resting)
+        return FingerChoice(choices[number], float(scores[best]), resting)
 
     def _is_free(self, number: int, names: Iterable[str]) -> bool:
         """Return whether joints of a finger other than a thumb may stay at zero."""
@@ -355,9 +362,9 @@ class ClosingSearch:
         return max(float(np.linalg.norm(tip - finger_root(self.body, finger))), 1e-3)
 
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
-        """Return whether an open finger is in neither palm nor other fingers, but for where it hangs.
+        """Return whether an open finger is in neither palm nor other fingers.
 
-        Nor may it be in the palm on the first half of its way.
+        The link that it hangs on is left out. Nor may it be in the palm on the first half of its way.
         """
         motion = self.motion(choices, {**self.resting, **resting})
         links, pieces = self.fingers[number].links, self.body.rigid_piece
@@ -383,9 +390,8 @@ class ClosingSearch:
         return (number for number, finger in enumerate(self.fingers) if links & set(finger.links))
 
     def _spread(self, choices: dict[int, Choice], number: int, plain: Posture) -> Posture:
-        """Return joints of a finger in a row at zero, or half-way if it is in its neighbours at zero."""
-        zeros = {name: 0.0 if self.body.range(name)[0] <= 0 <= self.body.range(name)[1] else place
-                 for name, place in plain.items()}  # fmt: skip
+        """Return joints of a finger at zero, or half-way if it is in its neighbours there."""
+        zeros = {name: self._zero(name) for name in plain}
         motion = self.motion(choices, {**self.resting, **zeros})
         return zeros if self._is_beside_others(number, motion) else plain
 
@@ -402,7 +408,10 @@ class ClosingSearch:
 
 
 def find_closing(body: HandModel, roots: tuple[str, ...] = (), still: tuple[str, ...] = ()) -> ClosingMotion:
-    """Find the joints that close a hand; fingers begin with links `roots`, joints `still` do not close."""
+    """Find the joints that close a hand.
+
+    `roots` are the links that begin fingers, empty: found; joints in `still` do not close.
+    """
     return ClosingSearch(body, roots, still).find()
 
 
@@ -424,7 +433,7 @@ def open_position(body: HandModel, name: str, closed: float) -> float:
 
 
 def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]) -> Iterable[JointGroup]:
-    """Yield the groups of leading joints, finger by finger; the last has the finger's outermost joint."""
+    """Yield the groups of leading joints, finger by finger, by their outermost joints."""
     axes = _joint_axes(body, leaders)
     turning = {name for name in axes if body.joint(name).kind != "prismatic"}
     for finger in fingers:

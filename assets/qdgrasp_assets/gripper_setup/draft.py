@@ -2,8 +2,9 @@
 
 import json
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,25 @@ from msgspec import UNSET, Struct, structs
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion
+from qdgrasp_assets.gripper_setup.closing_motion import PARALLEL, ClosingMotion
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
-from qdgrasp_assets.gripper_setup.finger_contact import stop_at_contact
+from qdgrasp_assets.gripper_setup.finger_contact import closing_leaders, stop_at_contact
 from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
-from qdgrasp_assets.gripper_setup.guess_warnings import guess_warnings
+from qdgrasp_assets.gripper_setup.mended_copy import original_base
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
-from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
+from qdgrasp_assets.grippers.hand_model import (
+    Finger,
+    HandModel,
+    finger_root,
+    fixed_limbs,
+    guess_base,
+    read_hand_model,
+)
 from qdgrasp_assets.grippers.urdf import Urdf
-from qdgrasp_assets.scene import Jaw, OriginalBase, Synergy, Vector, vector
+from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import counted, join_numbers
 
 AS_TOLD = "as told"
 TOLD_STILL = "does not close, as told"
@@ -51,7 +59,6 @@ class DraftOverrides:
     """The links that begin fingers; empty: guessed."""
     not_closing: tuple[str, ...] = ()
     """Joints that do not close."""
-    original_base: OriginalBase | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +129,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         free_joints=free,
         jaw=jaw,
         ratings_source="the URDF's limits, not compared with a data sheet",
-        original_base=overrides.original_base,
+        original_base=original_base(base, robot),
     )
     file = structs.replace(file, disabled_collisions=overlapping_pairs(HandPostures(file, body)))
     licence_advice = "" if overrides.licence else ", so state it"
@@ -141,7 +148,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
     told = frozenset(("approach_axis",) if overrides.approach_axis else ())
-    return GripperDraft(file, reasons, tuple(guess_warnings(closing, axis, told)))
+    return GripperDraft(file, reasons, tuple(_warnings(closing, axis, told)))
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
@@ -241,6 +248,94 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
         rated_velocity=joint.velocity if joint.velocity > 0 else velocity,
     )
     return table, "; ".join(notes)
+
+
+NEARER = 0.9  # Fingertips that keep more than this share of their distances as the hand closes do not close
+SHORT_FINGER = 0.35  # A finger is short beside the longest if it has at most this share of its length
+EARLY = 0.05  # Fingers meet early before this share of the ranges of their joints
+WARNING_COURSE = np.linspace(0.0, 1.0, 9)  # Shares of the way at which fingertips are compared
+
+
+def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> Iterator[str]:
+    """Yield signs that a guess is wrong, each with the flag that mends it.
+
+    `axis` (3,) is the approach axis, `told` has the keys that are not guessed.
+    """
+    yield from _finger_warnings(closing)
+    yield from _spread_warnings(closing, axis)
+    yield from _distance_warnings(closing)
+    yield from _early_warnings(closing)
+    if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
+        yield (
+            f"the approach axis, ({join_numbers(axis.round(3))}), is none of the base link's axes: if the "
+            "palm looks along one of them, say so with --approach-axis, such as 0,0,1"
+        )
+
+
+def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
+    lengths = [_length(closing, finger) for finger in closing.fingers]
+    fixed = fixed_limbs(closing.body)
+    for finger, length in zip(closing.fingers, lengths, strict=True):
+        root = closing.body.joint(finger.joints[0]).child
+        if not closing_leaders(closing.body, finger, closing.closed) and finger.joints[0] not in fixed:
+            yield (
+                f"nothing closes the finger that begins with '{root}': say where its joints close to with "
+                "--closed JOINT=POSITION; if it is no finger, name those that are, each with --finger LINK"
+            )
+        elif length <= SHORT_FINGER * max(lengths):
+            yield (
+                f"the finger that begins with '{root}' is {1000 * length:.0f} mm long, and the longest "
+                f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
+                "each with --finger LINK"
+            )
+
+
+def _length(closing: ClosingMotion, finger: Finger) -> float:
+    tip = finger.tip(closing.body.robot.forward({}))
+    return float(np.linalg.norm(tip - finger_root(closing.body, finger)))
+
+
+def _spread_warnings(closing: ClosingMotion, axis: Floats) -> Iterator[str]:
+    """Yield joints that close by turning a finger about the approach axis, as if to spread it."""
+    frames = closing.body.robot.forward(closing.posture(0.0))
+    for finger in closing.fingers:
+        for name in closing_leaders(closing.body, finger, closing.closed):
+            joint = closing.body.joint(name)
+            about = frames[joint.child][:3, :3] @ joint.axis
+            if joint.kind != "prismatic" and abs(about @ axis) > PARALLEL:
+                yield (
+                    f"the joint '{name}' closes by turning about the approach axis, as joints do that spread "
+                    f"fingers: if it does not close the hand, say --not-closing {name}"
+                )
+
+
+def _distance_warnings(closing: ClosingMotion) -> Iterator[str]:
+    if len(closing.fingers) < 2 or not closing.closed:
+        return
+    distances = [
+        float(np.mean([np.linalg.norm(one - other) for one, other in combinations(closing.tips(share), 2)]))
+        for share in WARNING_COURSE
+    ]
+    if min(distances) > NEARER * distances[0]:
+        yield (
+            f"the fingertips come hardly nearer to each other as the hand closes, {1000 * distances[0]:.0f} "
+            f"mm apart when open and {1000 * min(distances):.0f} mm at their nearest: say which joints do "
+            "not close with --not-closing JOINT, or where they close to with --closed JOINT=POSITION"
+        )
+
+
+def _early_warnings(closing: ClosingMotion) -> Iterator[str]:
+    early = [
+        name
+        for name in closing.stopped
+        if abs(closing.closed[name] - closing.opened[name]) < EARLY * np.ptp(closing.body.range(name))
+    ]
+    if early:
+        more = f" (and {counted(len(early) - 1, 'other joint')} as early)" if len(early) > 1 else ""
+        yield (
+            f"the joint '{early[0]}' {closing.stopped[early[0]]}{more}: if it begins elsewhere, say where "
+            f"with --open {early[0]}=POSITION; if it must go on, with --closed {early[0]}=POSITION"
+        )
 
 
 LINE_WIDTH = 108

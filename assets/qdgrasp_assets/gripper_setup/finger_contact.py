@@ -1,4 +1,4 @@
-"""How far fingers close before they meet each other or the palm.
+"""First contacts of fingers that close, with each other and with the palm.
 
 The links of one hand pass through each other in the simulator, so that fingers that close too far would hold
 thin objects as no real hand can. Here a hand closes step by step, all fingers at the same share of their
@@ -18,34 +18,34 @@ from qdgrasp_assets.scene import Synergy
 STEPS = np.linspace(0.0, 1.0, 21)[1:]
 """Shares of the way at which contacts are looked for: 1 cm of a finger of 0.15 m, which is as thick."""
 HALVINGS = 6  # Times that the step in which fingers meet is halved
-DECIMALS = 3  # Of the positions at which fingers stop [rad or m]: toward open
+UNITS = {True: 1e-3, False: 1e-4}
+"""What positions at which fingers stop are rounded to: revolute joints (True) [rad], prismatic ones [m]."""
 
 
 def stop_at_contact(
     closing: ClosingMotion, synergies: Iterable[Synergy], told: Iterable[str]
 ) -> ClosingMotion:
-    """Return the motion whose fingers stop where they meet; joints that are `told` close as they are told.
+    """Return the motion whose fingers stop where they meet.
 
-    Links that are in each other in the open hand are left out. Two fingers that turn the same way may be
-    `CROSSED` deep in each other at their sides, all others `DEEP_OVERLAP`.
+    Joints that are `told` close as they are told. Links that are in each other in the open hand are left out.
+    Two fingers that turn the same way may be `CROSSED` deep in each other at their sides, all others
+    `DEEP_OVERLAP`.
     """
     contacts = _Contacts(closing, frozenset(told))
     contacts.close(closing.closed)
     for synergy in synergies:
         contacts.close(synergy.joints)
     stopped = {name: reason for name, reason in contacts.reasons.items() if contacts.shares[name] < 1.0}
-    closed = {
-        name: _toward(closing.opened[name], place, contacts.shares[name])
-        for name, place in closing.closed.items()
-    }
+    closed = {name: _toward(closing, name, contacts.shares[name]) for name in closing.closed}
     return replace(closing, closed=closed, stopped=stopped)
 
 
-def _toward(opened: float, closed: float, share: float) -> float:
-    """Return the position at a share of the way, rounded toward the open one if it is not all the way."""
+def _toward(closing: ClosingMotion, name: str, share: float) -> float:
+    """Return a joint's position at a share of its way, rounded toward the open one."""
+    opened, closed = closing.opened[name], closing.closed[name]
     if share >= 1.0:
         return closed
-    unit = 10.0**-DECIMALS
+    unit = UNITS[closing.body.joint(name).kind != "prismatic"]
     way = np.floor(abs(closed - opened) * share / unit) * unit
     return float(round(opened + np.sign(closed - opened) * way, 6))
 
@@ -112,7 +112,7 @@ def closing_leaders(body: HandModel, finger: Finger, closed: Mapping[str, float]
 
 
 def _pairs(closing: ClosingMotion) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of links that may meet as fingers close, with the depth that is let be [m]."""
+    """Yield the pairs of links that may meet, with the depth that is let be [m]."""
     body, pieces = closing.body, closing.body.rigid_piece
     arms = {pieces[joint.child]: pieces[joint.parent] for joint in body.robot.joints if joint.moves}
     numbers = {link: number for number, finger in enumerate(closing.fingers) for link in finger.links}

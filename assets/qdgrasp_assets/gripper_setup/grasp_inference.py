@@ -7,6 +7,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion
 from qdgrasp_assets.grippers.hand_model import Finger, HandModel, finger_root, fixed_limbs, ray_exit
 
 FEWEST_FINGERS = 3  # Least number of fingers of a hand with a thumb
+FEWEST_OF_PALM = 4  # Least number of fingers, a thumb with them, of a hand that grasps with its palm
 
 
 def pinches(closing: ClosingMotion) -> tuple[dict[str, tuple[str, ...]], str]:
@@ -109,12 +110,13 @@ def closing_way(closing: ClosingMotion) -> tuple[Floats, str]:
 
 
 def palm_normal(closing: ClosingMotion) -> Floats | None:
-    """Return the unit normal (3,) of the palm on the side of the fingers' bellies; None without a thumb.
+    """Return the unit normal (3,) of the palm, as the fingers bend; None without a thumb.
 
-    At right angles to the axes about which the fingers beside the thumb close, and to the open fingers.
+    None also of a gripper whose two fingers oppose a third, as they stand on the rim of the palm. The normal
+    is at right angles to the axes about which the fingers beside the thumb close, and to the open fingers.
     """
     thumb = thumb_number(closing)
-    if thumb is None:
+    if thumb is None or len(closing.fingers) < FEWEST_OF_PALM:
         return None
     tips, frames = closing.tips(0.0), closing.body.robot.forward(closing.posture(0.0))
     others = [number for number in range(len(closing.fingers)) if number != thumb]

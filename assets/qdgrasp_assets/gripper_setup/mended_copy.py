@@ -23,10 +23,11 @@ from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
-from qdgrasp_assets.scene import OriginalBase, vector
+from qdgrasp_assets.scene import vector
 from qdgrasp_protocol.errors import AssetError
 
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]
@@ -130,12 +131,21 @@ def _shapes(element: ET.Element) -> Iterator[str]:
 
 
 def with_visual_shapes(robot: Urdf) -> Urdf:
-    """Return the robot with its visual shapes for collision, if no moving link has collision shapes."""
+    """Return the robot with visual shapes for collision, if no moving link has others."""
     element = copy.deepcopy(robot.element)
     return replace(robot, element=element) if tuple(_shapes(element)) else robot
 
 
 CENTRE = "_centre"  # Suffix of the name of an added base link
+
+
+def original_base(base_link: str, hand: Urdf) -> OriginalBase | None:
+    """Return the base link of a hand before one was added to it; None if none was."""
+    link = base_link.removesuffix(CENTRE)
+    joint = hand.joint(f"{base_link}_joint")
+    if link == base_link or joint is None or joint.moves or (joint.parent, joint.child) != (base_link, link):
+        return None
+    return OriginalBase(link=link, position=vector(joint.origin[:3, 3]))
 
 
 @dataclass(frozen=True)
@@ -145,8 +155,6 @@ class MendedCopy:
     robot: Urdf
     base: str
     changes: tuple[str, ...]
-    original_base: OriginalBase | None = None
-    """`base` of the original, where another one was added before it."""
 
 
 def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
@@ -178,8 +186,7 @@ def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
         f"on the line on which the fingers close: poses are those of '{name}', and exports say where "
         f"'{base}' is"
     )
-    original = OriginalBase(link=base, position=vector(0.0 - place))
-    return MendedCopy(parse_robot(robot.path, element), name, (change,), original)
+    return MendedCopy(parse_robot(robot.path, element), name, (change,))
 
 
 HEAD = (

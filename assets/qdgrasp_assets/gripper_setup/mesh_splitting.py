@@ -133,7 +133,7 @@ class MeshSplitter:
             yield f"{counted(missing, 'visual shape')} left out, of which the meshes are missing"
 
     def _add(self, stem: str, suffix: str, content: bytes) -> str:
-        """Add a file of this name, or with a number after it where another one has it; return its path."""
+        """Add a file of this name, numbered where another one has it; return its path."""
         file, number = f"{self._folder}/{stem}{suffix}", 1
         while self.files.get(file, content) != content:
             file, number = f"{self._folder}/{stem}_{number}{suffix}", number + 1

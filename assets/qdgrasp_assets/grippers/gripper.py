@@ -198,7 +198,6 @@ class Gripper:
             extent=self._extent(element, meshes),
             links=self.robot.subtree(file.base_link).links,
             disabled_collisions=file.disabled_collisions if is_rated else (),
-            original_base=file.original_base,
         )
 
     def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:

@@ -20,10 +20,11 @@ from qdgrasp_assets.asset_paths import asset_folders, on_asset_path, path_proble
 from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
-from qdgrasp_assets.scene import Jaw, OriginalBase, Quaternion, Synergy
+from qdgrasp_assets.scene import Jaw, Synergy
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
+Quaternion = tuple[float, float, float, float]
 NamePairs = tuple[tuple[str, str], ...]
 KINDS: dict[Any, str] = {
     str: "text",
@@ -126,6 +127,20 @@ class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     low: float
     high: float
+
+
+class OriginalBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[original_base]`: the link from which a hand goes out in its maker's URDF.
+
+    Its pose in the frame of `base_link`, which was added to the hand. A pose of that link is one of the base
+    link times this.
+    """
+
+    link: str
+    position: tuple[float, float, float]
+    """[m]"""
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """x, y, z, w."""
 
 
 class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -301,7 +301,6 @@ def _usable_robot(
         given,
         base_link=copy.base,
         base_reason=reason if copy.base == base else copy.changes[-1],
-        original_base=copy.original_base,
     )
 
 

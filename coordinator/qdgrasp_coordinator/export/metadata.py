@@ -12,8 +12,16 @@ import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import OriginalBase, SceneGripper, SceneObject
-from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_coordinator.export.frames import (
+    COM,
+    Frame,
+    jaw_turn,
+    scene_original_base,
+    to_matrices,
+    turn_hand_axes,
+)
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
@@ -175,7 +183,7 @@ def grasp_metadata(
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
         gripper_sha256=_part_digest(hand),
-        original_base=UNSET if hand.original_base is None else hand.original_base,
+        original_base=scene_original_base(hand) or UNSET,
         object=body.name,
         object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
@@ -229,8 +237,6 @@ def _public_spec(spec: RunSpec) -> str:
 def _part_digest(part: SceneGripper | SceneObject) -> str:
     """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
     values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
-    if isinstance(part, SceneGripper) and part.original_base is None:
-        del values["original_base"]
     return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
 
 
