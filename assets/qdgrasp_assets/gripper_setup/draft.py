@@ -68,25 +68,30 @@ class GripperDraft:
     file: GripperFile
     reasons: Mapping[str, str]
     """Reasons by key; those of a joint by `joints.NAME`."""
+    closing: ClosingMotion
     warnings: tuple[str, ...] = ()
     """Signs that the guess is wrong, each with the flag that mends it."""
 
 
-def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
+def draft_gripper(
+    robot: Urdf, urdf: str, overrides: DraftOverrides, earlier: GripperDraft | None = None
+) -> GripperDraft:
     """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
 
-    Raises `UnknownName` if `overrides` name a link or joint that the hand does not have, `ImpossibleValue`
-    for a joint beyond its limits or an approach axis that is no direction, and `AssetError` if a mesh cannot
-    be read, or no finger can be found and none is named.
+    An `earlier` draft of it, from the same base link and with the same joints and fingers told, spares the
+    search for how it closes. Raises `UnknownName` if `overrides` name a link or joint that the hand does not
+    have, `ImpossibleValue` for a joint beyond its limits or an approach axis that is no direction, and
+    `AssetError` if a mesh cannot be read, or no finger can be found and none is named.
     """
     base, base_reason = overrides.base_link, overrides.base_reason
     if base is None:
         base, base_reason = guess_base(robot)
     elif base not in robot.links:
         raise UnknownName("link", base, robot.links)
-    body = read_hand_model(robot, base)
+    known = earlier.closing if earlier is not None and earlier.file.base_link == base else None
+    body = known.body if known else read_hand_model(robot, base)
     _check_names(body, overrides)
-    closing = _closing(body, overrides)
+    closing = known or _closing(body, overrides)
     if not closing.fingers and not overrides.finger_links:
         limbs = [joint.child for joint in body.robot.joints if joint.moves]
         why = f"its moving links ({', '.join(limbs)}) have no <collision>"
@@ -148,7 +153,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
     told = frozenset(("approach_axis",) if overrides.approach_axis else ())
-    return GripperDraft(file, reasons, tuple(_warnings(closing, axis, told)))
+    return GripperDraft(file, reasons, closing, tuple(_warnings(closing, axis, told)))
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:

@@ -41,30 +41,29 @@ class GripperQuestion:
     read: Callable[[str, str], Any]  # Parses an answer, given its field and its text; raises ImpossibleValue
 
 
-def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> DraftOverrides:
+def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> GripperDraft:
     """Ask on the terminal for values that are not given; an empty answer takes the guess."""
+    draft = draft_gripper(robot, urdf, given)
     for question in QUESTIONS:
         if getattr(given, question.field) is None:
-            given = _answered(question, robot, draft_gripper(robot, urdf, given), given)
-    return given
+            draft, given = _answered(question, robot, draft, given)
+    return draft
 
 
 def _answered(
     question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
-) -> DraftOverrides:
+) -> tuple[GripperDraft, DraftOverrides]:
     guess = _shown_default(getattr(guessed.file, question.field))
     echo(f"# {guessed.reasons[question.field]}")
     while True:
         answer = typer.prompt(question.words, default=guess)
         if answer == guess:
-            return given
+            return guessed, given
         try:
             answered = replace(given, **{question.field: question.read(question.field, answer)})
-            draft_gripper(robot, guessed.file.urdf, answered)
+            return draft_gripper(robot, guessed.file.urdf, answered, guessed), answered
         except QdgraspError as error:
             echo(str(error))
-        else:
-            return answered
 
 
 def _shown_default(value: Any) -> str:
@@ -215,8 +214,7 @@ def new(
     with ExitStack() as until_written:
         robot, given = _usable_robot(robot, given, file, until_written, mend=mend, asks=asks)
         reference = _reference(robot.path, target)
-        given = ask_missing(robot, reference, given) if asks else given
-        made = draft_gripper(robot, reference, given)
+        made = ask_missing(robot, reference, given) if asks else draft_gripper(robot, reference, given)
         found = examine_draft(robot, made, str(target))
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
