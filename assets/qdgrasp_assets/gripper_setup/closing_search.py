@@ -1,9 +1,10 @@
 """Search for the joints that close a hand, and the ends at which they are closed.
 
 A hand closes well where little is left of the distances between its fingertips. So each way of closing is
-judged by the least share of the open hand's distances that is left on the way from open to closed. Outer
-joints bend a finger and inner ones turn or spread it: the outermost joints of a finger close it, unless
-others bring it much nearer. How far fingers close before they meet is the matter of `finger_contact`.
+judged by the share of the open hand's distances that is left on the way from open to closed. Outer joints
+bend a finger and inner ones turn or spread it: the outermost joints of a finger close it, unless others bring
+it much nearer. Of a hand with a thumb, the thumb is turned to face the other fingers. How far fingers close
+before they meet is the matter of `finger_contact`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -74,6 +75,7 @@ class FingerChoice(NamedTuple):
 
     choice: Choice
     badness: float
+    """0 is best: what is left of the distances, or how badly a thumb opposes."""
     resting: Posture
 
 
@@ -289,7 +291,8 @@ class ClosingSearch:
     def _improve(self, number: int) -> None:
         """Choose a finger's closing joints, their direction, and the place of its other joints."""
         now = self.choices[number][0]
-        groups = [now] if self._is_in_row(number) else self._bending_groups(self.fingers[number])
+        others = [] if self._is_in_row(number) else self._bending_groups(self.fingers[number])
+        groups = [now, *(group for group in others if group is not now)]
         found = [
             self._rested({**self.choices, number: (group, end)}, number)
             for group in groups
@@ -373,7 +376,7 @@ class ClosingSearch:
             placed = self.body.parts_at(motion.posture(share))
             others = [each for each in placed if each not in links and (not share or self._is_palm(each))]
             pairs = [
-                (link, other) for link in links for other in others if arms[pieces[link]] != pieces[other]
+                (link, other) for link in links for other in others if arms.get(pieces[link]) != pieces[other]
             ]
             if any(are_deep(placed[link], placed[other], DEEP_OVERLAP) for link, other in pairs):
                 return False
