@@ -22,6 +22,7 @@ from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, Jo
 from qdgrasp_assets.grippers.hand_model import (
     Finger,
     HandModel,
+    contradicted_limits,
     finger_root,
     fixed_limbs,
     guess_base,
@@ -270,6 +271,8 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
     yield from _spread_warnings(closing, axis)
     yield from _distance_warnings(closing)
     yield from _early_warnings(closing)
+    if against := ", ".join(contradicted_limits(closing.body.robot)):
+        yield f"limits that mostly forbid what <mimic> asks of: {against}; --mend takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
         yield (
             f"the approach axis, ({join_numbers(axis.round(3))}), is none of the base link's axes: if the "

@@ -24,7 +24,7 @@ from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.grippers.hand_model import read_hand_model
+from qdgrasp_assets.grippers.hand_model import contradicted_limits, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
 from qdgrasp_assets.scene import vector
@@ -89,14 +89,14 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand.path, folder, tell, time_limit)
-    changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
+    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.mend(hand)]
     changes += splitter.copy_visuals(hand)
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 
 
-def _joints(element: ET.Element) -> Iterator[str]:
-    """Fix floating joints, and swap limits that are the wrong way round."""
+def _joints(path: Path, element: ET.Element) -> Iterator[str]:
+    """Fix floating joints, and correct limits: the wrong way round, or against a <mimic>."""
     floating, turned = [], []
     for joint in element.findall("joint"):
         limit, name = joint.find("limit"), joint.get("name", "")
@@ -108,6 +108,15 @@ def _joints(element: ET.Element) -> Iterator[str]:
             limit.set("lower", upper)
             limit.set("upper", lower)
             turned.append(name)
+    widened = []
+    for name, (low, high) in contradicted_limits(parse_robot(path, element)).items():
+        limit = element.find(f"joint[@name='{name}']/limit")
+        if limit is not None:
+            limit.set("lower", f"{low:.9g}")
+            limit.set("upper", f"{high:.9g}")
+            widened.append(name)
+    if widened:
+        yield f"{listed('joint', widened)} limited to where <mimic> takes it, which its limits did not allow"
     if floating:
         yield f"{listed('joint', floating)} fixed, as no motor drives what floats"
     if turned:

@@ -63,6 +63,23 @@ def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, flo
     return {**positions, **following}
 
 
+MOST_LEFT_OUT = 0.5
+"""Share of the way of a joint that follows another above which its own limits cannot be meant."""
+
+
+def contradicted_limits(robot: Urdf) -> dict[str, tuple[float, float]]:
+    """Return the way [rad or m] of each follower that its own limits mostly forbid, by name."""
+    joints = {joint.name: joint for joint in robot.joints}
+    found = {}
+    for name, each in followers(robot).items():
+        leader, own = joints[each.leader], joints[name]
+        low, high = sorted((each.position(leader.lower), each.position(leader.upper)))
+        allowed = min(high, own.upper) - max(low, own.lower)
+        if low < high and own.lower < own.upper and allowed < (1 - MOST_LEFT_OUT) * (high - low):
+            found[name] = (low, high)
+    return found
+
+
 def _root_leader(name: str, mimics: Mapping[str, MimicJoint]) -> MimicJoint:
     """Resolve a chain of followers to the joint that leads it."""
     follower, seen = mimics[name], {name}

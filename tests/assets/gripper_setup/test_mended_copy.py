@@ -75,6 +75,17 @@ def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_stays_as_it_is(jaw_
     assert mended(jaw_urdf).changes == ()
 
 
+def test_limits_that_forbid_what_a_joint_mimics_are_widened_and_warned_of(jaw_urdf, edit):
+    edit(jaw_urdf, '<mimic joint="slide"/>', '<mimic joint="slide" multiplier="-1"/>')
+    edit(jaw_urdf, '<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>')
+    before = draft_gripper(read_urdf(jaw_urdf), jaw_urdf.name, DraftOverrides())
+    assert before.file.joints["other"].closed is None
+    assert any("--mend takes those of the <mimic>" in words for words in before.warnings)
+    copy = mended(jaw_urdf)
+    assert "the joint 'other' is limited to where <mimic> takes it" in copy.changes[0]
+    assert read_gripper_file(jaw_urdf.parent / "own.toml").joints["other"].closed == 0.04
+
+
 def test_visual_meshes_are_kept_as_they_are(jaw_urdf, edit):
     SOLID.export(jaw_urdf.parent / "look.ply")
     before = (jaw_urdf.parent / "look.ply").read_bytes()
