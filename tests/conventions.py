@@ -18,10 +18,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 289
-MOST_LINES = 62_100
-MOST_TEST_FILES = 330
-MOST_TEST_LINES = 62_700
+MOST_MODULES = 292
+MOST_LINES = 63_000
+MOST_TEST_FILES = 333
+MOST_TEST_LINES = 63_300
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 18
 MOST_IN_MODULE = 500

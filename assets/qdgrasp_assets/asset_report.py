@@ -24,7 +24,8 @@ from qdgrasp_assets.geometry.mesh_io import scale_in_words
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
 from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
-from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
+from qdgrasp_assets.gripper_setup.mended_copy import with_visual_shapes
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
 from qdgrasp_assets.grippers.gripper import Gripper
@@ -262,6 +263,8 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
     """Sides of the box around the open hand, base link's frame [m]."""
     parts: int = 0
     """Convex parts that the simulator makes of the collision shapes."""
+    warnings: tuple[str, ...] = ()
+    """Signs that what was guessed of it is wrong, each with the flag that mends it."""
 
     @property
     def facts(self) -> tuple[str, ...]:
@@ -290,6 +293,7 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
             yield "size", f"{' x '.join(f'{side:.4f}' for side in self.extents)} m, open"
             yield "mass", f"{self.mass:.4g} kg"
             yield "shapes", f"{self.parts} convex parts"
+        yield from (("warning", words) for words in self.warnings)
 
 
 def examine(path: Path, name: str) -> GripperReport:
@@ -305,23 +309,32 @@ def examine(path: Path, name: str) -> GripperReport:
 def examine_urdf(
     urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
 ) -> tuple[GripperReport, Gripper | None]:
-    """Examine a URDF or MJCF file with the gripper file guessed for it; return the gripper too.
+    """Examine a URDF or MJCF file with the file guessed for it; and a gripper to draw.
 
-    None where they do not make a usable gripper.
+    It may have links without masses, and visual shapes where no link that moves has others. None where
+    nothing can be guessed.
     """
+    report = GripperReport(name=name)
+    faults: tuple[str, ...] = ()
     try:
         robot, faults, notes = read_hand(urdf)
-        if robot is not None:
-            base = overrides.base_link or guess_base(robot)[0]
-            faults = hand_faults(robot, base)
-            if not faults:
-                file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
-                found = examine_hand(robot, file, name)
-                found = msgspec.structs.replace(found, notes=(*notes, *found.notes))
-                return found, Gripper(name, urdf.name, file, robot)
+        if robot is None:
+            return msgspec.structs.replace(report, faults=faults), None
+        base = overrides.base_link or guess_base(robot)[0]
+        faults, shown = hand_faults(robot, base), with_visual_shapes(robot)
+        drafted = draft_gripper(shown, str(urdf), replace(overrides, base_link=base))
+        gripper = Gripper(name, urdf.name, drafted.file, shown)
     except QdgraspError as error:
-        faults = (str(error).rstrip("."),)
-    return GripperReport(name=name, faults=faults), None
+        return msgspec.structs.replace(report, faults=faults or (str(error).rstrip("."),)), None
+    if faults:
+        return msgspec.structs.replace(report, faults=faults), gripper
+    found = examine_draft(robot, drafted, name)
+    return msgspec.structs.replace(found, notes=(*notes, *found.notes)), gripper
+
+
+def examine_draft(robot: Urdf, drafted: GripperDraft, name: str) -> GripperReport:
+    """Examine a hand with a file that was drafted for it."""
+    return msgspec.structs.replace(examine_hand(robot, drafted.file, name), warnings=drafted.warnings)
 
 
 def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]]:

@@ -2,8 +2,9 @@
 
 import json
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,29 @@ from msgspec import UNSET, Struct, structs
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.grasp_inference import ClosingMotion, find_closing, joint_motor, pinches
+from qdgrasp_assets.gripper_setup.closing_motion import PARALLEL, ClosingMotion
+from qdgrasp_assets.gripper_setup.closing_search import find_closing
+from qdgrasp_assets.gripper_setup.finger_contact import closing_leaders, stop_at_contact
+from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
+from qdgrasp_assets.gripper_setup.mended_copy import original_base
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
-from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
+from qdgrasp_assets.grippers.hand_model import (
+    Finger,
+    HandModel,
+    contradicted_limits,
+    finger_root,
+    fixed_limbs,
+    guess_base,
+    read_hand_model,
+)
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import counted, join_numbers
 
 AS_TOLD = "as told"
+TOLD_STILL = "does not close, as told"
 RATINGS_REASON = (
     "where the rated_effort and rated_velocity of the joints come from: replace them by those of the data "
     "sheet, and name it"
@@ -42,6 +56,10 @@ class DraftOverrides:
     opened: Mapping[str, float] = field(default_factory=dict)
     closed: Mapping[str, float] = field(default_factory=dict)
     free: tuple[str, ...] | None = None
+    finger_roots: tuple[str, ...] = ()
+    """The links that begin fingers; empty: guessed."""
+    not_closing: tuple[str, ...] = ()
+    """Joints that do not close."""
 
 
 @dataclass(frozen=True)
@@ -51,23 +69,30 @@ class GripperDraft:
     file: GripperFile
     reasons: Mapping[str, str]
     """Reasons by key; those of a joint by `joints.NAME`."""
+    closing: ClosingMotion
+    warnings: tuple[str, ...] = ()
+    """Signs that the guess is wrong, each with the flag that mends it."""
 
 
-def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
+def draft_gripper(
+    robot: Urdf, urdf: str, overrides: DraftOverrides, earlier: GripperDraft | None = None
+) -> GripperDraft:
     """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
 
-    Raises `UnknownName` if `overrides` name a link or joint that the hand does not have, `ImpossibleValue`
-    for a joint beyond its limits or an approach axis that is no direction, and `AssetError` if a mesh cannot
-    be read, or no finger can be found and none is named.
+    An `earlier` draft of it, from the same base link and with the same joints and fingers told, spares the
+    search for how it closes. Raises `UnknownName` if `overrides` name a link or joint that the hand does not
+    have, `ImpossibleValue` for a joint beyond its limits or an approach axis that is no direction, and
+    `AssetError` if a mesh cannot be read, or no finger can be found and none is named.
     """
     base, base_reason = overrides.base_link, overrides.base_reason
     if base is None:
         base, base_reason = guess_base(robot)
     elif base not in robot.links:
         raise UnknownName("link", base, robot.links)
-    body = read_hand_model(robot, base)
+    known = earlier.closing if earlier is not None and earlier.file.base_link == base else None
+    body = known.body if known else read_hand_model(robot, base)
     _check_names(body, overrides)
-    closing = _closing(body, overrides)
+    closing = known or _closing(body, overrides)
     if not closing.fingers and not overrides.finger_links:
         limbs = [joint.child for joint in body.robot.joints if joint.moves]
         why = f"its moving links ({', '.join(limbs)}) have no <collision>"
@@ -110,6 +135,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         free_joints=free,
         jaw=jaw,
         ratings_source="the URDF's limits, not compared with a data sheet",
+        original_base=original_base(base, robot),
     )
     file = structs.replace(file, disabled_collisions=overlapping_pairs(HandPostures(file, body)))
     licence_advice = "" if overrides.licence else ", so state it"
@@ -127,14 +153,19 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         "free_joints": free_reason,
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
-    return GripperDraft(file, reasons)
+    told = frozenset(("approach_axis",) if overrides.approach_axis else ())
+    return GripperDraft(file, reasons, closing, tuple(_warnings(closing, axis, told)))
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
+    beyond = [joint.child for joint in body.robot.joints]
+    for link in overrides.finger_roots:
+        if link not in beyond:
+            raise UnknownName("link beyond the base link", link, beyond)
     for link in overrides.finger_links or ():
         if link not in body.robot.links:
             raise UnknownName("link", link, body.robot.links)
-    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ())):
+    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ()), *overrides.not_closing):
         if name not in body.moving:
             raise UnknownName("moving joint", name, body.moving)
     for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
@@ -146,12 +177,15 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
 
 
 def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
-    found = find_closing(body)
+    found = find_closing(body, overrides.finger_roots, overrides.not_closing)
     fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
+    fixed |= {name: TOLD_STILL for name in overrides.not_closing if name in fixed}
     opened = {**found.opened, **overrides.opened}
     closed = {**found.closed, **overrides.closed}
-    return ClosingMotion(body, found.fingers, opened, closed, fixed)
+    motion = ClosingMotion(body, found.fingers, opened, closed, fixed)
+    synergies = [Synergy(name=name, joints=joints) for name, joints in pinches(motion)[0].items()]
+    return stop_at_contact(motion, synergies, overrides.closed)
 
 
 def _axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Floats, str]:
@@ -205,6 +239,8 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
             "by a motor of its own, as the simulator couples no joints",
             *notes,
         )
+    elif name in closing.stopped:
+        notes = (closing.stopped[name], *notes)
     elif name in closing.fixed_joints:
         notes = (closing.fixed_joints[name], *notes)
     target = None if closed == opened else closed
@@ -220,7 +256,101 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
     return table, "; ".join(notes)
 
 
+NEARER = 0.9  # Fingertips that keep more than this share of their distances as the hand closes do not close
+SHORT_FINGER = 0.35  # A finger is short beside the longest if it has at most this share of its length
+EARLY = 0.05  # Fingers meet early before this share of the ranges of their joints
+WARNING_COURSE = np.linspace(0.0, 1.0, 9)  # Shares of the way at which fingertips are compared
+
+
+def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> Iterator[str]:
+    """Yield signs that a guess is wrong, each with the flag that mends it.
+
+    `axis` (3,) is the approach axis, `told` has the keys that are not guessed.
+    """
+    yield from _finger_warnings(closing)
+    yield from _spread_warnings(closing, axis)
+    yield from _distance_warnings(closing)
+    yield from _early_warnings(closing)
+    if against := ", ".join(contradicted_limits(closing.body.robot)):
+        yield f"limits that mostly forbid what <mimic> asks of: {against}; --mend takes those of the <mimic>"
+    if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
+        yield (
+            f"the approach axis, ({join_numbers(axis.round(3))}), is none of the base link's axes: if the "
+            "palm looks along one of them, say so with --approach-axis, such as 0,0,1"
+        )
+
+
+def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
+    lengths = [_length(closing, finger) for finger in closing.fingers]
+    fixed = fixed_limbs(closing.body)
+    for finger, length in zip(closing.fingers, lengths, strict=True):
+        root = closing.body.joint(finger.joints[0]).child
+        if not closing_leaders(closing.body, finger, closing.closed) and finger.joints[0] not in fixed:
+            yield (
+                f"nothing closes the finger that begins with '{root}': say where its joints close to with "
+                "--closed JOINT=POSITION; if it is no finger, name those that are, each with --finger LINK"
+            )
+        elif length <= SHORT_FINGER * max(lengths):
+            yield (
+                f"the finger that begins with '{root}' is {1000 * length:.0f} mm long, and the longest "
+                f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
+                "each with --finger LINK"
+            )
+
+
+def _length(closing: ClosingMotion, finger: Finger) -> float:
+    tip = finger.tip(closing.body.robot.forward({}))
+    return float(np.linalg.norm(tip - finger_root(closing.body, finger)))
+
+
+def _spread_warnings(closing: ClosingMotion, axis: Floats) -> Iterator[str]:
+    """Yield joints that close by turning a finger about the approach axis, as if to spread it."""
+    frames = closing.body.robot.forward(closing.posture(0.0))
+    for finger in closing.fingers:
+        for name in closing_leaders(closing.body, finger, closing.closed):
+            joint = closing.body.joint(name)
+            about = frames[joint.child][:3, :3] @ joint.axis
+            if joint.kind != "prismatic" and abs(about @ axis) > PARALLEL:
+                yield (
+                    f"the joint '{name}' closes by turning about the approach axis, as joints do that spread "
+                    f"fingers: if it does not close the hand, say --not-closing {name}"
+                )
+
+
+def _distance_warnings(closing: ClosingMotion) -> Iterator[str]:
+    if len(closing.fingers) < 2 or not closing.closed:
+        return
+    distances = [
+        float(np.mean([np.linalg.norm(one - other) for one, other in combinations(closing.tips(share), 2)]))
+        for share in WARNING_COURSE
+    ]
+    if min(distances) > NEARER * distances[0]:
+        yield (
+            f"the fingertips come hardly nearer to each other as the hand closes, {1000 * distances[0]:.0f} "
+            f"mm apart when open and {1000 * min(distances):.0f} mm at their nearest: say which joints do "
+            "not close with --not-closing JOINT, or where they close to with --closed JOINT=POSITION"
+        )
+
+
+def _early_warnings(closing: ClosingMotion) -> Iterator[str]:
+    early = [
+        name
+        for name in closing.stopped
+        if abs(closing.closed[name] - closing.opened[name]) < EARLY * np.ptp(closing.body.range(name))
+    ]
+    if early:
+        more = f" (and {counted(len(early) - 1, 'other joint')} as early)" if len(early) > 1 else ""
+        yield (
+            f"the joint '{early[0]}' {closing.stopped[early[0]]}{more}: if it begins elsewhere, say where "
+            f"with --open {early[0]}=POSITION; if it must go on, with --closed {early[0]}=POSITION"
+        )
+
+
 LINE_WIDTH = 108
+ORIGINAL_BASE_REASON = (
+    "the base link of the maker's URDF, in the frame of base_link [m]; exports give it, so that grasps can "
+    "be used with that URDF"
+)
 TOML_HEAD = """\
 What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
 What the keys mean: docs/grippers.md.
@@ -239,6 +369,8 @@ def draft_toml(draft: GripperDraft, name: str) -> str:
     for key in PLAIN_KEYS:
         comment = _comment(reasons[key] + KEY_UNITS.get(key, ""))
         lines += ["", *comment, f"{key} = {_value(getattr(file, key))}"]
+    if file.original_base is not None:
+        lines += ["", *_comment(ORIGINAL_BASE_REASON), "[original_base]", *_table(file.original_base)]
     if file.jaw is not None:
         lines += ["", *_comment(reasons["jaw"]), "[jaw]", *_table(file.jaw)]
     for joint, table in file.joints.items():

@@ -20,14 +20,15 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
+from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
-from qdgrasp_assets.grippers.hand_model import read_hand_model
-from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.grippers.hand_model import contradicted_limits, read_hand_model
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
+from qdgrasp_assets.scene import vector
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.text import counted
 
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]
 FRAME_MASS = 1e-3  # Mass of links without shapes: frames, tips, mounts [kg]
@@ -88,9 +89,8 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand, folder, tell, time_limit)
-    changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
-    if visuals := drop_visuals(hand.element):  # their meshes may be missing
-        changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
+    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.mend(hand)]
+    changes += splitter.copy_visuals(hand)
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 
@@ -106,8 +106,8 @@ def transcribe(robot: Urdf, base: str, folder: str) -> Mended:
     return element, files, ()
 
 
-def _joints(element: ET.Element) -> Iterator[str]:
-    """Fix floating joints, and swap limits that are the wrong way round."""
+def _joints(path: Path, element: ET.Element) -> Iterator[str]:
+    """Fix floating joints, and correct limits: the wrong way round, or against a <mimic>."""
     floating, turned = [], []
     for joint in element.findall("joint"):
         limit, name = joint.find("limit"), joint.get("name", "")
@@ -119,6 +119,15 @@ def _joints(element: ET.Element) -> Iterator[str]:
             limit.set("lower", upper)
             limit.set("upper", lower)
             turned.append(name)
+    widened = []
+    for name, (low, high) in contradicted_limits(parse_robot(path, element)).items():
+        limit = element.find(f"joint[@name='{name}']/limit")
+        if limit is not None:
+            limit.set("lower", f"{low:.9g}")
+            limit.set("upper", f"{high:.9g}")
+            widened.append(name)
+    if widened:
+        yield f"{listed('joint', widened)} limited to where <mimic> takes it, which its limits did not allow"
     if floating:
         yield f"{listed('joint', floating)} fixed, as no motor drives what floats"
     if turned:
@@ -141,7 +150,22 @@ def _shapes(element: ET.Element) -> Iterator[str]:
         yield f"{listed('link', taken)} given the visual shapes for collision, as there were no others"
 
 
+def with_visual_shapes(robot: Urdf) -> Urdf:
+    """Return the robot with visual shapes for collision, if no moving link has others."""
+    element = copy.deepcopy(robot.element)
+    return replace(robot, element=element) if tuple(_shapes(element)) else robot
+
+
 CENTRE = "_centre"  # Suffix of the name of an added base link
+
+
+def original_base(base_link: str, hand: Urdf) -> OriginalBase | None:
+    """Return the base link of a hand before one was added to it; None if none was."""
+    link = base_link.removesuffix(CENTRE)
+    joint = hand.joint(f"{base_link}_joint")
+    if link == base_link or joint is None or joint.moves or (joint.parent, joint.child) != (base_link, link):
+        return None
+    return OriginalBase(link=link, position=vector(joint.origin[:3, 3]))
 
 
 @dataclass(frozen=True)
@@ -179,7 +203,8 @@ def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
     ET.SubElement(joint, "origin", xyz=" ".join(f"{0.0 - value:g}" for value in place), rpy="0 0 0")
     change = (
         f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
-        f"on the line on which the fingers close: poses are those of '{name}'"
+        f"on the line on which the fingers close: poses are those of '{name}', and exports say where "
+        f"'{base}' is"
     )
     return MendedCopy(parse_robot(robot.path, element), name, (change,))
 

@@ -25,6 +25,7 @@ from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elem
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
 from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.text import counted
 
 MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface
 VOLUME_TOLERANCE = 0.001  # Volumes that differ by at most this share are taken as equal
@@ -110,6 +111,34 @@ class MeshSplitter:
             mesh.set("filename", file)
             if words:
                 yield f"the mesh '{key[0]}' of the link '{link}' {words}"
+
+    def copy_visuals(self, hand: Urdf) -> Iterator[str]:
+        """Copy the meshes of visual shapes as they are, for pictures; yields what is left out."""
+        missing = 0
+        for link in hand.element.findall("link"):
+            for visual in link.findall("visual"):
+                mesh = visual.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                name = mesh.get("filename", "")
+                try:
+                    content = mesh_bytes(self._hand, name)
+                except AssetError:
+                    link.remove(visual)
+                    missing += 1
+                    continue
+                path = PurePosixPath(name)
+                mesh.set("filename", self._add(f"{path.stem}_visual", path.suffix, content))
+        if missing:
+            yield f"{counted(missing, 'visual shape')} left out, of which the meshes are missing"
+
+    def _add(self, stem: str, suffix: str, content: bytes) -> str:
+        """Add a file of this name, numbered where another one has it; return its path."""
+        file, number = f"{self._folder}/{stem}{suffix}", 1
+        while self.files.get(file, content) != content:
+            file, number = f"{self._folder}/{stem}_{number}{suffix}", number + 1
+        self.files[file] = content
+        return file
 
     def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
         """Return the corners (v, 3) of the mended link's convex parts [m], link frame."""

@@ -9,13 +9,18 @@ import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME, ClosingMotion, interpolate_posture
+from qdgrasp_assets.gripper_setup.closing_motion import (
+    CROSSED,
+    DEEP_OVERLAP,
+    ClosingMotion,
+    interpolate_posture,
+)
+from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME
 from qdgrasp_assets.grippers.gripper_file import GripperFile
 from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
-DEEP_OVERLAP = 2e-3  # Depth from which links overlap [m]; their hulls are larger than they are
 LOOKS_AWAY = np.radians(100.0)  # Angle to the fingers from which an approach axis points away from them [rad]
 NEARER = 0.97  # A hand closes if its fingertips come to at most this share of their distance
 BESIDE = 0.03  # Distance of the closing fingers from the approach line above which grasps miss [m]
@@ -83,12 +88,17 @@ def _open_overlaps(hand: HandPostures) -> Iterator[str]:
         if not is_always_deep(hand, one, other):
             yield (
                 f"the links '{one}' and '{other}' are {1000 * deep:.0f} mm in each other in the open "
-                "posture; correct the open positions of the joints between them, or the place of their shapes"
+                "posture; correct the open positions of the joints between them (--open JOINT=POSITION), or "
+                "the place of their shapes"
             )
 
 
 def is_always_deep(hand: HandPostures, one: str, other: str) -> bool:
-    """Return whether two links overlap in all postures, as those of one linkage do."""
+    """Return whether two links overlap in all postures, or are on two branches of one linkage."""
+    fingers = [finger for finger in hand.closing.fingers if {one, other} <= set(finger.links)]
+    branches = [hand.body.robot.subtree(link).links for link in (one, other)]
+    if fingers and other not in branches[0] and one not in branches[1]:
+        return True
     return min(depth_at(hand, one, other, share) for share in (0.25, 0.5, 0.75, 1.0)) >= DEEP_OVERLAP
 
 
@@ -126,7 +136,8 @@ def _closing_faults(hand: HandPostures) -> Iterator[str]:
     elif min(distances) >= NEARER * distances[0]:
         yield (
             f"the fingers do not close: their tips are {1000 * distances[0]:.0f} mm apart when open and "
-            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them"
+            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them "
+            "(--open, --closed, --not-closing JOINT)"
         )
 
 
@@ -164,7 +175,6 @@ def approach_angle(hand: HandPostures) -> float:
 AXIS_OFF = np.radians(35.0)  # Angle between approach axis and fingers from which it is noted [rad]
 PALM_OFF, STANDOFF_OFF, JAW_OFF = 0.03, 0.02, 0.015
 """Tolerances of palm_offset, stand-off and jaw opening against the shapes [m]."""
-CROSSED = 5e-3  # Depth from which closed finger links have gone through each other [m]
 CLOSING_COURSE = np.linspace(0.0, 1.0, 21)  # Shares of the way at which fingers are checked for crossing
 SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the closing time
 
@@ -229,7 +239,8 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
         yield (
             f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet "
             f"at {100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the "
-            "simulator lets them, so that they may hold thin objects as no real hand can: close them less far"
+            "simulator lets them, so that they may hold thin objects as no real hand can: close them less "
+            "far (--closed), or leave that to `qdgrasp gripper new`, which stops fingers where they meet"
         )
     late = []
     for name, closed in hand.closing.closed.items():

@@ -17,12 +17,14 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.asset_paths import asset_folders, on_asset_path, path_problem, searched
+from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
 from qdgrasp_assets.scene import Jaw, Synergy
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
+Quaternion = tuple[float, float, float, float]
 NamePairs = tuple[tuple[str, str], ...]
 KINDS: dict[Any, str] = {
     str: "text",
@@ -31,6 +33,7 @@ KINDS: dict[Any, str] = {
     float | None: "a number",
     Pair: "two numbers",
     Vector: "three numbers",
+    Quaternion: "four numbers",
     Names: "a list of names",
     NamePairs: "a list of pairs of names",
 }
@@ -39,6 +42,7 @@ TABLE_KINDS = {
     "synergies": "tables [[synergies]]",
     "free_joints": "tables [free_joints.NAME]",
     "jaw": "a table [jaw]",
+    "original_base": "a table [original_base]",
 }
 """TOML notation of the inner tables."""
 REQUIRED_KEYS = {
@@ -55,6 +59,8 @@ REQUIRED_KEYS = {
     "free_joints.low": "say where the least of its gene puts it [rad or m]",
     "free_joints.high": "say where the greatest of its gene puts it [rad or m]",
     "jaw.axis": "say which way one finger is from the other, such as [0, 1, 0]",
+    "original_base.link": "name the link from which the hand goes out in its maker's URDF",
+    "original_base.position": "say where that link is in the base link's frame, [x, y, z] [m]",
     "jaw.opening": "say how far apart the open fingers are [m]",
 }
 """Advice for each required field that is left out."""
@@ -63,7 +69,7 @@ REQUIRED_KEYS = {
 def _inner_tables(values: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
     for table in TABLES:
         match values.get(table):
-            case dict() as entry if table == "jaw":
+            case dict() as entry if table in ("jaw", "original_base"):
                 yield table, table, entry
             case dict() as named if table:
                 yield from ((table, f"{table}.{name}", entry) for name, entry in named.items())
@@ -123,6 +129,20 @@ class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     high: float
 
 
+class OriginalBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[original_base]`: the link from which a hand goes out in its maker's URDF.
+
+    Its pose in the frame of `base_link`, which was added to the hand. A pose of that link is one of the base
+    link times this.
+    """
+
+    link: str
+    position: tuple[float, float, float]
+    """[m]"""
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """x, y, z, w."""
+
+
 class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Content of a gripper's TOML file (docs/grippers.md)."""
 
@@ -145,6 +165,8 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Origin of `rated_effort` and `rated_velocity`: data sheet, document, edition."""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that may overlap (MoveIt's term); a joint's parent and child always may."""
+    original_base: OriginalBase | None = None
+    """The base link of the maker's URDF, where `base_link` was added to it."""
 
     def find_urdf(self, toml: Path) -> Path | None:
         """Return the path of the URDF for this TOML; None if it is not on the asset path."""
@@ -165,6 +187,7 @@ TABLES: dict[str, Any] = {
     "synergies": Synergy,
     "free_joints": FreeJointTable,
     "jaw": Jaw,
+    "original_base": OriginalBase,
 }
 """Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
 
@@ -215,6 +238,7 @@ def _non_finite(value: Any, name: str = "") -> Iterator[str]:
                 yield from _non_finite(inner, name)
 
 
+POSE_TOLERANCE = 1e-4  # the difference up to which two frames are taken as one [m, 1]
 RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a right one
 
 
@@ -241,6 +265,7 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     yield from _unknown_names(robot, "joints", file.joints, moving)
     yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
     yield from _pair_faults(file, robot, hand)
+    yield from _original_base_faults(file, robot, hand)
     for synergy in file.synergies:
         yield from _unknown_names(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
     for name in moving:
@@ -280,6 +305,27 @@ def _pair_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
         yield f"{field} pairs the link '{link}' with itself; name two links"
     for first, second in _duplicates(tuple(sorted(pair)) for pair in pairs):
         yield f"{field} names '{first}' and '{second}' more than once; name each pair once"
+
+
+def _original_base_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
+    base = file.original_base
+    if base is None:
+        return
+    unknown = tuple(_unknown_names(robot, "original_base.link", [base.link], hand.links))
+    yield from unknown
+    length = float(np.linalg.norm(base.orientation))
+    if not length > 0:
+        yield f"original_base.orientation must be a quaternion x, y, z, w, got {list(base.orientation)}"
+    elif not unknown:
+        pose = np.array([*base.position, *np.array(base.orientation) / length])
+        frame = hand.forward({})[base.link]
+        expected = np.column_stack([rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T, pose[:3]])
+        if np.abs(frame[:3] - expected).max() > POSE_TOLERANCE:
+            place = ", ".join(f"{value:.6g}" for value in frame[:3, 3])
+            yield (
+                f"original_base is not where '{robot.path}' has the link '{base.link}', at [{place}] m in "
+                "the base link's frame; correct its position and orientation, or leave the table out"
+            )
 
 
 def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -61,6 +62,23 @@ def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, flo
     return {**positions, **following}
 
 
+MOST_LEFT_OUT = 0.5
+"""Share of the way of a joint that follows another above which its own limits cannot be meant."""
+
+
+def contradicted_limits(robot: Urdf) -> dict[str, tuple[float, float]]:
+    """Return the way [rad or m] of each follower that its own limits mostly forbid, by name."""
+    joints = {joint.name: joint for joint in robot.joints}
+    found = {}
+    for name, each in followers(robot).items():
+        leader, own = joints[each.leader], joints[name]
+        low, high = sorted((each.position(leader.lower), each.position(leader.upper)))
+        allowed = min(high, own.upper) - max(low, own.lower)
+        if low < high and own.lower < own.upper and allowed < (1 - MOST_LEFT_OUT) * (high - low):
+            found[name] = (low, high)
+    return found
+
+
 def _root_leader(name: str, mimics: Mapping[str, MimicJoint]) -> MimicJoint:
     """Resolve a chain of followers to the joint that leads it."""
     follower, seen = mimics[name], {name}
@@ -107,6 +125,22 @@ class ConvexSolid:
         solid.planes = self.planes - [0.0, 0.0, 0.0, distance]
         return solid
 
+    def is_deep(self, other: "ConvexSolid", limit: float) -> bool:
+        """Return whether the largest ball in both has a diameter of at least `limit` [m].
+
+        Most pairs are told apart without the linear programme of `depth`: where all corners of one are within
+        `limit` of a plane of the other, or before it, no such ball fits between.
+        """
+        if (np.minimum(self.high, other.high) - np.maximum(self.low, other.low) < limit).any():
+            return False
+        for one, another in ((self, other), (other, self)):
+            if not len(one.planes):
+                return False
+            heights = (one.planes[:, :3] @ another.corners.T).min(axis=1) + one.planes[:, 3]
+            if (heights > -limit).any():
+                return False
+        return self.depth(other) >= limit
+
     def depth(self, other: "ConvexSolid") -> float:
         """Return the diameter of the largest ball that is in both [m]; 0 where they are apart."""
         if (self.low > other.high).any() or (other.low > self.high).any():
@@ -130,6 +164,12 @@ def overlap_depth(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid]) ->
     """Return the greatest depth of any of our parts in any of theirs [m]."""
     theirs = tuple(theirs)
     return max((one.depth(other) for one in ours for other in theirs), default=0.0)
+
+
+def are_deep(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid], limit: float) -> bool:
+    """Return whether any of our parts is at least `limit` deep in any of theirs [m]."""
+    theirs = tuple(theirs)
+    return any(one.is_deep(other, limit) for one in ours for other in theirs)
 
 
 def ray_exit(parts: Iterable[ConvexSolid], direction: Floats) -> float | None:
@@ -334,26 +374,56 @@ class Finger:
         return middle
 
 
-def find_fingers(body: HandModel, postures: Iterable[dict[str, float]]) -> tuple[Finger, ...]:
-    """Find a hand's fingers: limbs with shapes; those that overlap in all `postures` are one."""
+def find_fingers(
+    body: HandModel, postures: Iterable[dict[str, float]], roots: tuple[str, ...] = ()
+) -> tuple[Finger, ...]:
+    """Find a hand's fingers: limbs with shapes; those that overlap in all `postures` are one.
+
+    With `roots`, the limbs that begin with these links are the fingers.
+    """
     placed = [body.parts_at(posture) for posture in postures]
+    if roots:
+        arriving = {joint.child: joint.name for joint in body.robot.joints}
+        return tuple(limb for link in roots if (limb := _limb(body, arriving[link])).links)
     fingers: list[Finger] = []
-    for name in (*moving_limbs(body.robot, body.robot.root), *fixed_limbs(body)):
+    for name in (*_finger_joints(body, body.robot.root, placed), *fixed_limbs(body)):
         limb = _limb(body, name)
         if limb.links:
-            same = [  # those that overlap in all postures are pinned together
-                finger
-                for finger in fingers
-                if all(
-                    overlap_depth(
-                        (part for link in finger.links for part in parts[link]),
-                        (part for link in limb.links for part in parts[link]),
-                    )
-                    for parts in placed
-                )
-            ]
+            same = [finger for finger in fingers if _are_linked(finger, limb, placed)]
             fingers = [finger for finger in fingers if finger not in same] + [_joined(body, [*same, limb])]
     return tuple(fingers)
+
+
+PINNED = 1e-6  # Depth from which limbs overlap that are pinned together [m]
+Placed = list[dict[str, tuple[ConvexSolid, ...]]]
+"""The parts of all links, base link's frame, in some postures."""
+
+
+def _finger_joints(body: HandModel, base: str, placed: Placed) -> Iterator[str]:
+    """Yield the joints on which limbs hang: on a palm, and on each part of it that moves.
+
+    A moving link from which several limbs go out that are apart is a part of the palm.
+    """
+    for name in moving_limbs(body.robot, base):
+        child = body.joint(name).child
+        limbs = [limb for each in moving_limbs(body.robot, child) if (limb := _limb(body, each)).links]
+        pairs = combinations(limbs, 2)
+        if len(limbs) > 1 and not any(_are_linked(one, other, placed) for one, other in pairs):
+            yield from _finger_joints(body, child, placed)
+        else:
+            yield name
+
+
+def _are_linked(one: "Finger", other: "Finger", placed: Placed) -> bool:
+    """Return whether two limbs overlap in all postures, as those that are pinned together do."""
+    return all(
+        are_deep(
+            (part for link in one.links for part in parts[link]),
+            (part for link in other.links for part in parts[link]),
+            PINNED,
+        )
+        for parts in placed
+    )
 
 
 def fixed_limbs(body: HandModel) -> tuple[str, ...]:

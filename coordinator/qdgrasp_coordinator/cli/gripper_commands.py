@@ -15,16 +15,17 @@ from typing import Annotated, Any
 import typer
 
 from qdgrasp_assets.asset_check import examine_gripper
-from qdgrasp_assets.asset_report import examine_hand, examine_urdf, hand_faults, read_hand
+from qdgrasp_assets.asset_report import examine_draft, examine_urdf, hand_faults, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
+from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.mjcf import is_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.cli import asset_commands, options
 from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, SharedFolder
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, QdgraspError
 from qdgrasp_protocol.text import parse_numbers
@@ -41,30 +42,29 @@ class GripperQuestion:
     read: Callable[[str, str], Any]  # Parses an answer, given its field and its text; raises ImpossibleValue
 
 
-def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> DraftOverrides:
+def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> GripperDraft:
     """Ask on the terminal for values that are not given; an empty answer takes the guess."""
+    draft = draft_gripper(robot, urdf, given)
     for question in QUESTIONS:
         if getattr(given, question.field) is None:
-            given = _answered(question, robot, draft_gripper(robot, urdf, given), given)
-    return given
+            draft, given = _answered(question, robot, draft, given)
+    return draft
 
 
 def _answered(
     question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
-) -> DraftOverrides:
+) -> tuple[GripperDraft, DraftOverrides]:
     guess = _shown_default(getattr(guessed.file, question.field))
     echo(f"# {guessed.reasons[question.field]}")
     while True:
         answer = typer.prompt(question.words, default=guess)
         if answer == guess:
-            return given
+            return guessed, given
         try:
             answered = replace(given, **{question.field: question.read(question.field, answer)})
-            draft_gripper(robot, guessed.file.urdf, answered)
+            return draft_gripper(robot, guessed.file.urdf, answered, guessed), answered
         except QdgraspError as error:
             echo(str(error))
-        else:
-            return answered
 
 
 def _shown_default(value: Any) -> str:
@@ -171,6 +171,14 @@ def new(
         list[str] | None,
         typer.Option("--closed", metavar="JOINT=POSITION,...", help="Where joints close to."),
     ] = None,
+    finger: Annotated[
+        list[str] | None,
+        typer.Option("--finger", metavar="LINK", help="A link that begins a finger; once for each."),
+    ] = None,
+    not_closing: Annotated[
+        list[str] | None,
+        typer.Option("--not-closing", metavar="JOINT", help="A joint that does not close; may be repeated."),
+    ] = None,
     free: Annotated[
         str | None, typer.Option(metavar="JOINT,...", help="Joints whose place is a gene; '' for none.")
     ] = None,
@@ -181,7 +189,7 @@ def new(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
 ) -> None:
-    """Write the file of a gripper:
+    """Write the file of a gripper, with a picture beside it:
     what flags say, the rest guessed from the URDF, each line with its reason.
 
     On a terminal it asks, with the guesses as defaults. --mend writes a copy of the hand beside the file,
@@ -200,22 +208,27 @@ def new(
         opened=parse_positions("open", opened or ()),
         closed=parse_positions("closed", closed or ()),
         free=None if free is None else parse_names("free", free),
+        finger_roots=tuple(finger or ()),
+        not_closing=tuple(not_closing or ()),
     )
     target = out or Path(urdf.with_suffix(".toml").name)
     file = OutFile(target, suffixes=(".toml",), force=force, inputs=(urdf,))
     file.check()
+    pictures = SharedFolder(target.parent, "name another path with --out")
+    asset_commands.picture_file(pictures, target.name).check()
     robot, asks = _single_tree(urdf), is_asked() and not yes
     with ExitStack() as until_written:
         robot, given = _usable_robot(robot, given, file, until_written, mend=mend, asks=asks)
         reference = _reference(robot.path, target)
-        given = ask_missing(robot, reference, given) if asks else given
-        made = draft_gripper(robot, reference, given)
-        found = examine_hand(robot, made.file, str(target))
+        made = ask_missing(robot, reference, given) if asks else draft_gripper(robot, reference, given)
+        found = examine_draft(robot, made, str(target))
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
         file.write(draft_toml(made, target.name).encode())
     echo(f"written: {target}")
-    echo(f"look at it: qdgrasp gripper check {shlex.quote(str(target))} --picture pictures")
+    hand = read_gripper(target, target.stem, target.name)
+    echo(f"drawn: {asset_commands.draw_asset(hand, target.name, pictures)}")
+    echo("look at it: does the arrow go from the palm to the fingertips, and do the fingers close on it?")
     echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
 
 
@@ -244,7 +257,7 @@ def check(
     else:
         found, hand = examine_gripper(name), None
     asset_commands.print_findings(found, as_json=as_json)
-    if drawing is not None and found.extents is not None:
+    if drawing is not None and (hand is not None or found.extents is not None):
         drawn = asset_commands.draw_asset(hand or find_gripper(name), name, drawing)
         echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)
@@ -298,7 +311,9 @@ def _usable_robot(
         echo(f"mended: {change}")
     echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(
-        given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
+        given,
+        base_link=copy.base,
+        base_reason=reason if copy.base == base else copy.changes[-1],
     )
 
 

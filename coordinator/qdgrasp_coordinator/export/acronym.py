@@ -12,6 +12,7 @@ HDF5 files of others are read without trust: a dataset's shape and type are chec
 nothing outside the file ever is.
 """
 
+import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -163,8 +164,9 @@ def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
             file[name] = value
         file[ABOUT] = ours.json
         # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
-        attributes = {name: value for name, value in ours.values.items() if name not in LISTS}
-        file["qdgrasp"].attrs.update(attributes)
+        for name, value in ours.values.items():
+            if name not in LISTS:  # HDF5 has no nested attributes
+                file["qdgrasp"].attrs[name] = json.dumps(value) if isinstance(value, dict) else value
         file.flush()
         path.write_bytes(file.id.get_file_image())
 

@@ -1,6 +1,8 @@
 """Frames that grasps are given in, an object's mass and inertia there; distances of poses."""
 
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -8,6 +10,9 @@ from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
+from qdgrasp_assets.gripper_setup.mended_copy import original_base
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import SceneGripper, SceneObject
 from qdgrasp_protocol.errors import UnknownName
 
@@ -36,6 +41,23 @@ def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
     """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
     rotations = np.broadcast_to(rotation, (len(poses), 4))
     return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
+
+
+def scene_original_base(gripper: SceneGripper) -> OriginalBase | None:
+    """Return the base link of a hand's own URDF, where `--mend` added another; else None."""
+    element = ET.fromstring(gripper.urdf)  # noqa: S314  # a scene that was read and checked
+    return original_base(gripper.base_link, parse_robot(Path(gripper.name), element))
+
+
+def original_base_poses(poses: Floats, base: OriginalBase) -> Floats:
+    """Return poses (n, 7) of the base link of a hand's own URDF from those of its base link.
+
+    Poses are xyz [m] and xyzw.
+    """
+    positions = np.tile(base.position, (len(poses), 1))
+    moved = poses[:, :3] + rotate(poses[:, 3:], positions)
+    orientation = np.array(base.orientation) / np.linalg.norm(base.orientation)
+    return turn_hand_axes(np.hstack([moved, poses[:, 3:]]), orientation)
 
 
 def to_matrices(poses: Floats) -> Floats:

@@ -12,8 +12,16 @@ import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
 from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import SceneGripper, SceneObject, Vector, vector
-from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
+from qdgrasp_coordinator.export.frames import (
+    COM,
+    Frame,
+    jaw_turn,
+    scene_original_base,
+    to_matrices,
+    turn_hand_axes,
+)
 from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
@@ -95,6 +103,11 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     gripper_licence: str
     gripper_sha256: str = ""
     """Digest of its part of a scene bundle; empty in a file of an earlier version."""
+    original_base: OriginalBase | UnsetType = UNSET
+    """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
+
+    A pose of it is a pose of `gripper_frame` times this one (`frames.original_base_poses`).
+    """
     object: str
     object_file: str
     """The mesh file's name; empty for an object that is built in or from the asset path."""
@@ -194,6 +207,7 @@ def grasp_metadata(
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
         gripper_sha256=part_digest(hand),
+        original_base=scene_original_base(hand) or UNSET,
         object=body.name,
         object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,

@@ -13,6 +13,7 @@ from qdgrasp_assets.geometry.primitives import hull
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
+from qdgrasp_assets.grippers.gripper_file import OriginalBase, read_gripper_file
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_protocol.errors import AssetError
 
@@ -74,9 +75,32 @@ def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_stays_as_it_is(jaw_
     assert mended(jaw_urdf).changes == ()
 
 
+def test_limits_that_forbid_what_a_joint_mimics_are_widened_and_warned_of(jaw_urdf, edit):
+    edit(jaw_urdf, '<mimic joint="slide"/>', '<mimic joint="slide" multiplier="-1"/>')
+    edit(jaw_urdf, '<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>')
+    before = draft_gripper(read_urdf(jaw_urdf), jaw_urdf.name, DraftOverrides())
+    assert before.file.joints["other"].closed is None
+    assert any("--mend takes those of the <mimic>" in words for words in before.warnings)
+    copy = mended(jaw_urdf)
+    assert "the joint 'other' is limited to where <mimic> takes it" in copy.changes[0]
+    assert read_gripper_file(jaw_urdf.parent / "own.toml").joints["other"].closed == 0.04
+
+
+def test_visual_meshes_are_kept_as_they_are(jaw_urdf, edit):
+    SOLID.export(jaw_urdf.parent / "look.ply")
+    before = (jaw_urdf.parent / "look.ply").read_bytes()
+    edit(jaw_urdf, "</link>", '<visual><geometry><mesh filename="look.ply"/></geometry></visual></link>')
+    copy = mended(jaw_urdf)
+    assert copy.changes == ()
+    assert {mesh.get("filename") for mesh in copy.robot.element.iterfind("link/visual/geometry/mesh")} == {
+        "own_meshes/look_visual.ply"
+    }
+    assert (mended_meshes(jaw_urdf.parent / "own.toml") / "look_visual.ply").read_bytes() == before
+
+
 def test_visual_meshes_that_are_missing_do_no_harm_any_more(jaw_urdf, edit):
     edit(jaw_urdf, "</link>", '<visual><geometry><mesh filename="none.dae"/></geometry></visual></link>')
-    assert "3 visual shapes left out, which no evaluation needs" in mended(jaw_urdf).changes
+    assert "3 visual shapes left out, of which the meshes are missing" in mended(jaw_urdf).changes
 
 
 @pytest.mark.parametrize("kind", ["ply", "glb", "stl"])
@@ -121,6 +145,28 @@ def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw
     assert copy.base == "palm_centre"
     assert copy.robot.forward({})["palm"][:3, 3] == pytest.approx((-0.08, 0, 0))
     assert "a new one at (0.08 0 0) m in the frame of 'palm'" in copy.changes[-1]
+    file = read_gripper_file(jaw_urdf.parent / "own.toml")
+    assert file.original_base == OriginalBase(link="palm", position=(-0.08, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('link = "palm"', 'link = "plam"', "original_base.link names 'plam'"),
+        ("position = [-0.08, 0.0, 0.0]", "position = [0.08, 0.0, 0.0]", "at [-0.08, 0, 0] m in the base"),
+        ("position = [", "orientation = [0.0, 0.0, 0.0, 0.0]\nposition = [", "must be a quaternion"),
+        ("position = [-0.08, ", "position = [", "position must be three numbers"),
+    ],
+)
+def test_an_original_base_that_is_not_there_is_a_fault(jaw_urdf, edit, old, new, sentence):
+    for side in ("0.045", "-0.045"):
+        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0.08 {side} 0.041"')
+    mended(jaw_urdf)
+    target = jaw_urdf.parent / "own.toml"
+    before, _, table = target.read_text().partition("[original_base]")
+    assert old in table
+    target.write_text(f"{before}[original_base]{table.replace(old, new, 1)}")
+    assert any(sentence in fault for fault in examine(target, "own").faults)
 
 
 def with_mesh(jaw_urdf, edit, kind="ply"):

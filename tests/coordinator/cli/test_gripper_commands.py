@@ -4,14 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.assets import example_hands, example_mjcf
+from tests.assets import example_hands, example_mjcf, synthetic_hands
 from typer.testing import CliRunner
 
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_coordinator.cli import gripper_commands as command
 from qdgrasp_coordinator.cli.gripper_commands import gripper_app
 from qdgrasp_coordinator.storage.outputs import is_drawn_here
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 
 
 @pytest.fixture
@@ -38,6 +38,50 @@ def test_new_writes_a_file_that_check_finds_good(gripper):
     assert read_gripper_file(Path("jaw.toml")).licence == "CC0"
     found = json.loads(gripper("check", "jaw.toml", "--json").stdout)
     assert (found["faults"], found["base_link"], found["fingers"]) == ([], "palm", 2)
+
+
+def test_new_draws_the_hand_beside_its_file_and_names_the_picture(gripper):
+    done = gripper("new", "jaw.urdf", "-o", "hands/own.toml")
+    assert "drawn: hands/own.png" in done.stdout
+    assert is_drawn_here(Path("hands/own.png"))
+    assert gripper("new", "jaw.urdf", "-o", "hands/own.toml", "--force").exit_code == 0
+
+
+def test_new_leaves_a_picture_that_it_did_not_draw(gripper):
+    Path("jaw.png").write_text("mine")
+    assert gripper("new", "jaw.urdf").exit_code != 0
+    assert (Path("jaw.png").read_text(), Path("jaw.toml").exists()) == ("mine", False)
+
+
+def test_flags_say_which_links_begin_fingers_and_which_joints_do_not_close(gripper):
+    Path("claw.urdf").write_text(synthetic_hands.claw())
+    words = ("--finger", "left_finger", "--finger", "right_finger", "--not-closing", "right")
+    done = gripper("new", "claw.urdf", *words)
+    assert done.exit_code == 0, done.output
+    file = read_gripper_file(Path("claw.toml"))
+    assert (file.finger_links, file.joints["right"].closed) == (("left_finger", "right_finger"), None)
+    assert "warning          nothing closes the finger that begins with 'right_finger'" in done.stdout
+
+
+@pytest.mark.parametrize("flag", ["--finger", "--not-closing"])
+def test_a_name_that_the_hand_does_not_have_is_refused(gripper, flag):
+    done = gripper("new", "jaw.urdf", flag, "slid")
+    assert isinstance(done.exception, UnknownName)
+
+
+@pytest.mark.usefixtures("bare")
+def test_a_urdf_whose_links_have_no_masses_is_drawn_all_the_same(gripper):
+    done = gripper("check", "jaw.urdf", "--picture", "pictures")
+    assert isinstance(done.exception, AssetError)
+    assert "WRONG            the link 'palm' is without <inertial>" in done.stdout
+    assert is_drawn_here(Path("pictures/jaw.png"))
+
+
+def test_a_urdf_with_visual_shapes_alone_is_drawn_by_these(gripper):
+    Path("jaw.urdf").write_text(example_hands.JAW_URDF.replace("collision", "visual"))
+    done = gripper("check", "jaw.urdf", "--picture", "pictures")
+    assert isinstance(done.exception, AssetError)
+    assert is_drawn_here(Path("pictures/jaw.png"))
 
 
 def test_flags_are_taken_before_guesses(gripper):

@@ -102,7 +102,8 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
     export_run(run, tmp_path / "out", name)
     said = words_of(tmp_path / "out", name)
     asked = {"approach_distance", "resting_poses"}
-    assert set(GraspMetadata.__struct_fields__) - {"runs"} - asked <= set(said)
+    assert set(GraspMetadata.__struct_fields__) - {"runs", "original_base"} - asked <= set(said)
+    assert "original_base" not in said
     assert (said["gripper"], said["gripper_frame"], said["object"]) == ("jaw", "palm", "block")
     assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg, N", "paper")
     assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")
@@ -125,6 +126,23 @@ def test_a_licence_of_several_lines_and_with_control_characters_is_kept_in_its_l
     assert len(READERS[name](tmp_path / "out").quality) == 2
     said = words_of(tmp_path / "out", name)["gripper_licence"]
     assert said == "BSD-3" if name == "csv" else said == "BSD-3\nCopyright  somebody"
+
+
+@each_format
+def test_a_file_of_a_centred_hand_says_where_its_original_base_link_is(scene, tmp_path, name) -> None:
+    centred = (
+        '<link name="palm_centre"/><joint name="palm_centre_joint" type="fixed">'
+        '<parent link="palm_centre"/><child link="palm"/><origin xyz="-0.08 0 0.01"/></joint></robot>'
+    )
+    urdf = scene.gripper.urdf.replace("</robot>", centred)
+    hand = msgspec.structs.replace(scene.gripper, urdf=urdf, base_link="palm_centre")
+    rows = random_rows(scene, [Outcome.HELD] * 2)
+    run = record(tmp_path / "run", msgspec.structs.replace(scene, gripper=hand), rows, method="contact_rand")
+    export_run(run, tmp_path / "out", name)
+    said = words_of(tmp_path / "out", name)["original_base"]
+    position = said["position"] if isinstance(said, dict) else said
+    assert "palm" in str(said)
+    assert "-0.08" in str(position)
 
 
 def test_a_built_in_object_has_the_frame_of_a_mesh_that_can_be_had(run: RunFolder, grasps: Grasps) -> None:

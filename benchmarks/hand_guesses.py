@@ -1,0 +1,246 @@
+"""What `qdgrasp gripper new` guesses of public hands: `python -m benchmarks.hand_guesses FOLDER...`.
+
+Each folder holds URDFs by the paths of `HANDS`, such as a checkout of dex-urdf; pybullet_data and the asset
+path are looked through too. Nothing is told to the guess. What is right was told by people who looked at
+pictures of the hands, as `--pictures DIR` draws them. `--evaluations 300` also evaluates random poses; hands
+with faults are mended for that, which takes minutes where meshes are split.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from qdgrasp_assets.asset_paths import asset_folders
+from qdgrasp_assets.asset_report import examine_draft, examine_hand, hand_faults
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.mended_copy import mended_copy
+from qdgrasp_assets.gripper_setup.posture_checks import HandPostures
+from qdgrasp_assets.grippers.gripper import Gripper
+from qdgrasp_assets.grippers.hand_model import read_hand_model
+from qdgrasp_assets.grippers.urdf import Urdf, read_urdf
+from qdgrasp_coordinator.rendering.drawings import draw_gripper
+from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import join_numbers
+from qdgrasp_worker.evaluator import Evaluator
+
+
+@dataclass(frozen=True)
+class KnownHand:
+    """What a right guess of a public hand is."""
+
+    urdf: str
+    """Path below one of the folders."""
+    source: str
+    base: str
+    axis: tuple[int, int, int]
+    fingers: int
+    still: str = ""
+    """The joints that follow no others and do not close, between spaces."""
+    backward: str = ""
+    """The joints that close toward their lower limits."""
+
+
+DEX, ROS, BULLET, PAPER = "dex-urdf", "ROS package", "pybullet_data", "reference data"
+HANDS = {
+    "LEAP": KnownHand(
+        "leap_hand/leap_hand_right.urdf", DEX, "palm_lower", (0, 0, -1), 4, still="0 4 8 12 13"
+    ),
+    "DClaw": KnownHand(
+        "dclaw_gripper/dclaw_gripper.urdf", DEX, "base_link", (1, 0, 0), 3,
+        still="joint_f1_0 joint_f2_0 joint_f3_0", backward="joint_f1_1 joint_f2_2",
+    ),
+    "Inspire": KnownHand(
+        "inspire_hand/inspire_hand_right.urdf", DEX, "hand_base_link", (-1, 0, 0), 5,
+        still="thumb_proximal_yaw_joint",
+    ),
+    "Ability": KnownHand(
+        "ability_hand/ability_hand_right.urdf", DEX, "base", (0, 1, 0), 5, still="thumb_q1"
+    ),
+    "Schunk SVH": KnownHand(
+        "schunk_hand/schunk_svh_hand_right.urdf", DEX, "right_hand_base_link", (0, 1, 0), 5,
+        still="right_hand_Thumb_Opposition right_hand_Finger_Spread",
+    ),
+    "Allegro": KnownHand(
+        "allegro_hand/allegro_hand_right.urdf", DEX, "base_link", (1, 0, 0), 4,
+        still="joint_0.0 joint_4.0 joint_8.0 joint_12.0 joint_13.0",
+    ),
+    "Shadow": KnownHand(
+        "shadow_hand/shadow_hand_right.urdf", DEX, "palm", (0, -1, 0), 5,
+        still="FFJ4 MFJ4 RFJ4 LFJ5 LFJ4 THJ5 THJ4 THJ3",
+    ),
+    "BarrettHand": KnownHand(
+        "barrett_hand/bhand_model.urdf", DEX, "base_link", (0, 0, 1), 3,
+        still="finger_1_prox_joint finger_2_prox_joint",
+        backward="finger_1_med_joint finger_1_dist_joint finger_2_med_joint finger_2_dist_joint "
+        "finger_3_med_joint finger_3_dist_joint",
+    ),
+    "Franka": KnownHand(
+        "franka_panda/panda.urdf", BULLET, "panda_hand", (0, 0, 1), 2,
+        backward="panda_finger_joint1",
+    ),
+    "xArm": KnownHand("xarm/xarm6_with_gripper.urdf", BULLET, "xarm_gripper_base_link", (0, 0, 1), 2),
+    "PR2": KnownHand(
+        "pr2_gripper.urdf", BULLET, "gripper_pole", (1, 0, 0), 2,
+        backward="left_gripper_joint right_gripper_joint",
+    ),
+    "Robotiq 2F-85": KnownHand(
+        "robotiq_2f_85_gripper_visualization/urdf/robotiq_2f_85.urdf", ROS, "robotiq_arg2f_base_link",
+        (0, 0, 1), 2,
+    ),
+    "Robotiq 2F-140": KnownHand(
+        "robotiq_2f_140_gripper_visualization/urdf/robotiq_2f_140.urdf", ROS, "robotiq_arg2f_base_link",
+        (0, 0, 1), 2,
+    ),
+    "Kinova Jaco": KnownHand(
+        "kinova_description/urdf/j2n6s300.urdf", ROS, "j2n6s300_link_6", (0, 0, -1), 3
+    ),
+    "Robotiq 2F-85 (paper)": KnownHand(
+        "robotiq_2f/robotiq_2f.urdf", PAPER, "robotiq_85_base_link", (0, 0, 1), 2,
+        backward="right_inner_knuckle_joint",
+    ),
+    "Allegro (paper)": KnownHand(
+        "allegro/allegro.urdf", PAPER, "palm_link", (1, 0, 0), 4,
+        still="joint_00 joint_04 joint_08 joint_12 joint_13",
+    ),
+}  # fmt: skip
+SEED = 0
+
+
+def found_urdf(hand: KnownHand, folders: Sequence[Path]) -> Path | None:
+    """The URDF of a hand in the first of the folders that has it."""
+    return next((path for folder in folders if (path := folder / hand.urdf).is_file()), None)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What was guessed of a hand, beside what is right."""
+
+    hand: KnownHand
+    robot: Urdf
+    draft: GripperDraft
+    faults: tuple[str, ...]
+    """Why the URDF cannot be used as it is."""
+
+    @property
+    def postures(self) -> HandPostures:
+        return HandPostures(self.draft.file, read_hand_model(self.robot, self.draft.file.base_link))
+
+    def is_closing_right(self, postures: HandPostures) -> bool:
+        """Whether the right joints close, and the right way round."""
+        leaders = [name for name in postures.body.moving if name not in postures.body.followers]
+        tables = self.draft.file.joints
+        closed = {name: tables[name].closed for name in leaders if tables[name].closed is not None}
+        backward = {name for name, place in closed.items() if (place or 0.0) < tables[name].open}
+        return {*leaders} - {*closed} == {*self.hand.still.split()} and backward == {
+            *self.hand.backward.split()
+        }
+
+    def row(self) -> list[str]:
+        """Flags, base, axis, fingers, what closes, and the notes in words."""
+        postures, file = self.postures, self.draft.file
+        found = examine_draft(self.robot, self.draft, "") if not self.faults else None
+        notes = [*self.draft.warnings, *(found.notes + found.faults if found else ())]
+        return [
+            "--mend" if self.faults else "none",
+            mark(file.base_link == self.hand.base, file.base_link),
+            mark(np.allclose(file.approach_axis, self.hand.axis), join_numbers(file.approach_axis)),
+            mark(len(postures.closing.fingers) == self.hand.fingers, str(len(postures.closing.fingers))),
+            mark(self.is_closing_right(postures), f"{len(postures.closing.closed)} joints"),
+            "\n".join(note.partition(":")[0][:70] for note in notes if "rated" not in note) or "none",
+        ]
+
+
+def mark(is_right: bool, words: str) -> str:
+    """The words, or that they are wrong."""
+    return words if is_right else f"WRONG: {words}"
+
+
+def guessed(hand: KnownHand, urdf: Path) -> Guess:
+    """Guess a hand from its URDF alone."""
+    robot = read_urdf(urdf)
+    draft = draft_gripper(robot, str(urdf.resolve()), DraftOverrides())
+    return Guess(hand, robot, draft, hand_faults(robot, draft.file.base_link))
+
+
+def draw(guess: Guess, name: str, folder: Path) -> None:
+    """Draw the hand as it is guessed, open and closed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    gripper = Gripper(name, guess.robot.path.name, guess.draft.file, guess.robot)
+    draw_gripper(gripper.on_carrier("paper"), folder / f"{name.lower().replace(' ', '_')}.png")
+
+
+@contextmanager
+def usable_file(guess: Guess, folder: Path) -> Iterator[Path]:
+    """The gripper's file, of a mended copy where the URDF cannot be used as it is."""
+    target, base = folder / "hand.toml", guess.draft.file.base_link
+    if not guess.faults:
+        target.write_text(draft_toml(guess.draft, target.name))
+        yield target
+        return
+    with mended_copy(guess.robot, base, target, lambda _: None, may_centre=True) as copy:
+        draft = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
+        if faults := examine_hand(copy.robot, draft.file, "hand").faults:
+            raise QdgraspError("; and ".join(faults))
+        target.write_text(draft_toml(draft, target.name))
+        yield target
+
+
+def successes(guess: Guess, target: str, number: int) -> str:
+    """How many of so many random poses of the prior contact succeed and survive."""
+    with TemporaryDirectory() as folder, usable_file(guess, Path(folder)) as file:
+        scene = build_scene(RunSpec(gripper=str(file), object=target))
+        genes = len(layout(scene, "contact"))
+        genomes = np.random.default_rng(SEED).uniform(-1, 1, (number, genes)).astype(np.float32)
+        with Evaluator(scene) as evaluator:
+            outcome = evaluator.evaluate("contact", genomes, np.zeros(number, np.uint16)).rows["outcome"]
+    return f"{(outcome >= Outcome.DROPPED).sum()} touch, {(outcome >= Outcome.SHAKEN).sum()} hold"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser("python -m benchmarks.hand_guesses", description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path, help="where the hands' URDFs are")
+    parser.add_argument("--hand", action="append", choices=HANDS, help="this one alone; may be repeated")
+    parser.add_argument("--evaluations", type=int, default=0, help="random poses of each hand")
+    parser.add_argument("--object", default="mug", help="what they are to grasp")
+    parser.add_argument("--pictures", type=Path, help="a folder for a picture of each hand")
+    asked = parser.parse_args()
+    import pybullet_data
+
+    reference = [folder / "grippers" for folder in asset_folders()]
+    folders = [*asked.folders, Path(pybullet_data.getDataPath()), *reference]
+    console = Console(width=200)
+    table = Table("hand", "source", "flags", "base", "approach", "fingers", "closing", "notes")
+    if asked.evaluations:
+        table.add_column(f"of {asked.evaluations} on {asked.object}")
+    for name in asked.hand or HANDS:
+        urdf = found_urdf(HANDS[name], folders)
+        if urdf is None:
+            table.add_row(name, HANDS[name].source, "not there")
+            continue
+        with console.status(name):
+            try:
+                guess = guessed(HANDS[name], urdf)
+                tried = [successes(guess, asked.object, asked.evaluations)] if asked.evaluations else []
+                table.add_row(name, HANDS[name].source, *guess.row(), *tried)
+                if asked.pictures:
+                    draw(guess, name, asked.pictures)
+            except QdgraspError as error:
+                table.add_row(name, HANDS[name].source, "", str(error)[:90])
+    console.print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""Guesses of hands that are easily guessed wrong: synthetic ones, and public ones where they are at hand."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.assets import synthetic_hands
+
+from qdgrasp_assets.asset_report import examine_hand
+from qdgrasp_assets.gripper_setup.closing_search import find_closing
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, depth_at
+from qdgrasp_assets.grippers.hand_model import read_hand_model
+from qdgrasp_assets.grippers.urdf import read_urdf
+
+
+class Guess:
+    """A hand as it is guessed, and what the checks say of it."""
+
+    def __init__(self, urdf: Path, **told):
+        robot = read_urdf(urdf)
+        self.draft = draft_gripper(robot, urdf.name, DraftOverrides(**told))
+        self.file, self.warnings = self.draft.file, self.draft.warnings
+        self.found = examine_hand(robot, self.file, "hand")
+        self.postures = HandPostures(self.file, read_hand_model(robot, self.file.base_link))
+
+    @property
+    def closing(self):
+        """The joints that close."""
+        return {name for name, table in self.file.joints.items() if table.closed is not None}
+
+
+@pytest.fixture
+def guess(tmp_path):
+    """What is guessed of the text of a URDF."""
+
+    def made(text, **told):
+        (tmp_path / "hand.urdf").write_text(text)
+        return Guess(tmp_path / "hand.urdf", **told)
+
+    return made
+
+
+BENDING = {f"{name}_{part}" for name in synthetic_hands.NAMES for part in ("bend", "curl", "tip")}
+
+
+@pytest.mark.parametrize("text", [synthetic_hands.THUMB_HAND, synthetic_hands.HALVED_HAND])
+def test_joints_that_bend_fingers_close_and_those_that_spread_them_do_not(guess, text):
+    found = guess(text)
+    assert found.closing == BENDING | {"thumb_curl", "thumb_tip"}
+    for name in BENDING:
+        assert found.file.joints[name].open == 0.0
+        assert found.file.joints[name].closed > 0.2
+    assert all(found.file.joints[f"{name}_spread"].open == 0.0 for name in synthetic_hands.NAMES)
+    assert found.file.approach_axis == (0.0, 1.0, 0.0)
+
+
+def test_a_thumb_is_turned_out_of_the_palm_and_bends_toward_the_fingers(guess):
+    found = guess(synthetic_hands.THUMB_HAND)
+    assert found.file.joints["thumb_turn"].open == pytest.approx(np.pi / 2, abs=0.5)
+    assert (found.file.joints["thumb_curl"].open, found.file.joints["thumb_tip"].open) == (0.0, 0.0)
+    assert found.file.joints["thumb_curl"].closed > 0.1
+    assert "face to face, clear of the palm" in found.draft.reasons["joints.thumb_turn"]
+    assert (found.found.faults, found.warnings) == ((), ())
+    assert [synergy.name for synergy in found.file.synergies] == ["thumb_1", "thumb_2", "thumb_3", "all"]
+
+
+def test_an_open_thumb_is_not_in_the_palm(guess):
+    postures = guess(synthetic_hands.THUMB_HAND).postures
+    assert depth_at(postures, "thumb_low", "palm", 0.0) == 0.0
+    assert depth_at(postures, "thumb_end", "palm", 0.0) == 0.0
+
+
+def test_a_half_of_the_palm_is_no_finger(guess):
+    found = guess(synthetic_hands.HALVED_HAND)
+    assert found.found.fingers == 4
+    assert "half" not in found.file.finger_links
+    assert found.file.base_link == "palm"
+
+
+def assert_meets_and_goes_no_farther(found, one, other):
+    """Two links are in each other by no more than is let be, and would be by more 2 % of the way on."""
+    depths = [depth_at(found.postures, one, other, share) for share in (1.0, 1.05)]
+    assert depths[0] < 2e-3 <= depths[1]
+
+
+@pytest.mark.parametrize("mimics", [False, True])
+def test_fingers_stop_where_they_meet_and_followers_with_their_leader(guess, mimics):
+    found = guess(synthetic_hands.claw(mimics=mimics))
+    left, right = (found.file.joints[name].closed for name in ("left", "right"))
+    assert left == right
+    assert 0.2 < left < 0.8
+    assert_meets_and_goes_no_farther(found, "left_finger", "right_finger")
+    assert "closes to where 'left_finger' meets 'right_finger'" in found.draft.reasons["joints.left"]
+    assert not [note for note in found.found.notes if "through each other" in note]
+
+
+def test_why_a_finger_stops_stands_above_its_position(guess):
+    lines = draft_toml(guess(synthetic_hands.claw()).draft, "hand.toml").splitlines()
+    assert lines[lines.index("[joints.left]") - 1].startswith("# closes to where 'left_finger' meets")
+
+
+def test_no_finger_of_a_hand_with_a_thumb_goes_through_another(guess):
+    found = guess(synthetic_hands.THUMB_HAND)
+    assert not [note for note in found.found.notes if "through each other" in note]
+    assert any("meets" in reason for reason in found.draft.reasons.values())
+
+
+def test_a_closed_position_that_is_told_is_kept_and_noted(guess):
+    found = guess(synthetic_hands.claw(), closed={"left": 1.4, "right": 1.4})
+    assert (found.file.joints["left"].closed, found.file.joints["right"].closed) == (1.4, 1.4)
+    (note,) = (note for note in found.found.notes if "through each other" in note)
+    assert "--closed" in note
+
+
+def test_the_same_hand_is_guessed_the_same(guess):
+    first, again = (draft_toml(guess(synthetic_hands.THUMB_HAND).draft, "hand.toml") for _ in range(2))
+    assert first == again
+
+
+def test_joints_are_told_not_to_close(guess):
+    found = guess(synthetic_hands.claw(), not_closing=("right",))
+    assert found.closing == {"left"}
+    assert found.draft.reasons["joints.right"] == "does not close, as told"
+    (warning,) = (words for words in found.warnings if "nothing closes the finger" in words)
+    assert "'right_finger'" in warning
+    assert "--finger LINK" in warning
+
+
+def test_fingers_are_told_by_their_first_links(guess):
+    found = guess(synthetic_hands.HALVED_HAND, finger_roots=("one_root", "thumb_root"))
+    assert found.closing == {"one_bend", "one_curl", "one_tip", "thumb_curl", "thumb_tip"}
+    assert set(found.file.finger_links) == {
+        *(f"one_{part}" for part in ("root", "low", "mid", "end")),
+        *(f"thumb_{part}" for part in ("root", "low", "end")),
+    }
+
+
+def test_a_joint_that_closes_about_the_approach_axis_is_warned_of(guess):
+    found = guess(synthetic_hands.claw(), approach_axis=(1.0, 0.0, 0.0))
+    assert [words for words in found.warnings if words.endswith("say --not-closing left")]
+
+
+def test_an_approach_axis_that_lies_askew_is_warned_of(guess):
+    text = synthetic_hands.claw().replace('rpy="0 0 0"', "")
+    turned = text.replace("</robot>", "") + (
+        '<link name="root"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+        'iyz="0"/></inertial><collision><geometry><box size="0.01 0.01 0.01"/></geometry></collision></link>'
+        '<joint name="mount" type="fixed"><parent link="root"/><child link="palm"/>'
+        '<origin rpy="0.7 0 0"/></joint></robot>'
+    )
+    assert [words for words in guess(turned).warnings if "--approach-axis" in words]
+
+
+PUBLIC = "QDGRASP_PUBLIC_HANDS"
+"""Environment variable that names the folder `robots/hands` of dex-urdf."""
+HANDS = {
+    "leap_hand/leap_hand_right": ("palm_lower", (0, 0, -1), 4, {"0", "4", "8", "12", "13"}),
+    "dclaw_gripper/dclaw_gripper": ("base_link", (1, 0, 0), 3, {f"joint_f{n}_0" for n in (1, 2, 3)}),
+    "inspire_hand/inspire_hand_right": ("hand_base_link", (-1, 0, 0), 5, {"thumb_proximal_yaw_joint"}),
+    "ability_hand/ability_hand_right": ("base", (0, 1, 0), 5, {"thumb_q1"}),
+    "schunk_hand/schunk_svh_hand_right": (
+        "right_hand_base_link",
+        (0, 1, 0),
+        5,
+        {"right_hand_Thumb_Opposition", "right_hand_Finger_Spread"},
+    ),
+    "allegro_hand/allegro_hand_right": (
+        "base_link",
+        (1, 0, 0),
+        4,
+        {"joint_0.0", "joint_4.0", "joint_8.0", "joint_12.0", "joint_13.0"},
+    ),
+    "shadow_hand/shadow_hand_right": (
+        "palm",
+        (0, -1, 0),
+        5,
+        {"FFJ4", "MFJ4", "RFJ4", "LFJ4", "LFJ5", "THJ5", "THJ4", "THJ3"},
+    ),
+    "barrett_hand/bhand_model": ("base_link", (0, 0, 1), 3, {"finger_1_prox_joint", "finger_2_prox_joint"}),
+}
+"""URDF, base link, approach axis, number of fingers, and all joints that lead and do not close."""
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_public_hand_is_guessed_right_without_a_flag(name):
+    folder = os.environ.get(PUBLIC)
+    urdf = Path(folder or "", f"{name}.urdf")
+    if folder is None or not urdf.is_file():
+        pytest.skip(f"{PUBLIC} names no folder with {name}.urdf")
+    base, axis, fingers, still = HANDS[name]
+    found = Guess(urdf)
+    assert (found.file.base_link, found.file.approach_axis) == (base, axis)
+    closing = find_closing(found.postures.body)
+    assert len(closing.fingers) == fingers
+    assert set(closing.opened) - closing.closed.keys() == still
+    assert not [note for note in found.found.notes if "through each other" in note]
