@@ -5,6 +5,7 @@ file that would be guessed of it. Whatever is wrong is listed in the report, in 
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -315,21 +316,26 @@ def examine_urdf(
     nothing can be guessed.
     """
     report = GripperReport(name=name)
-    faults: tuple[str, ...] = ()
     try:
         robot, faults, notes = read_hand(urdf)
         if robot is None:
             return msgspec.structs.replace(report, faults=faults), None
         base = overrides.base_link or guess_base(robot)[0]
-        faults, shown = hand_faults(robot, base), with_visual_shapes(robot)
-        drafted = draft_gripper(shown, str(urdf), replace(overrides, base_link=base))
-        gripper = Gripper(name, urdf.name, drafted.file, shown)
+        if faults := hand_faults(robot, base):
+            drawn = None
+            with suppress(QdgraspError, ValueError):  # of what was told already
+                drawn, _ = _drafted(with_visual_shapes(robot), urdf, name, replace(overrides, base_link=base))
+            return msgspec.structs.replace(report, faults=faults), drawn
+        gripper, draft = _drafted(robot, urdf, name, replace(overrides, base_link=base))
+        found = examine_draft(robot, draft, name)
     except QdgraspError as error:
-        return msgspec.structs.replace(report, faults=faults or (str(error).rstrip("."),)), None
-    if faults:
-        return msgspec.structs.replace(report, faults=faults), gripper
-    found = examine_draft(robot, drafted, name)
+        return msgspec.structs.replace(report, faults=(str(error).rstrip("."),)), None
     return msgspec.structs.replace(found, notes=(*notes, *found.notes)), gripper
+
+
+def _drafted(robot: Urdf, urdf: Path, name: str, overrides: DraftOverrides) -> tuple[Gripper, GripperDraft]:
+    draft = draft_gripper(robot, str(urdf), overrides)
+    return Gripper(name, urdf.name, draft.file, robot), draft
 
 
 def examine_draft(robot: Urdf, drafted: GripperDraft, name: str) -> GripperReport:
