@@ -128,6 +128,7 @@ def test_every_invariant_holds_with_all_of_it_together(first: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("first", range(0, 5000, 500))
 def test_every_invariant_holds_in_thousands_of_histories(first: int) -> None:
     for number in range(first, first + 500):
