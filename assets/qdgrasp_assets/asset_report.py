@@ -321,12 +321,13 @@ def examine_urdf(
         if robot is None:
             return msgspec.structs.replace(report, faults=faults), None
         base = overrides.base_link or guess_base(robot)[0]
+        overrides, shown = replace(overrides, base_link=base), with_visual_shapes(robot)
         if faults := hand_faults(robot, base):
             drawn = None
             with suppress(QdgraspError, ValueError):  # of what was told already
-                drawn, _ = _drafted(with_visual_shapes(robot), urdf, name, replace(overrides, base_link=base))
+                drawn, _ = _drafted(shown, urdf, name, overrides)
             return msgspec.structs.replace(report, faults=faults), drawn
-        gripper, draft = _drafted(robot, urdf, name, replace(overrides, base_link=base))
+        gripper, draft = _drafted(shown, urdf, name, overrides)
         found = examine_draft(robot, draft, name)
     except QdgraspError as error:
         return msgspec.structs.replace(report, faults=(str(error).rstrip("."),)), None

@@ -24,7 +24,7 @@ WHOLE = (
 """Modules of which each number is named."""
 NO_CHOICE = {
     "ROLL", "LOOSENESS", "CANDIDATES", "FIRST_WEIGHT", "OMEGA", "NO_SLOT", "FIRST_CAPACITY", "NO_FINGER",
-    "POSES_AT_ONCE", "NEIGHBOURS", "BLOCK", "ANYWHERE",
+    "POSES_AT_ONCE", "VOLUMES_KEPT", "NEIGHBOURS", "BLOCK", "ANYWHERE",
 }  # fmt: skip
 """Places of genes, marks, sizes of memory, steps to neighbours, and bounds that bind nothing."""
 

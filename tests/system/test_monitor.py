@@ -422,7 +422,7 @@ def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp
         expect(page.locator("#workers tr[data-state=gone]")).to_have_count(1, timeout=browser.PATIENCE)
 
         watched.kill("coordinator")
-        expect(page.locator("#origin")).to_contain_text("turn 2", timeout=browser.PATIENCE)
+        expect(page.locator("#origin")).to_contain_text("epoch 2", timeout=browser.PATIENCE)
         before = number(figure(page, "Successes").inner_text())
         watched.goes_on()
         page.wait_for_function(GROWN, arg=[figure(page, "Successes").element_handle(), before])

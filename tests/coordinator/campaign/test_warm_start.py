@@ -205,7 +205,7 @@ def test_the_command_begins_a_run_with_weights_and_notes_their_origin(
     source, begun = folder("source"), []
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.run_commands.run_plan.prepare_scene",
-        lambda _: SimpleNamespace(bundle=pack_scene(made_scene("jaw"))),
+        lambda *_, **__: SimpleNamespace(bundle=pack_scene(made_scene("jaw"))),
     )
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.run_commands.run_job", lambda folder, *_: begun.append(folder)

@@ -59,6 +59,7 @@ export class GraspPanel {
     this.#unpin();
     this.#view?.stop();
     this.#view = null;
+    this.#writeStatus("");
     this.card.show(null);
     this.#connect(null);
     this.settings.open(run ? `${this.api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(run)}` : "");
