@@ -34,7 +34,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
 
-MOST = 120
+MOST = 240
 """A mutation is to be noticed within so many histories."""
 Real = Callable[..., Any]
 """The method or function that a mutation replaces."""
