@@ -246,7 +246,8 @@ class CampaignRuns:
                 continue
             summary = run.summary
             figures = (f"{summary.evaluations:,}", f"{summary.grasps:,}", f"{summary.robust:,}")
-            words = (name, summary.object, summary.gripper, summary.method, str(summary.seed), *figures)
+            names = (Path(summary.object).stem, Path(summary.gripper).stem)
+            words = (name, *names, summary.method, str(summary.seed), *figures)
             lines.append([_object_html(run), *map(escape, words)])
         total = counted(len(self), "run")
         first = f", the first {SHOWN_RUNS}" if len(self) > SHOWN_RUNS else ""

@@ -25,6 +25,7 @@ SETTLED = 2500  # ms in which a view in 3D comes to rest
 DONE = (
     "(share) => document.getElementById('progress').value / document.getElementById('progress').max >= share"
 )
+PICTURED = "() => [...document.querySelectorAll('#scene-best img')].slice(0, 6).every((one) => one.complete)"
 
 
 def main(out: Path) -> None:
@@ -40,15 +41,16 @@ def main(out: Path) -> None:
         page = visit.page
         try:
             expect(page.locator("#scene-words")).to_contain_text(FOUND, timeout=LONG)
+            until(page, 0.05)
             take(page, out, "start")
             until(page, 0.4)
             say(f"a killed worker is shown as gone after {dies(watched, 'worker', page):.1f} s")
             say(f"the next coordinator is shown after {dies(watched, 'coordinator', page):.1f} s")
             until(page, 0.6)
-            page.locator("#scene").press("n")
+            page.keyboard.press("n")
             page.locator("#grasp").wait_for(timeout=LONG)
             take(page, out, "midway")
-            page.locator("#scene").press("Escape")
+            page.keyboard.press("Escape")
             watched.ends()
             expect(page.locator("#state")).to_contain_text("ended", timeout=LONG)
             take(page, out, "end")
@@ -71,7 +73,7 @@ def dies(watched: Watched, role: str, page: Any) -> float:
     if role == "worker":
         expect(page.locator("#workers tr[data-state=gone]")).to_have_count(1, timeout=browser.PATIENCE)
     else:
-        expect(page.locator("#origin")).to_contain_text("turn 2", timeout=browser.PATIENCE)
+        expect(page.locator("#origin")).to_contain_text("epoch 2", timeout=browser.PATIENCE)
     return time.monotonic() - began
 
 
@@ -87,6 +89,7 @@ def take(page: Any, out: Path, moment: str) -> None:
             page.set_viewport_size(size)
             page.emulate_media(color_scheme=theme)
             page.evaluate("scrollTo(0, 0)")  # what stays in sight while one scrolls is where it belongs
+            page.wait_for_function(PICTURED)
             page.wait_for_timeout(SETTLED)
             save(page.screenshot(full_page=True), out / f"{moment}-{kind}-{theme}.png")
 
@@ -94,7 +97,7 @@ def take(page: Any, out: Path, moment: str) -> None:
 def save(shot: bytes, path: Path) -> None:
     """Write a picture with few colours, so that it stays small."""
     picture = Image.open(BytesIO(shot)).convert("RGB")
-    picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).save(
+    picture.quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).save(
         path, optimize=True
     )
     say(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB")

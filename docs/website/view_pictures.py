@@ -40,8 +40,7 @@ def address(commands: Commands, run: str) -> str:
 def grasp(chromium: Any, place: str, out: Path) -> None:
     """A chosen grasp with its frames, and two grasps beside each other, on a desk."""
     page = opened(chromium, place, color_scheme="light")
-    for key in ("n", "+", "+"):
-        page.locator("#scene").press(key)
+    page.keyboard.press("n")
     page.locator("#grasp h4").wait_for()
     take(page, out / "grasp-desktop-light.png")
     page = opened(chromium, place, color_scheme="light")
@@ -58,6 +57,8 @@ def filtered(chromium: Any, place: str, out: Path) -> None:
         page = opened(chromium, place, phone=phone, color_scheme="dark")
         page.get_by_label("Synergy").select_option(index=1)
         page.get_by_label("z lowest").evaluate(SLIDE, 3)
+        page.locator("#scene").press("-")  # the box is larger than the cells
+        page.locator("#scene").blur()
         take(page, out / f"{name}.png", full_page=phone)
 
 

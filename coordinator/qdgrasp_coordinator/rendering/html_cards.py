@@ -41,7 +41,8 @@ def card(title: str, picture: NDArray[np.uint8] | Image.Image | None, figures: I
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """Return a table of cells that are HTML already."""
+    """Return a table of cells that are HTML already; it scrolls where it is wider than the page."""
     heads = "".join(f'<th style="{CELL}">{escape(word)}</th>' for word in head)
     rows = ("".join(f'<td style="{CELL}">{cell}</td>' for cell in line) for line in lines)
-    return f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+    body = "".join(f"<tr>{row}</tr>" for row in (heads, *rows))
+    return f'<div style="overflow-x:auto"><table>{body}</table></div>'

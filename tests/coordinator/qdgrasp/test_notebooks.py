@@ -121,6 +121,7 @@ def test_a_campaign_is_shown_run_by_run(tmp_path: Path) -> None:
     assert f"{len(opened)} runs, the first 12" in card.words
     for name in opened.names[:12]:
         assert name in card.words
+    assert "/" not in card.words  # objects by their names, not their files
 
 
 @pytest.mark.parametrize("kind", ["run", "grasp", "grasps", "hand", "campaign"])

@@ -102,6 +102,7 @@ def _scaled(number: float) -> tuple[float, int]:
 
 
 GAP = 2  # characters between columns
+LONG_NAME = 40  # cells: up to this length names of runs come before figures; their ends tell them apart
 
 Row = TypeVar("Row")
 Lines = list[Text]
@@ -116,7 +117,7 @@ class TableColumn(Generic[Row]):
     width: int  # The least width
     rank: int = 0  # Columns of a greater rank are left out first, those of rank 0 never
     align: Literal["left", "right"] = "right"
-    grows: bool = False  # True for the column that takes the width that is left
+    grows: bool = False  # True for a column that takes what it needs of the width that is left
 
 
 def table_lines(
@@ -133,9 +134,12 @@ def table_lines(
     filled = [column for column in columns if column.title or any(column.value(row).strip() for row in rows)]
     shown = fitting_columns(filled, width)
     widths = [column.width for column in shown]
-    for number in [number for number, column in enumerate(shown) if column.grows][:1]:
-        needed = max([cell_len(shown[number].value(row)) for row in rows], default=0)
-        widths[number] += max(0, min(width - _total(shown), needed - widths[number]))
+    room = width - _total(shown)
+    for number, column in enumerate(shown):
+        needed = max([cell_len(column.value(row)) for row in rows], default=0)
+        more = max(0, min(room, needed - widths[number])) if column.grows else 0
+        widths[number] += more
+        room -= more
 
     def line(values: Sequence[str], style: str) -> Text:
         cells = zip(shown, values, widths, strict=True)
@@ -212,11 +216,17 @@ def time_left(view: JobView) -> str:
     return "-" if seconds is None else span_text(seconds)
 
 
+def _end(run: RunStatus) -> str:
+    return run.trouble or run.finished
+
+
 def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     """Return the table of a job's runs: those in progress first, then the latest that ended."""
     runs = [run for run in view.runs if not run.finished] + [run for run in view.runs[::-1] if run.finished]
+    longest = max([cell_len(glyphs.text(run.run)) for run in runs], default=0)
+    name = max(16, min(longest, LONG_NAME, width - 17))  # beside it stand at least two columns
     columns: list[TableColumn[RunStatus]] = [
-        TableColumn("run", lambda run: glyphs.text(run.run), 16, align="left", grows=True),
+        TableColumn("run", lambda run: glyphs.text(run.run), name, align="left", grows=True),
         TableColumn("evaluations", lambda run: count_text(run.evaluations), 11, rank=1),
         TableColumn("done", lambda run: percent_text(run.done, 1.0), 5),
         TableColumn("eval/s", lambda run: _speed(view, run), 6, rank=5),
@@ -224,7 +234,7 @@ def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
         TableColumn("success", lambda run: percent_text(run.successes, run.evaluations), 7, rank=4),
         TableColumn("robust", lambda run: count_text(run.robust), 8, rank=3),
         TableColumn("errors", lambda run: count_text(run.errors), 6, rank=6),
-        TableColumn("", lambda run: glyphs.text(run.trouble or run.finished), 12, rank=7, align="left"),
+        TableColumn("", lambda run: glyphs.text(_end(run)), 12, rank=7, align="left", grows=True),
     ]
     return table_lines(columns, runs, width, glyphs, _run_style)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from msgspec import Struct, structs
 from rich.cells import cell_len
 from rich.console import Console
-from tests.coordinator.monitor.sample_jobs import ENDPOINT, NOW, event, figures, job, shown, worker
+from tests.coordinator.monitor.sample_jobs import ENDPOINT, NOW, event, figures, job, run, shown, worker
 
 from qdgrasp_coordinator.campaign.object_library import SkippedObject
 from qdgrasp_coordinator.campaign.object_table import ObjectRun, list_objects
@@ -391,6 +391,16 @@ def test_a_bar_is_full_when_the_budget_is_spent(evaluations: int, full: float) -
     marks = words.count("#") + words.count(".")
     assert len(words) == 80
     assert words.count("#") == int(full * marks)
+
+
+def test_runs_whose_names_end_alike_are_told_apart_at_80_columns() -> None:
+    long = [f"panda-tennis_ball-aimed-s{seed}" for seed in (0, 1)]
+    listed = structs.replace(job(runs=2), runs=[run(name, finished="the budget is spent") for name in long])
+    for width, last in ((80, "robust"), (160, "the budget is spent")):
+        lines = [line.plain for line in tables.run_list(listed, width, UNICODE)]
+        assert {line.split()[0] for line in lines[1:]} == set(long)
+        assert last in "".join(lines)
+    assert all(cell_len(line.plain) <= 40 for line in tables.run_list(listed, 40, UNICODE))
 
 
 def test_a_run_is_drawn_over_evaluations_and_many_runs_over_time() -> None:

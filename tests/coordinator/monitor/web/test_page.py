@@ -15,6 +15,7 @@ from tests.coordinator.monitor.sample_jobs import curve, run, values
 from tests.coordinator.monitor.web.conftest import BUDGET, STEP, FakeFeed, FakeLibrary, serving
 
 from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings, to_json
+from qdgrasp_protocol.keys import Keys
 
 pytestmark = browser.needed
 Page = Any
@@ -154,6 +155,10 @@ def test_before_a_run_has_begun_the_view_says_what_it_waits_for(look: Look) -> N
         page = look(f"{place}/#job=mugs")
         words = "Shapes that are being built: mug. 7 runs wait; grasps appear here when one begins."
         expect(page.locator("#scene-empty")).to_have_text(words)
+        expect(page.get_by_role("button", name="Next grasp")).to_be_hidden()
+        expect(page.locator("#runs")).to_be_hidden()
+        expect(page.locator(".found .plot[data-none], .speed .plot[data-none]")).to_have_count(3)
+        expect(page.locator("canvas:visible")).to_have_count(1)  # the view's
         page.context.close()
 
 
@@ -216,6 +221,7 @@ def test_a_job_that_is_not_heard_of_is_waited_for(look: Look) -> None:
     with serving(feed) as place:
         page = look(f"{place}/#job=mug")
         expect(page.get_by_role("heading", name="Nothing is heard of the job mug")).to_be_visible()
+        expect(page.get_by_text("hears no coordinator")).to_have_count(0)  # of other jobs it may hear some
         feed.step()
         expect(page.locator("#name")).to_have_text("mug")
 
@@ -261,6 +267,10 @@ def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None
         expect(page.locator("#state")).to_contain_text("ended")
         expect(page.locator("#link")).to_have_text("all is over")
         expect(page.locator("#workers-words")).to_have_text("nobody works: the job has ended")
+        expect(page.locator("#workers")).to_be_hidden()
+        expect(page.locator("#origin")).to_have_text("coordinator on head, epoch 2, version 0")  # up no more
+        left = re.compile(r"^[\d\s]+ cells are in the run's folder: qdgrasp view$")
+        expect(page.locator("#scene-words")).to_have_text(left)
 
 
 def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str) -> None:
@@ -306,6 +316,20 @@ def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: 
         "() => [...document.querySelectorAll('.panel')].map((node) => node.getBoundingClientRect().right)"
     )
     assert max(page.evaluate(panels)) <= PHONE["width"]
+
+
+def test_a_phone_shows_the_chosen_job_and_runs_of_long_names_with_their_figures(look: Look) -> None:
+    feed = FakeFeed()
+    for job in ("bottles", "boxes", "cups", "mugs"):
+        told = {key: value for key, value in values(job).items() if "/stat/run/" not in key}
+        told[Keys(job).stat("run/long")] = to_json(run("panda-tennis_ball-aimed-s0-sigma0_05"))
+        feed.jobs.receive_answers(told, time.time() + browser.PATIENCE)
+    with serving(feed) as place:
+        page = look(f"{place}/#job=mugs", phone=True)
+        for part in ("#jobs [aria-current]", "#runs tbody td[data-name=cells] >> nth=0"):
+            box = page.locator(part).bounding_box()
+            assert box["x"] + box["width"] <= PHONE["width"], part
+        page.context.close()
 
 
 def test_whatever_can_be_used_has_a_name(look: Look, place: str) -> None:

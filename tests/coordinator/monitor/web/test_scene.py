@@ -582,6 +582,26 @@ def test_the_card_says_which_frame_is_meant(filtered: Page) -> None:
     expect(names).to_have_text(["object (centre of mass)", "hand (palm)"])
 
 
+FRAMES = """() => [...document.querySelectorAll(".scene-frames > g")].map((frame) => {
+  const { x, width } = frame.querySelector(".name").getBBox(), lines = [...frame.querySelectorAll("line")];
+  const along = (line, axis) => line[`${axis}2`].baseVal.value - line[`${axis}1`].baseVal.value;
+  const length = (line) => Math.hypot(along(line, "x"), along(line, "y"));
+  return [x, x + width, lines[0].x1.baseVal.value, Math.max(...lines.map(length))];
+})"""
+"""Of each frame: from where to where its name goes, where its origin is, and its longest axis [px]."""
+
+
+def test_names_of_frames_stand_beside_them_and_axes_are_seen_from_afar(filtered: Page) -> None:
+    filtered.locator("#scene").press("n")
+    expect(filtered.locator(".scene-frames .name")).to_have_count(2)
+    for _ in range(20):
+        filtered.locator("#scene").press("-")
+    filtered.wait_for_function(f"() => ({FRAMES})().every(([, , , longest]) => longest < 27)")
+    for left, right, origin, longest in filtered.evaluate(FRAMES):
+        assert not left <= origin <= right
+        assert longest > 20
+
+
 def test_frames_may_be_left_out(filtered: Page) -> None:
     filtered.locator("#scene").press("n")
     expect(filtered.locator(".scene-frames")).to_be_visible()

@@ -36,9 +36,17 @@ function show() {
   setText(find("strangers"), state.strangers.length ? `Of another version, and not shown: ${state.strangers.join(", ")}` : "");
   find("empty").hidden = Boolean(job);
   find("chosen").hidden = !job;
-  setText(find("empty").querySelector("h2"), selection.job ? `Nothing is heard of the job ${selection.job}` : "No job yet");
+  explain(find("empty"), selection.job);
   document.title = job ? `${job.job}, ${job.state} – qdgrasp` : "qdgrasp monitor";
   if (job) for (const panel of panels) panel.show(job, run, state.at);
+}
+
+/** Say why nothing is shown, and what to do. */
+function explain(node, job) {
+  const [title, words, command] = node.children;
+  setText(title, job ? `Nothing is heard of the job ${job}` : "No job yet");
+  setText(words, job ? "It will appear here by itself when its coordinator is heard." : "The monitor is there, and hears no coordinator. Start one, and it will appear here by itself:");
+  command.hidden = Boolean(job);
 }
 
 function receive(news) {

@@ -9,6 +9,7 @@ class Plot {
   #plot = null;
   #data = [[]];
   #shape = "";
+  #isLine = false; // one point is no line
   #near = null; // the number of the line near the cursor
 
   /**
@@ -28,8 +29,10 @@ class Plot {
    */
   show(series, data) {
     this.#data = data;
-    const shape = JSON.stringify(series);
+    this.#isLine = data[0].at(-1) > data[0][0];
+    const shape = JSON.stringify([this.#isLine, series]);
     this.series = series;
+    setAttribute(this.root, "data-none", !this.#isLine);
     if (shape !== this.#shape) {
       this.#shape = shape;
       this.#draw();
@@ -43,7 +46,7 @@ class Plot {
     this.#plot?.destroy();
     this.#plot = null;
     const { width, height } = this.root.getBoundingClientRect();
-    if (!width || !this.series.length) return;
+    if (!width || !this.#isLine) return;
     this.#plot = new uPlot(this.#options(width, height), this.#data, this.root);
   }
 
@@ -67,7 +70,7 @@ class Plot {
     return {
       width,
       height,
-      padding: [10, 22, 0, 0],
+      padding: [10, 30, 0, 0],
       legend: { show: false },
       cursor: { y: false, points: { size: 6 }, focus: { prox: 24 }, drag: { x: false, y: false } },
       focus: { alpha: 0.3 },
@@ -82,8 +85,11 @@ class Plot {
   }
 
   #across(places) {
-    const step = places.length > 1 ? places[1] - places[0] : 1;
-    return places.map((place) => (this.timed ? time(new Date(1000 * place)).slice(0, step % 60 ? 8 : 5) : this.across(place)));
+    const step = places.length > 1 ? places[1] - places[0] : places[0]; // of whole minutes seconds are left out
+    return places.map((place) => {
+      if (!this.timed) return this.across(place);
+      return place % 1 ? "" : time(new Date(1000 * place)).slice(0, step % 60 ? 8 : 5);
+    });
   }
 
   #line({ colour: name, width = 1.5, dash, fill }, colour) {
@@ -194,7 +200,8 @@ export class CurvePanels {
 }
 
 function speed(number) {
-  return Number.isInteger(number) ? count(number) : rate(number);
+  if (Number.isInteger(number)) return count(number);
+  return number < 1 ? number.toFixed(2) : rate(number);
 }
 
 /** Columns of a run from its beginning until now: evaluations, cells, successes, robust ones. */

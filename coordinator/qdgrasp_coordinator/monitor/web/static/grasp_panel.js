@@ -85,7 +85,9 @@ export class GraspPanel {
   #writeStatus(words = this.#status) {
     this.#status = words;
     const unread = this.#view?.objects ? this.#unread() : 0;
-    setText(this.words, unread > 0 ? `${words.replace(/\.$/, "")}; ${several(unread, "more is", "more are")} in the run's folder: qdgrasp view` : words);
+    if (unread <= 0) return setText(this.words, words);
+    const more = this.#view.cells.size ? `${words.replace(/\.$/, "")}; ${several(unread, "more is", "more are")}` : several(unread, "cell is", "cells are");
+    setText(this.words, `${more} in the run's folder: qdgrasp view`);
   }
 
   #connect(view) {

@@ -38,7 +38,8 @@ export class SummaryPanel {
 
   #origin(job, run, now) {
     const { host, epoch, since, version } = job.meta;
-    const coordinator = `coordinator on ${host}, epoch ${epoch}, up ${span(now - Date.parse(since) / 1000)}, version ${version}`;
+    const up = OVER.includes(job.state) ? "" : `, up ${span(now - Date.parse(since) / 1000)}`;
+    const coordinator = `coordinator on ${host}, epoch ${epoch}${up}, version ${version}`;
     const what = run && `${run.method} with ${run.gripper} on ${run.object}, seed ${run.seed}, protocol ${run.protocol}`;
     setText(this.find("origin"), what || coordinator);
   }

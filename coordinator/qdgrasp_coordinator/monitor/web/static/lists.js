@@ -12,6 +12,8 @@ export class JobList {
   }
 
   show(jobs, chosen) {
+    const isNew = this.chosen !== chosen;
+    this.chosen = chosen;
     updateChildren(this.root, jobs, ({ job }) => job, jobItem, (item, job) => {
       const link = item.firstElementChild;
       const [name, done, bar] = link.children;
@@ -25,6 +27,7 @@ export class JobList {
       bar.max = whole;
       bar.value = evaluations;
     });
+    if (isNew) this.root.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
   }
 }
 
@@ -49,6 +52,7 @@ export class RunPanel {
     this.panel = find("runs-panel");
     this.words = find("runs-words");
     this.all = find("all-runs");
+    this.scroll = find("runs").parentElement;
     this.table = new Table(find("runs"), RUN_COLUMNS, {
       caption: "Runs of the job; the buttons in the first row sort them",
       key: ({ run }) => run,
@@ -61,6 +65,7 @@ export class RunPanel {
     setAttribute(this.all, "href", Selection.address(job.job));
     setAttribute(this.all, "aria-current", chosen || job.object ? null : "true");
     setText(this.words, job.object ? `${several(runs.length, "run")} of ${job.object} ${runs.length === 1 ? "has" : "have"} begun` : allRuns(job.figures));
+    this.scroll.hidden = !runs.length;
     this.table.show(runs, ({ run, finished }) => `${finished ? "ended" : ""} ${run === chosen?.run ? "chosen" : ""}`.trim());
   }
 }
@@ -88,6 +93,7 @@ const WORKER_COLUMNS = [
 export class WorkerPanel {
   constructor(find) {
     this.words = find("workers-words");
+    this.scroll = find("workers").parentElement;
     this.table = new Table(find("workers"), WORKER_COLUMNS, {
       caption: "Workers; the buttons in the first row sort them",
       key: ({ wid }) => wid,
@@ -106,6 +112,7 @@ export class WorkerPanel {
 
   #fill(words, workers) {
     setText(this.words, words);
+    this.scroll.hidden = !workers.length;
     this.table.show(workers, ({ state }) => state);
   }
 }

@@ -13,7 +13,7 @@ export class Legend {
     this.kinds = element("ul", { "aria-label": "Cells by the best grasp shown in them; press one to leave out or show such grasps" });
     this.frames = this.#button("Frames", "Draw the frames of a chosen grasp (F)", (view) => (view.showsFrames = !view.showsFrames));
     this.cut = this.#button("Cut open", "Leave out the cells toward you on the right (C)", (view) => (view.cut = !view.cut));
-    this.steps = element("div", { class: "steps" },
+    this.steps = element("div", { class: "steps", hidden: true },
       this.#button("‹", "Previous grasp (P)", (view) => view.step(-1)), this.#button("›", "Next grasp (N)", (view) => view.step(1)),
       this.#button("Whole", "See everything again (Home)", (view) => view.home()), this.cut, this.frames);
     node.replaceChildren(this.kinds, this.steps);

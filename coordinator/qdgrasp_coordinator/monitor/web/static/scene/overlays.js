@@ -59,7 +59,8 @@ function setNumbers(node, attributes) {
 }
 
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
-const FRAME_ARM = 0.04; // m
+const FRAME_ARM = 0.04; // m: an axis of a frame,
+const LEAST_ARM = 26; // px: and not shorter than that around large objects
 const LETTER = 6.8; // px: about as wide as one
 const SAME = 1e-6; // m: nearer than that the mesh file's frame is the object's
 
@@ -90,9 +91,10 @@ export class FrameOverlay {
   /** Draw the frames where the projection puts them. */
   draw(projection) {
     if (!this.#isShown) return;
+    const length = Math.max(FRAME_ARM, LEAST_ARM / projection.scale);
     for (const { matrix, arms, name } of this.#frames) {
       const origin = new Vector3(matrix[3], matrix[7], matrix[11]), from = projected(projection, origin);
-      const tips = arms.map((_, k) => projected(projection, new Vector3(matrix[k], matrix[4 + k], matrix[8 + k]).multiplyScalar(FRAME_ARM).add(origin)));
+      const tips = arms.map((_, k) => projected(projection, new Vector3(matrix[k], matrix[4 + k], matrix[8 + k]).multiplyScalar(length).add(origin)));
       arms.forEach(({ line, letter }, k) => {
         setNumbers(line, { x1: from[0], y1: from[1], x2: tips[k][0], y2: tips[k][1] });
         setNumbers(letter, { x: from[0] + 1.2 * (tips[k][0] - from[0]), y: from[1] + 1.2 * (tips[k][1] - from[1]) + 4 });
