@@ -7,6 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+STEPS = 1000  # of 2 ms
+
 hand_file, object_file, grasps = sys.argv[1:]
 lines = Path(grasps).read_text().splitlines()
 facts = dict(line.removeprefix("# ").split(": ", 1) for line in lines if ": " in line)
@@ -22,7 +24,9 @@ body.add_freejoint()
 body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="object", mass=float(facts["object_mass"]), condim=6)
 for name in joints:
     servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.set_to_position(kp=500, kv=20)
+    is_slide = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
+    servo.set_to_position(**({"kp": 500, "kv": 20} if is_slide else {"kp": 20, "kv": 2}))
+    spec.joint(name).armature = 0.01  # the rotor's inertia, without which light fingers shake
 model = spec.compile()
 data = mujoco.MjData(model)
 
@@ -30,10 +34,13 @@ back, away = np.zeros(4), np.zeros(3)
 mujoco.mju_negQuat(back, np.array([float(best[name]) for name in ("qw", "qx", "qy", "qz")]))
 mujoco.mju_rotVecQuat(away, -np.array([float(best[name]) for name in "xyz"]), back)
 data.joint(model.body("object").jntadr[0]).qpos[:] = [*away, *back]
-for name in joints:  # open, and then twice as far as the joint came when it closed, to press
-    opened, closed = float(best[f"pregrasp.{name}"]), float(best[f"joint.{name}"])
-    data.joint(name).qpos[:], data.actuator(name).ctrl[:] = opened, 2 * closed - opened
-mujoco.mj_step(model, data, 1000)
+opened = np.array([float(best[f"pregrasp.{name}"]) for name in joints])
+closed = np.array([float(best[f"joint.{name}"]) for name in joints])
+for name, position in zip(joints, opened, strict=True):
+    data.joint(name).qpos[:] = position
+for step in range(STEPS):  # slowly, and in the end twice as far as the joint came when it closed, to press
+    data.ctrl[:] = opened + min(4 * step / STEPS, 2) * (closed - opened)
+    mujoco.mj_step(model, data)
 moved = 1000 * np.linalg.norm(data.body("object").xpos - away)
 print(
     f"grasp {best['number']}: {data.ncon} contacts after {data.time:.1f} s, the object moved {moved:.1f} mm"

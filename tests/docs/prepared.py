@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from tests.assets import example_hands, example_mjcf
-from tests.docs.pages import ROOT
+from tests.docs.pages import PUBLIC_HANDS, ROOT, blocks
 from tests.system.commands import Commands
 
 import qdgrasp
@@ -102,9 +102,9 @@ def bracket(_: Prepared, path: Path) -> None:
     trimesh.Trimesh(corners, caps + sides).export(path)
 
 
-def scan(_: Prepared, path: Path) -> None:
+def scan(_: Prepared, path: Path, radius: float = 0.03) -> None:
     """A ball with two holes."""
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     trimesh.Trimesh(ball.vertices, np.delete(ball.faces, [5, 100], axis=0), process=False).export(path)
 
 
@@ -119,6 +119,25 @@ def parts(_: Prepared, path: Path) -> None:
 def library(_: Prepared, path: Path) -> None:
     """A manifest of a mesh in the folder of meshes, and of one that is not there."""
     path.write_text("file,id,unit,density\nparts/lever.stl,acme-lever,mm,1200\nlost.stl,lost,mm,1200\n")
+
+
+def shelf(prepared: Prepared, path: Path) -> None:
+    """A folder of meshes in millimetres, two of them open, with the table that the page has."""
+    (path / "cups").mkdir(parents=True)
+    trimesh.creation.box((20, 20, 80)).export(path / "lever.stl")
+    trimesh.creation.icosphere(subdivisions=2, radius=25).export(path / "knob.ply")
+    scan(prepared, path / "ball.ply", radius=30)
+    trimesh.creation.annulus(30, 35, 80, sections=16).export(path / "cups" / "ring.stl")
+    pot = trimesh.creation.cylinder(radius=30, height=60)
+    is_lid = pot.face_normals[:, 2] > 0.9
+    trimesh.Trimesh(pot.vertices, pot.faces[~is_lid], process=False).export(path / "cups" / "pot.stl")
+    table, _ = blocks(ROOT / "docs" / "shelf-of-meshes.md", "csv")
+    (path / "shelf.csv").write_text(table.text)
+
+
+def shelf_runs(prepared: Prepared, path: Path) -> None:
+    asked = ("--gripper", "panda", "--protocol", "physical", "--evaluations", 20, "--skip-unusable")
+    prepared("campaign", prepared.make("shelf") / "shelf.csv", *asked, "--workers", 2, "--out", path)
 
 
 def my_hand(prepared: Prepared, path: Path) -> None:
@@ -190,10 +209,12 @@ MAKERS: dict[str, Maker] = {
     "all": runs,
     "S_G_panda_2f.npz": reference("runs/cube"),
     "S_G_part.npz": reference("runs/part-s0"),
-    "arch.stl": lambda _, path: example_hands.write_arch(path),
-    "arched.urdf": lambda _, path: path.write_text(example_hands.ARCHED_URDF) and None,
     "bracket.stl": bracket,
+    "cup.stl": lambda _, path: trimesh.creation.annulus(30, 35, 80, sections=16).export(path) and None,
     "deploy": campaigns,
+    "dex-urdf/robots/hands/leap_hand": lambda _, path: (
+        shutil.copytree(PUBLIC_HANDS / "leap_hand", path) and None
+    ),
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
     "gripper.xml": lambda _, path: path.write_text(example_mjcf.LINKAGE) and None,
     "grasps.yaml": grasps_file,
@@ -212,13 +233,15 @@ MAKERS: dict[str, Maker] = {
     **{f"runs/mug-s{seed}": run_of("mug", seed) for seed in range(2)},
     "runs/paper-small": campaign,
     "runs/part": run_of("part"),
+    "runs/shelf": shelf_runs,
     **{f"runs/part-s{seed}": run_of("part", seed) for seed in range(3)},
     "scan.ply": scan,
     "security": certificates,
+    "shelf": shelf,
     "spec.toml": lambda _, path: path.write_text(SPEC) and None,
 }
 """By the name that the pages give it."""
-BESIDE = {"arched.urdf": ("arch.stl",), "my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
+BESIDE = {"my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
 """Files that come with another one."""
 
 

@@ -16,9 +16,8 @@ from qdgrasp_assets.gripper_setup.closing_motion import PARALLEL, ClosingMotion
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.finger_contact import closing_leaders, stop_at_contact
 from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
-from qdgrasp_assets.gripper_setup.mended_copy import original_base
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
-from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
+from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable, OriginalBase
 from qdgrasp_assets.grippers.hand_model import (
     Finger,
     HandModel,
@@ -91,8 +90,9 @@ def draft_gripper(
         raise UnknownName("link", base, robot.links)
     known = earlier.closing if earlier is not None and earlier.file.base_link == base else None
     body = known.body if known else read_hand_model(robot, base)
-    _check_names(body, overrides)
-    closing = known or _closing(body, overrides)
+    if known:
+        _check_names(body, overrides)
+    closing = known or draft_closing(body, overrides)
     if not closing.fingers and not overrides.finger_links:
         limbs = [joint.child for joint in body.robot.joints if joint.moves]
         why = f"its moving links ({', '.join(limbs)}) have no <collision>"
@@ -101,7 +101,7 @@ def draft_gripper(
             f"{why if limbs else 'none of its joints moves'}; name another --base-link, or give the finger "
             "links collision shapes (--mend takes the visual ones)."
         )
-    axis, axis_reason = _axis(closing, overrides)
+    axis, axis_reason = draft_axis(closing, overrides)
     offset, offset_reason = overrides.palm_offset, AS_TOLD
     if offset is None:
         palm, is_met = grasp_inference.palm_surface(body, axis)
@@ -176,7 +176,25 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
                 raise ImpossibleValue(f"{label} {joint.name}", position, within)
 
 
-def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
+CENTRE = "_centre"  # Suffix of the name of an added base link
+
+
+def original_base(base_link: str, hand: Urdf) -> OriginalBase | None:
+    """Return the base link of a hand before one was added to it; None if none was."""
+    link = base_link.removesuffix(CENTRE)
+    joint = hand.joint(f"{base_link}_joint")
+    if link == base_link or joint is None or joint.moves or (joint.parent, joint.child) != (base_link, link):
+        return None
+    return OriginalBase(link=link, position=vector(joint.origin[:3, 3]))
+
+
+def draft_closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
+    """Return how a hand closes, up to the first contact of each finger.
+
+    Raises `UnknownName` if `overrides` name a link or joint that the hand does not have, and
+    `ImpossibleValue` for a joint beyond its limits.
+    """
+    _check_names(body, overrides)
     found = find_closing(body, overrides.finger_roots, overrides.not_closing)
     fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
@@ -188,7 +206,11 @@ def _closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
     return stop_at_contact(motion, synergies, overrides.closed)
 
 
-def _axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Floats, str]:
+def draft_axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Floats, str]:
+    """Return the approach axis, a unit vector (3,) in the base link's frame, and its reason.
+
+    Raises `ImpossibleValue` if that of `overrides` is no direction, and `AssetError` if none can be guessed.
+    """
     if overrides.approach_axis is not None:
         axis = np.array(overrides.approach_axis)
         if not np.linalg.norm(axis) > 0:

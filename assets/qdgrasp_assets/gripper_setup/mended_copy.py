@@ -20,14 +20,12 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.closing_search import find_closing
+from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
 from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
-from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.grippers.hand_model import contradicted_limits, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
-from qdgrasp_assets.scene import vector
 from qdgrasp_protocol.errors import AssetError
 
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]
@@ -156,18 +154,6 @@ def with_visual_shapes(robot: Urdf) -> Urdf:
     return replace(robot, element=element) if tuple(_shapes(element)) else robot
 
 
-CENTRE = "_centre"  # Suffix of the name of an added base link
-
-
-def original_base(base_link: str, hand: Urdf) -> OriginalBase | None:
-    """Return the base link of a hand before one was added to it; None if none was."""
-    link = base_link.removesuffix(CENTRE)
-    joint = hand.joint(f"{base_link}_joint")
-    if link == base_link or joint is None or joint.moves or (joint.parent, joint.child) != (base_link, link):
-        return None
-    return OriginalBase(link=link, position=vector(joint.origin[:3, 3]))
-
-
 @dataclass(frozen=True)
 class MendedCopy:
     """A mended copy of a hand."""
@@ -177,16 +163,17 @@ class MendedCopy:
     changes: tuple[str, ...]
 
 
-def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
+def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> MendedCopy | None:
     """Add a base link on the fingers' line before `base`; None where they close near its line.
 
-    Raises `AssetError` if a mesh is missing or cannot be read.
+    The hand approaches and closes as in its file, where `overrides` tell nothing else. Raises as
+    `draft_gripper` does.
     """
     body = read_hand_model(robot, base)
-    closing = find_closing(body)
+    closing = draft_closing(body, overrides)
     if not closing.fingers:
         return None
-    axis, centre = grasp_inference.approach_direction(closing), grasp_inference.grasp_centre(closing)
+    axis, centre = draft_axis(closing, overrides)[0], grasp_inference.grasp_centre(closing)
     if grasp_inference.axis_offset(closing, axis) <= BESIDE:
         return None
     place = (centre - (centre @ axis) * axis).round(3) + 0.0
@@ -246,6 +233,7 @@ def mended_copy(
     tell: Tell,
     *,
     may_centre: bool,
+    overrides: DraftOverrides | None = None,
     as_it_is: bool = False,
     time_limit: float = TIME_LIMIT,
 ) -> Iterator[MendedCopy]:
@@ -255,9 +243,10 @@ def mended_copy(
 
     It replaces an older copy at once. Where the with-block fails, what was there before is there again.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
-    fingers close beside its line of approach. A hollow mesh stays a hull where CoACD takes more than
-    `time_limit` [s] by the clock at one concavity. Raises `AssetError` if a mesh is missing or cannot be
-    read, CoACD failed, or the copy cannot be written; or something else than an older copy is there.
+    fingers close beside its line of approach, with the `overrides` that the draft of its file will have. A
+    hollow mesh stays a hull where CoACD takes more than `time_limit` [s] by the clock at one concavity.
+    Raises `AssetError` if a mesh is missing or cannot be read, CoACD failed, or the copy cannot be written;
+    or something else than an older copy is there; and what `draft_gripper` raises.
     """
     check_replaceable(robot, toml)
     urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)
@@ -273,7 +262,11 @@ def mended_copy(
             else:
                 mended = mend(robot, base, names[1], tell, time_limit)
             origin = robot.path.name
-            copy = _write_copy(mended, base, new / urdf.name, origin, may_centre=may_centre)
+            copy = _write_copy(mended, base, new / urdf.name, origin)
+            centred = centre_base(copy.robot, base, overrides or DraftOverrides()) if may_centre else None
+            if centred is not None:
+                _write_urdf(centred.robot.element, new / urdf.name, origin)
+                copy = replace(centred, changes=(*copy.changes, *centred.changes))
         try:
             with _writing(urdf):
                 _move_files(names, toml.parent, old)
@@ -285,19 +278,14 @@ def mended_copy(
             raise
 
 
-def _write_copy(mended: Mended, base: str, urdf: Path, origin: str, *, may_centre: bool) -> MendedCopy:
+def _write_copy(mended: Mended, base: str, urdf: Path, origin: str) -> MendedCopy:
     """Write the copy of file `origin`: its URDF to `urdf`, its meshes to their paths from there."""
     element, meshes, changes = mended
     for name, content in meshes.items():
         (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (urdf.parent / name).write_bytes(content)
     _write_urdf(element, urdf, origin)
-    copied = read_urdf(urdf)
-    centred = centre_base(copied, base) if may_centre else None
-    if centred is None:
-        return MendedCopy(copied, base, changes)
-    _write_urdf(centred.robot.element, urdf, origin)
-    return replace(centred, changes=(*changes, *centred.changes))
+    return MendedCopy(read_urdf(urdf), base, changes)
 
 
 def _write_urdf(element: ET.Element, path: Path, origin: str) -> None:

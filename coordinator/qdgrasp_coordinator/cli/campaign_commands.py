@@ -71,6 +71,7 @@ def campaign(
         list[int] | None, typer.Option(help="With --objects: may be repeated; default 0.")
     ] = None,
     protocol: options.ProtocolOption = None,
+    engine: options.EngineOption = None,
     diversity: options.Diversity = None,
     grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[
@@ -149,6 +150,7 @@ def campaign(
         "method": method,
         "seed": seed,
         "protocol": protocol,
+        "engine": engine,
         "diversity": diversity,
         "grasps_per_cell": grasps_per_cell,
         "evaluations": evaluations,

@@ -304,7 +304,13 @@ def _usable_robot(
     may_centre = mend and given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
     mending = mended_copy(
-        robot, base, file.path, _print_examination, may_centre=may_centre, as_it_is=not mend
+        robot,
+        base,
+        file.path,
+        _print_examination,
+        may_centre=may_centre,
+        overrides=given,
+        as_it_is=not mend,
     )
     copy = until_written.enter_context(mending)
     for change in copy.changes or (("nothing had to be",) if mend else ()):

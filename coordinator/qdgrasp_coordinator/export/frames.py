@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
-from qdgrasp_assets.gripper_setup.mended_copy import original_base
+from qdgrasp_assets.gripper_setup.draft import original_base
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import SceneGripper, SceneObject

@@ -1,15 +1,18 @@
 """Mended copies of hands can be used, and hollow links are found."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from tests.assets import synthetic_hands
 from tests.assets.example_hands import BOX, INERTIA, write_arch
 
 from qdgrasp_assets.asset_report import examine, hand_faults
 from qdgrasp_assets.geometry.mesh import join, parts_to_obj
 from qdgrasp_assets.geometry.primitives import hull
+from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
@@ -147,6 +150,21 @@ def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw
     assert "a new one at (0.08 0 0) m in the frame of 'palm'" in copy.changes[-1]
     file = read_gripper_file(jaw_urdf.parent / "own.toml")
     assert file.original_base == OriginalBase(link="palm", position=(-0.08, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "told",
+    [{}, {"closed": {"thumb_curl": 0.2}}, {"approach_axis": (0.0, 0.8, -0.6)}],
+    ids=["guessed", "closed", "approach axis"],
+)
+def test_the_base_link_is_where_the_fingers_of_the_file_close(tmp_path, told):
+    urdf, target, overrides = tmp_path / "hand.urdf", tmp_path / "own.toml", DraftOverrides(**told)
+    urdf.write_text(synthetic_hands.THUMB_HAND)
+    arguments = read_urdf(urdf), "palm", target, lambda _: None
+    with mended_copy(*arguments, may_centre=True, overrides=overrides) as copy:
+        draft = draft_gripper(copy.robot, "own.urdf", replace(overrides, base_link=copy.base))
+    assert copy.base == "palm_centre"
+    assert grasp_inference.axis_offset(draft.closing, np.array(draft.file.approach_axis)) < 1e-3
 
 
 @pytest.mark.parametrize(

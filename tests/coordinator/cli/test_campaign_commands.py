@@ -67,6 +67,11 @@ def test_the_budget_of_meshes_is_their_cap(asked: Asked) -> None:
     assert (spec.evaluations, spec.grasps) == (4000, 300)
 
 
+def test_meshes_are_grasped_under_the_protocol_and_in_the_engine_that_are_said(asked: Asked) -> None:
+    (spec,) = asked(f"{MESHES} --protocol physical --engine mujoco").runs.values()
+    assert (spec.protocol, spec.engine) == ("physical", "mujoco")
+
+
 def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(
     asked: Asked, tmp_path: Path
 ) -> None:
