@@ -10,9 +10,10 @@ import itertools
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from math import inf, isnan, nan
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +24,7 @@ from tests.fakes.messages import join_message, result_message
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement
+from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
@@ -144,6 +146,7 @@ class FleetSimulation:
         self._count = itertools.count()
         self._inbox: deque[Callable[[], None]] = deque()
         self._is_at_work = False
+        self._wakes_at = inf
         self._useful: list[tuple[float, float, int]] = []
         """When batches were settled, what they took, and their rows."""
         self._leased: list[tuple[float, int]] = []
@@ -237,8 +240,20 @@ class FleetSimulation:
         self._is_at_work = bool(self._inbox)
         if self._inbox:
             self._at(self.now, self._turn)
-        elif self._workers.next_deadline() < inf:
-            self._at(max(self.now, self._workers.next_deadline()) + 0.01, lambda: self._arrive(_nothing))
+        else:
+            self._wake(min(self.now + MOST_WAIT, max(self.now, self._workers.next_deadline()) + 0.01))
+
+    def _wake(self, time: float) -> None:
+        """Have the coordinator look at what is due, at the latest at a time."""
+        if time < self._wakes_at:
+            self._wakes_at = time
+            self._at(time, self._look)
+
+    def _look(self) -> None:
+        self._wakes_at = inf
+        if not self._is_at_work:
+            self._is_at_work = True
+            self._step()
 
     def _ask(self) -> None:
         """Queue what may be asked; what rows cost is known from the first one on."""
@@ -358,14 +373,11 @@ def row_times(chance: np.random.Generator, n: int, slow: float = 0.0) -> NDArray
     return times / (1.0 + slow * (SLOW - 1.0))
 
 
-def _nothing() -> None:
-    """Nothing happened but time."""
-
-
 SIZES = (10, 30, 100, 300, 1000, 3000)
 """Workers."""
 SETTLED, SETTLED_EACH, SETTLED_OF_ONE = 4000, 16, 16_000
 """Batches of a point of many runs, in all and more for each worker; of a point of one run that goes on."""
+RUNS = 8  # Runs of a point of whole runs: a few slow rows decide how long one takes
 FREEZING = 20.0
 """Duration of a point with workers that freeze [s]."""
 
@@ -427,12 +439,15 @@ class Point:
 
 
 def measure(line: Line, workers: int) -> Point:
-    """A point: a run from its beginning to its end, or, where runs go on, the second half of its time."""
+    """A point: the mean of runs from beginning to end, or, where runs go on, the second half of its time."""
     task, profile = line.task, WorkerProfile(workers // line.task.shards, **line.profile)
-    fleet = FleetSimulation(profile, task, seed=workers)
     if task.runs == 1 and task.genomes < MANY:
-        figures = fleet.play(inf, MANY, since=0.0)
+        whole = [FleetSimulation(profile, task, seed).play(inf, MANY, since=0.0) for seed in range(RUNS)]
+        figures = Figures(
+            **{one.name: fmean(getattr(run, one.name) for run in whole) for one in fields(Figures)}
+        )
     else:
+        fleet = FleetSimulation(profile, task, seed=workers)
         some = SETTLED_OF_ONE if task.runs == 1 else SETTLED + SETTLED_EACH * profile.workers
         freezes = "freeze" in line.profile
         figures = fleet.play(FREEZING if freezes else inf, MANY if freezes else some)

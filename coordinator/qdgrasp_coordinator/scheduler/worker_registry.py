@@ -24,8 +24,9 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
 
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
-STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 2.0, 4
+STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 4
 """Age of a lease after which an idle worker gets the batch too: so many seconds, or median turnarounds."""
+FIRST_STRAGGLER_SECONDS = 2.0  # The same while no batch has been answered: scenes are made first
 LEASE_TURNAROUNDS = 10  # A lease may take so many times the 95th percentile of turnarounds, if that is longer
 TURNAROUNDS_KEPT = 256
 
@@ -36,7 +37,7 @@ class LeaseTimeout:
     def __init__(self) -> None:
         self._turnarounds: deque[float] = deque(maxlen=TURNAROUNDS_KEPT)
         self._limit: float | None = LEASE_SECONDS
-        self._straggling: float | None = STRAGGLER_SECONDS
+        self._straggling: float | None = FIRST_STRAGGLER_SECONDS
 
     def measure(self, seconds: float) -> None:
         """Record the time from lease to result of a batch [s]."""
@@ -55,7 +56,7 @@ class LeaseTimeout:
 
     @property
     def straggling(self) -> float:
-        """Age [s] after which a lease is a straggler's: max(2 s, 4 x the median turnaround)."""
+        """Age [s] after which a lease is a straggler's: max(0.25 s, 4 x the median turnaround)."""
         if self._straggling is None:
             typical = sorted(self._turnarounds)[len(self._turnarounds) // 2]
             self._straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * typical)

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_ROWS, CHECKED_SHA
 from qdgrasp_coordinator.scheduler.worker import SICK_SECONDS, TOKEN_GRACE
 from qdgrasp_coordinator.scheduler.worker_registry import (
     AWAY_SECONDS,
+    FIRST_STRAGGLER_SECONDS,
     LEASE_SECONDS,
     SICK_FAULTS,
     STRAGGLER_SECONDS,
@@ -179,13 +180,22 @@ def test_a_few_faults_among_many_good_rows_make_nobody_sick() -> None:
 def test_what_a_straggler_holds_is_leased_to_an_idle_worker_too_and_the_first_answer_counts() -> None:
     dispatch = pool(ANN, EVE, n=4, batch_size=4)
     (slow,) = dispatch.leases(0.0)
-    assert dispatch.leases(STRAGGLER_SECONDS - 0.1) == []
-    (second,) = dispatch.leases(STRAGGLER_SECONDS)
+    assert dispatch.leases(FIRST_STRAGGLER_SECONDS - 0.1) == []
+    (second,) = dispatch.leases(FIRST_STRAGGLER_SECONDS)
     assert (second.wid, second.batch.id, second.attempt) == (EVE, slow.batch.id, 2)
-    settled = settle(dispatch, second, STRAGGLER_SECONDS + 0.5)
+    settled = settle(dispatch, second, FIRST_STRAGGLER_SECONDS + 0.5)
     assert (settled.kind, settled.superseded) == (Settlement.FRESH, (ANN,))
     assert settle(dispatch, slow, 9.0).kind is Settlement.LATE
     assert dispatch.counters["doubled"] == 1
+
+
+def test_batches_that_are_quick_have_a_straggler_sooner_and_slow_ones_later() -> None:
+    for turnaround, limit in ((0.05, STRAGGLER_SECONDS), (1.0, 4.0)):
+        dispatch = pool(ANN, EVE, n=8, batch_size=4)
+        leases = by_worker(dispatch.leases(0.0))
+        settle(dispatch, leases[EVE], turnaround)
+        assert dispatch.leases(limit - 0.01) == []
+        assert [lease.batch.id for lease in dispatch.leases(limit)] == [leases[ANN].batch.id]
 
 
 def test_a_batch_has_two_holders_at_most() -> None:
@@ -206,7 +216,7 @@ def test_a_batch_is_not_leased_to_a_second_worker_while_rows_wait() -> None:
 def test_a_batch_that_one_of_two_holders_loses_stays_with_the_other() -> None:
     dispatch = pool(ANN, EVE, n=4, batch_size=4)
     dispatch.leases(0.0)
-    (second,) = dispatch.leases(STRAGGLER_SECONDS)
+    (second,) = dispatch.leases(FIRST_STRAGGLER_SECONDS)
     dispatch.workers.on_token(ANN, False, 3.0)
     dispatch.give_up(3.0 + TOKEN_GRACE)
     assert dispatch.counters["requeued"] == 0
@@ -216,7 +226,7 @@ def test_a_batch_that_one_of_two_holders_loses_stays_with_the_other() -> None:
 def test_a_batch_that_both_holders_lose_is_queued_once() -> None:
     dispatch = pool(ANN, EVE, n=4, batch_size=4)
     dispatch.leases(0.0)
-    dispatch.leases(STRAGGLER_SECONDS)
+    dispatch.leases(FIRST_STRAGGLER_SECONDS)
     for wid in (ANN, EVE):
         dispatch.workers.on_token(wid, False, 3.0)
     dispatch.give_up(3.0 + TOKEN_GRACE)
@@ -232,7 +242,7 @@ def test_a_stopped_simulator_holds_its_batch_for_no_longer_than_a_straggler() ->
         for wid in (ANN, EVE):
             beat = Heartbeat(wid=wid, host="node", progressed=wid == EVE)
             dispatch.workers.on_heartbeat(wid, beat, second)
-    assert STRAGGLER_SECONDS < 4 < LEASE_SECONDS
+    assert FIRST_STRAGGLER_SECONDS < 4 < LEASE_SECONDS
     assert [(lease.wid, lease.batch.id) for lease in dispatch.leases(4.0)] == [(EVE, leases[ANN].batch.id)]
 
 
