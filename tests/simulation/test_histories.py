@@ -70,6 +70,17 @@ def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_
     assert session.join_at <= 2.0
 
 
+def test_a_worker_asks_the_coordinator_that_is_left_where_an_answer_outlives_its_sender() -> None:
+    """History 6404: the answer came after its coordinator's token had gone, and no other was asked."""
+    session = JobSession("job")
+    session.on_coordinator(2, True, 0.0)
+    session.on_coordinator(3, True, 0.0)
+    session.ask(2)
+    session.on_coordinator(2, False, 1.0)
+    assert session.on_answer(Joined(epoch=2, drop=[]), 1.5, 1.0)
+    assert session.join_at == 1.5 + RETRY_FIRST
+
+
 def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
     """The one that it serves knows of the join before only; what it leases would be passed over for ever."""
     session = JobSession("job")

@@ -130,7 +130,8 @@ class JobSession:
         """Take the answer to a join; False if it is of an older coordinator than the one known.
 
         The one that is known has not heard of this join then, and what it leases would not be taken: ask it
-        again, after a time that doubles, times the jitter.
+        again, after a time that doubles, times the jitter. The same holds where the coordinator that answered
+        is gone by now, and another one is there.
         """
         self.is_asking = False
         is_current = self.follows(answer.epoch)
@@ -139,12 +140,12 @@ class JobSession:
                 self._held.clear()
                 self.is_draining = False
             self.epoch = answer.epoch
-            self.is_orphaned = False
+            self.is_orphaned = answer.epoch not in self._coordinators
             self._drop(answer.drop)
+        if is_current and not self.is_orphaned:
             self._retry_pause = RETRY_FIRST
         else:
             self.join_later(now, jitter)
-        self.is_orphaned |= answer.epoch == self.epoch and answer.epoch not in self._coordinators
         return is_current
 
     def on_no_answer(self, now: float, jitter: float) -> None:
