@@ -24,7 +24,7 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
 
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
-STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 4
+STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 3
 """Age of a lease after which an idle worker gets the batch too: so many seconds, or median turnarounds."""
 FIRST_STRAGGLER_SECONDS = 2.0  # The same while no batch has been answered: scenes are made first
 LEASE_TURNAROUNDS = 10  # A lease may take so many times the 95th percentile of turnarounds, if that is longer
@@ -56,7 +56,7 @@ class LeaseTimeout:
 
     @property
     def straggling(self) -> float:
-        """Age [s] after which a lease is a straggler's: max(0.25 s, 4 x the median turnaround)."""
+        """Age [s] after which a lease is a straggler's: max(0.25 s, 3 x the median turnaround)."""
         if self._straggling is None:
             typical = sorted(self._turnarounds)[len(self._turnarounds) // 2]
             self._straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * typical)

@@ -190,7 +190,7 @@ def test_what_a_straggler_holds_is_leased_to_an_idle_worker_too_and_the_first_an
 
 
 def test_batches_that_are_quick_have_a_straggler_sooner_and_slow_ones_later() -> None:
-    for turnaround, limit in ((0.05, STRAGGLER_SECONDS), (1.0, 4.0)):
+    for turnaround, limit in ((0.05, STRAGGLER_SECONDS), (1.0, 3.0)):
         dispatch = pool(ANN, EVE, n=8, batch_size=4)
         leases = by_worker(dispatch.leases(0.0))
         settle(dispatch, leases[EVE], turnaround)
