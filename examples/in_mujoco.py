@@ -7,8 +7,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-STEPS = 1000  # of 2 ms
-
 hand_file, object_file, grasps = sys.argv[1:]
 lines = Path(grasps).read_text().splitlines()
 facts = dict(line.removeprefix("# ").split(": ", 1) for line in lines if ": " in line)
@@ -29,19 +27,14 @@ for name in joints:
     spec.joint(name).armature = 0.01  # the rotor's inertia, without which light fingers shake
 model = spec.compile()
 data = mujoco.MjData(model)
-
 back, away = np.zeros(4), np.zeros(3)
 mujoco.mju_negQuat(back, np.array([float(best[name]) for name in ("qw", "qx", "qy", "qz")]))
 mujoco.mju_rotVecQuat(away, -np.array([float(best[name]) for name in "xyz"]), back)
 data.joint(model.body("object").jntadr[0]).qpos[:] = [*away, *back]
-opened = np.array([float(best[f"pregrasp.{name}"]) for name in joints])
-closed = np.array([float(best[f"joint.{name}"]) for name in joints])
-for name, position in zip(joints, opened, strict=True):
-    data.joint(name).qpos[:] = position
-for step in range(STEPS):  # slowly, and in the end twice as far as the joint came when it closed, to press
-    data.ctrl[:] = opened + min(4 * step / STEPS, 2) * (closed - opened)
+opened, closed = (np.array([float(best[kind + name]) for name in joints]) for kind in ("pregrasp.", "joint."))
+data.qpos[[model.joint(name).qposadr[0] for name in joints]] = opened
+for step in range(1000):  # of 2 ms; in the end twice as far as the joint came when it closed, to press
+    data.ctrl[:] = opened + min(step / 250, 2) * (closed - opened)
     mujoco.mj_step(model, data)
 moved = 1000 * np.linalg.norm(data.body("object").xpos - away)
-print(
-    f"grasp {best['number']}: {data.ncon} contacts after {data.time:.1f} s, the object moved {moved:.1f} mm"
-)
+print(f"grasp {best['number']}: {data.ncon} contacts after {data.time:.1f} s, object moved {moved:.1f} mm")

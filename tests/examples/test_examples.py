@@ -156,7 +156,7 @@ def test_an_exported_grasp_is_held_by_the_hand_of_a_urdf_in_mujoco(
     )
     commands.succeed("export", "run", "--format", "csv", "--top", 1, "-o", "best.csv")
     said = scripts("in_mujoco.py", urdf, "part.stl", "best.csv")
-    found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, the object moved ([\d.]+) mm\n", said)
+    found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, object moved ([\d.]+) mm\n", said)
     assert found, said
     assert int(found[1]) >= 2
     assert float(found[2]) < most
