@@ -191,17 +191,22 @@ class Dispatcher:
         """Lease to idle workers what others have held for long; the others keep it."""
         late = self._batches.late(now - self._workers.lease_timeout.straggling)
         for worker in self._workers.idle(now) if late else ():
-            may_have = (state for state in late if self._may_double(worker, state))
-            state = None if worker.batches else next(may_have, None)
-            if state is None or not isinstance(state.batch, Batch):
+            if worker.batches or not late:
                 return
+            state = next((state for state in late if self._may_double(worker, state, now)), None)
+            if state is None or not isinstance(state.batch, Batch):
+                continue
             late.remove(state)
             self.counters["doubled"] += 1
             yield self._lease_batch(state.batch, worker, now)
 
-    def _may_double(self, worker: Worker, state: BatchState) -> bool:
-        needs_device = isinstance(state.batch, Batch) and state.batch.run.needs_device
-        return worker.wid not in state.leased and (worker.join.rows > 0 or not needs_device)
+    def _may_double(self, worker: Worker, state: BatchState, now: float) -> bool:
+        batch = state.batch
+        if not isinstance(batch, Batch) or worker.wid in state.leased:
+            return False
+        if batch.check is not None:
+            return self._may_have(worker, batch, now)
+        return worker.join.rows > 0 or not batch.run.needs_device
 
     def _lease_batch(self, batch: Batch, worker: Worker, now: float) -> Lease:
         return Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch)

@@ -48,14 +48,18 @@ class BatchTable:
         self._open.move_to_end(state.batch.id)
 
     def late(self, before: float) -> list[BatchState]:
-        """Return batches that one worker has held since before a time, those held for longest first."""
+        """Return batches that one worker has held since before a time, those held for longest first.
+
+        Rows on which others failed are not among them: they may end whoever evaluates them.
+        """
         found = []
         for state in self._open.values():
             if isinstance(state.batch, ShapeBuild) or not state.holders:
                 continue
             if max(state.holders.values()) > before:
                 break
-            if len(state.holders) == 1 and not state.batch.tried_by:
+            is_first = not state.batch.tried_by or state.batch.check is not None
+            if len(state.holders) == 1 and is_first:
                 found.append(state)
         return found
 

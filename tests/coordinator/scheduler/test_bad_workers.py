@@ -331,6 +331,22 @@ def test_a_liar_is_found_by_a_third_worker_and_its_rows_are_evaluated_again() ->
     assert dispatch.workers.get(EVE).state == "excluded"
 
 
+def test_a_check_that_a_straggler_holds_is_leased_to_a_third_worker_too() -> None:
+    dispatch = pool(ANN, EVE, FAY, n=4, batch_size=4, checked=1.0)
+    (first,) = dispatch.leases(0.0)
+    answer(dispatch, first, 0.05)
+    (check,) = dispatch.leases(1.0)
+    late = 1.0 + STRAGGLER_SECONDS
+    assert dispatch.leases(late - 0.01) == []
+    (second,) = dispatch.leases(late)
+    assert second.batch.id == check.batch.id
+    assert {first.wid, check.wid, second.wid} == {ANN, EVE, FAY}
+    assert answer(dispatch, second, late + 0.05) is Settlement.FRESH
+    assert released(dispatch) == [(first.wid, [0, 1, 2, 3])]
+    assert answer(dispatch, check, late + 1.0) is Settlement.LATE
+    assert (dispatch.counters["doubled"], dispatch.counters["differing"]) == (1, 0)
+
+
 def test_nothing_of_an_excluded_worker_counts_any_more() -> None:
     dispatch = confirmed(ANN, FAY)
     admit(dispatch, EVE, 1.0, credit=2)
