@@ -201,12 +201,8 @@ class Dispatcher:
             yield self._lease_batch(state.batch, worker, now)
 
     def _may_double(self, worker: Worker, state: BatchState, now: float) -> bool:
-        batch = state.batch
-        if not isinstance(batch, Batch) or worker.wid in state.leased:
-            return False
-        if batch.check is not None:
-            return self._may_have(worker, batch, now)
-        return worker.join.rows > 0 or not batch.run.needs_device
+        batch, is_new = state.batch, worker.wid not in state.leased
+        return is_new and isinstance(batch, Batch) and self._may_have(worker, batch, now)
 
     def _lease_batch(self, batch: Batch, worker: Worker, now: float) -> Lease:
         return Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch)

@@ -58,8 +58,8 @@ class BatchTable:
                 continue
             if max(state.holders.values()) > before:
                 break
-            is_first = not state.batch.tried_by or state.batch.check is not None
-            if len(state.holders) == 1 and is_first:
+            has_failed = state.batch.tried_by and state.batch.check is None
+            if len(state.holders) == 1 and not has_failed:
                 found.append(state)
         return found
 
