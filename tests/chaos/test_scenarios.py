@@ -152,10 +152,18 @@ def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(
     port = int(household.endpoint.rpartition(":")[2])
     with slow_link(port, ROUND_TRIP, LOSS) as link, cutting(link):
         late = [household.add_worker(f"{kind}-0", household.endpoint, CHAOS_BAD=kind) for kind in BAD]
-        for member in (*late, household.add_worker("far-0", f"tcp/{HOST}:{link.port}")):
+        late.append(household.add_worker("far-0", f"tcp/{HOST}:{link.port}"))
+        good = [household["worker-0"], household["worker-1"]]
+        for member in good:
+            member.send(signal.SIGSTOP)  # so that the run does not end before the others are there
+        for member in late:
             member.start()
-        wait_for(lambda: household["coordinator"].exit_code is not None, "the end", 300.0)
-    assert household["coordinator"].exit_code == 0, household["coordinator"].words
+        coordinator, joined = household["coordinator"], len(good) + len(late)
+        wait_for(lambda: coordinator.words.count("worker joined") >= joined, "all to join", 60.0)
+        for member in good:
+            member.send(signal.SIGCONT)
+        wait_for(lambda: coordinator.exit_code is not None, "the end", 300.0)
+    assert coordinator.exit_code == 0, coordinator.words
     household.end()
     assert digest_of(household.run) == expected
-    assert "a worker is excluded" in household["coordinator"].words
+    assert "a worker is excluded" in coordinator.words
