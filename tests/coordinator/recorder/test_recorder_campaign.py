@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tests.common import wait_for
 from tests.fakes.recorder import (
     BUNDLE,
     JOB,
@@ -130,7 +131,9 @@ def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, 
         coordinator.open_runs("a", scene="0" * 64)
         coordinator.open_runs("b", "c", epoch=1)
         coordinator.hears_durable(0, "c")
-    assert [RunFolder.open(path / "runs" / run).bundle() for run in "bc"] == [BUNDLE, BUNDLE]
+        folders = [RunFolder.open(path / "runs" / run) for run in "bc"]
+        wait_for(lambda: all(folder.has_bundle() for folder in folders), "the scene in both folders")
+    assert [folder.bundle() for folder in folders] == [BUNDLE, BUNDLE]
     assert len(asked) == len(set(asked)), "the scene was fetched more than once"
 
 
