@@ -2,38 +2,42 @@
 
 Each folder holds URDFs by the paths of `HANDS`, such as a checkout of dex-urdf; pybullet_data and the asset
 path are looked through too. Nothing is told to the guess. What is right was told by people who looked at
-pictures of the hands, as `--pictures DIR` draws them. `--evaluations 300` also evaluates random poses; hands
-with faults are mended for that, which takes minutes where meshes are split.
+pictures of the hands, as `--pictures DIR` draws them. `--evaluations 300` also runs the default search for so
+many evaluations on the scans of cube and cleanser, in folders of `--runs DIR`; hands with faults are mended
+for that, which takes minutes where meshes are split.
 """
 
 import argparse
+import re
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import qdgrasp
 from qdgrasp_assets.asset_paths import asset_folders
 from qdgrasp_assets.asset_report import examine_draft, examine_hand, hand_faults
-from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import layout
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, read_urdf
+from qdgrasp_coordinator.campaign.campaign_file import make_campaign
+from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
+from qdgrasp_coordinator.cli.options import cores
+from qdgrasp_coordinator.cli.run_commands import run_job
+from qdgrasp_coordinator.local.progress import progress_display
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.rendering.drawings import draw_gripper
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.errors import QdgraspError
-from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.text import join_numbers
-from qdgrasp_worker.evaluator import Evaluator
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ HANDS = {
         still="joint_00 joint_04 joint_08 joint_12 joint_13",
     ),
 }  # fmt: skip
-SEED = 0
+OBJECTS, PROTOCOL = ("ycb_rubiks_cube", "ycb_bleach_cleanser"), "physical"
+HAND = "hand.toml"
 
 
 def found_urdf(hand: KnownHand, folders: Sequence[Path]) -> Path | None:
@@ -178,68 +183,78 @@ def draw(guess: Guess, name: str, folder: Path) -> None:
     """Draw the hand as it is guessed, open and closed."""
     folder.mkdir(parents=True, exist_ok=True)
     gripper = Gripper(name, guess.robot.path.name, guess.draft.file, guess.robot)
-    draw_gripper(gripper.on_carrier("paper"), folder / f"{name.lower().replace(' ', '_')}.png")
+    draw_gripper(gripper.on_carrier("paper"), folder / f"{file_name(name)}.png")
 
 
-@contextmanager
-def usable_file(guess: Guess, folder: Path) -> Iterator[Path]:
-    """The gripper's file, of a mended copy where the URDF cannot be used as it is."""
-    target, base = folder / "hand.toml", guess.draft.file.base_link
+def file_name(hand: str) -> str:
+    """A hand's name as one of files."""
+    return re.sub(r"\W+", "-", hand.lower()).strip("-")
+
+
+def write_usable(guess: Guess, target: Path) -> None:
+    """Write the gripper's file, of a mended copy where the URDF cannot be used as it is."""
+    base = guess.draft.file.base_link
     if not guess.faults:
         target.write_text(draft_toml(guess.draft, target.name))
-        yield target
         return
     with mended_copy(guess.robot, base, target, lambda _: None, may_centre=True) as copy:
         draft = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
         if faults := examine_hand(copy.robot, draft.file, "hand").faults:
             raise QdgraspError("; and ".join(faults))
         target.write_text(draft_toml(draft, target.name))
-        yield target
 
 
-def successes(guess: Guess, target: str, number: int) -> str:
-    """How many of so many random poses of the prior contact succeed and survive."""
-    with TemporaryDirectory() as folder, usable_file(guess, Path(folder)) as file:
-        scene = build_scene(RunSpec(gripper=str(file), object=target))
-        genes = len(layout(scene, "contact"))
-        genomes = np.random.default_rng(SEED).uniform(-1, 1, (number, genes)).astype(np.float32)
-        with Evaluator(scene) as evaluator:
-            outcome = evaluator.evaluate("contact", genomes, np.zeros(number, np.uint16)).rows["outcome"]
-    return f"{(outcome >= Outcome.DROPPED).sum()} touch, {(outcome >= Outcome.SHAKEN).sum()} hold"
+def tried(guess: Guess, name: str, folder: Path, number: int, stop: Stop) -> list[str]:
+    """How many grasps survive all six pushes, of so many evaluations on each object.
+
+    The runs are those of `qdgrasp run` as it is by default; a folder that has them is gone on with.
+    """
+    own = folder / file_name(name)
+    own.mkdir(parents=True, exist_ok=True)
+    if not (own / HAND).is_file():
+        write_usable(guess, own / HAND)
+    asked = {"gripper": str(own / HAND), "object": list(OBJECTS), "protocol": PROTOCOL, "evaluations": number}
+    campaign = make_campaign({"cross": [asked]}, name)
+    begin_campaign(own / "runs", campaign)
+    with progress_display(name, campaign.evaluations) as shown:
+        run_job(JobFolder(own / "runs"), LocalJobConfig(workers=cores()), shown, stop)
+    found = {run.spec.object: run.summary.robust for run in qdgrasp.open(own / "runs")}
+    return [str(found[target]) for target in OBJECTS]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser("python -m benchmarks.hand_guesses", description=__doc__)
     parser.add_argument("folders", nargs="*", type=Path, help="where the hands' URDFs are")
     parser.add_argument("--hand", action="append", choices=HANDS, help="this one alone; may be repeated")
-    parser.add_argument("--evaluations", type=int, default=0, help="random poses of each hand")
-    parser.add_argument("--object", default="mug", help="what they are to grasp")
+    parser.add_argument("--evaluations", type=int, default=0, help="of the default search, on each object")
+    parser.add_argument("--runs", type=Path, default=Path("runs/hand-guesses"), help="where these runs go")
     parser.add_argument("--pictures", type=Path, help="a folder for a picture of each hand")
     asked = parser.parse_args()
     import pybullet_data
 
     reference = [folder / "grippers" for folder in asset_folders()]
     folders = [*asked.folders, Path(pybullet_data.getDataPath()), *reference]
-    console = Console(width=200)
     table = Table("hand", "source", "flags", "base", "approach", "fingers", "closing", "notes")
-    if asked.evaluations:
-        table.add_column(f"of {asked.evaluations} on {asked.object}")
-    for name in asked.hand or HANDS:
-        urdf = found_urdf(HANDS[name], folders)
-        if urdf is None:
-            table.add_row(name, HANDS[name].source, "not there")
-            continue
-        with console.status(name):
+    for target in OBJECTS if asked.evaluations else ():
+        table.add_column(f"hold, of {asked.evaluations} on {target}")
+    with lifetime("qdgrasp hand guesses") as stop:
+        for name in asked.hand or HANDS:
+            urdf = found_urdf(HANDS[name], folders)
+            if urdf is None:
+                table.add_row(name, HANDS[name].source, "not there")
+                continue
             try:
                 guess = guessed(HANDS[name], urdf)
-                tried = [successes(guess, asked.object, asked.evaluations)] if asked.evaluations else []
-                table.add_row(name, HANDS[name].source, *guess.row(), *tried)
+                held = tried(guess, name, asked.runs, asked.evaluations, stop) if asked.evaluations else []
+                table.add_row(name, HANDS[name].source, *guess.row(), *held)
                 if asked.pictures:
                     draw(guess, name, asked.pictures)
             except QdgraspError as error:
                 table.add_row(name, HANDS[name].source, "", str(error)[:90])
-    console.print(table)
-    return 0
+            if stop.is_set:
+                break
+    Console(width=200).print(table)
+    return stop.exit_code if stop.is_set else 0
 
 
 if __name__ == "__main__":
