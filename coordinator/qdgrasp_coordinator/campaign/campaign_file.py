@@ -33,7 +33,12 @@ from qdgrasp_coordinator.campaign.object_library import (
     mesh_fault,
     read_library,
 )
-from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, absolute_asset, complete_spec
+from qdgrasp_coordinator.scheduler.run_plan import (
+    FLIGHT_KEYS,
+    RUN_DEFAULTS,
+    absolute_asset,
+    complete_spec,
+)
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.errors import (
     ImpossibleValue,
@@ -425,14 +430,15 @@ def campaign_of_meshes(
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `without`, `shard` and `tell` are those of `read_campaign`. `values` are values or lists of keys of a
-    spec, crossed as in a campaign's file; None: not given. Raises InputError as `read_library`, or for a run
-    that is not possible.
+    `shard` and `tell` are those of `read_campaign`, and `without` too, of the keys of `RUN_DEFAULTS` as well.
+    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
+    InputError as `read_library`, or for a run that is not possible.
     """
+    usual = {key: value for key, value in RUN_DEFAULTS.items() if key not in without}
     library = read_library(where, rules, tell)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
     source = {
-        "defaults": _with_goals({}, {key: values.get(key) for key in STOP_KEYS}),
+        "defaults": _with_goals(usual, {key: values.get(key) for key in STOP_KEYS}),
         "cross": [cross | {"object": list(library.objects)}],
         "objects": library.objects,
     }

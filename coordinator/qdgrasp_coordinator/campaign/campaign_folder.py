@@ -33,6 +33,7 @@ from qdgrasp_coordinator.campaign.summary import summary_listing
 from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
+    RUN_DEFAULTS,
     JobExtent,
     RunPlan,
     RunQueue,
@@ -455,13 +456,12 @@ def open_campaign(path: Path) -> JobFolder:
 
 
 def defaults_left_out(path: Path) -> frozenset[str]:
-    """Return the keys of `TAKEN_FOR_GRANTED` that a folder's campaign lacks; none without one."""
+    """Return the keys of `TAKEN_FOR_GRANTED` and `RUN_DEFAULTS` that a campaign's folder lacks."""
     file = path / CAMPAIGN
     if not file.is_file():
         return frozenset()
-    return frozenset(
-        TAKEN_FOR_GRANTED.keys() - read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {}).keys()
-    )
+    said = read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {})
+    return frozenset((TAKEN_FOR_GRANTED | RUN_DEFAULTS).keys() - said.keys())
 
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:

@@ -202,7 +202,7 @@ class SingleRunQueue(RunQueue):
 
 
 RUN_DEFAULTS = {"protocol": "physical"}
-"""Defaults of a run that a user asks for by itself; a campaign's and a spec's are those of the paper."""
+"""Defaults of a run or a campaign of meshes that flags ask for; a campaign's file has those of the paper."""
 
 
 FLIGHT_KEYS = ("population", "generations_in_flight", "in_flight")

@@ -141,7 +141,7 @@ class TestCrossing:
         assert {name: spec.in_flight for name, spec in elder.runs.items()} == {"panda-mug-aimed-s0": None}
         file.write_text(elder.toml)
         assert read_campaign(file, is_begun=True).runs == elder.runs
-        assert defaults_left_out(tmp_path) == {"in_flight"}
+        assert defaults_left_out(tmp_path) == {"in_flight", "protocol"}
         file.write_text(tomli_w.dumps(source))
         assert (
             read_campaign(file, without=defaults_left_out(tmp_path)).runs["panda-mug-aimed-s0"].aim_for
@@ -373,8 +373,8 @@ def test_every_mesh_has_its_run_with_the_mass_that_the_table_or_its_volume_gives
     table(parts, "lever arm.stl, 0.2")
     runs = campaign_of_meshes(parts, IN_MM, SAID).runs
     assert {name: (Path(spec.object).name, spec.mass, spec.scale) for name, spec in runs.items()} == {
-        "panda-b-gel-aimed-s0": ("Bügel.ply", pytest.approx(0.03), 0.001),
-        "panda-lever-arm-aimed-s0": ("lever arm.stl", 0.2, 0.001),
+        "panda-b-gel-aimed-s0-physical": ("Bügel.ply", pytest.approx(0.03), 0.001),
+        "panda-lever-arm-aimed-s0-physical": ("lever arm.stl", 0.2, 0.001),
     }
     assert all(Path(spec.object).is_absolute() and spec.evaluations == 50 for spec in runs.values())
 
@@ -384,6 +384,16 @@ def test_the_campaigns_file_asks_for_the_same_runs(parts, tmp_path):
     file = tmp_path / "campaign.toml"
     file.write_text(asked.toml, encoding="utf-8")
     assert read_campaign(file).runs == asked.runs
+
+
+def test_meshes_are_grasped_to_hold_but_where_an_older_campaign_was_begun_without(parts, tmp_path):
+    new = campaign_of_meshes(parts, IN_MM, SAID)
+    assert {spec.protocol for spec in new.runs.values()} == {"physical"}
+    elder = campaign_of_meshes(parts, IN_MM, SAID, without={"protocol"})
+    (tmp_path / "campaign.toml").write_text(elder.toml, encoding="utf-8")
+    again = campaign_of_meshes(parts, IN_MM, SAID, without=defaults_left_out(tmp_path))
+    assert again.runs == elder.runs
+    assert {spec.protocol for spec in again.runs.values()} == {"paper"}
 
 
 def test_all_that_is_wrong_is_named_at_once(parts):

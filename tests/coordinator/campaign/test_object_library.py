@@ -92,7 +92,7 @@ def test_a_manifest_says_the_same_in_any_format(library, suffix):
 
 def test_runs_are_called_after_the_ids_and_the_campaigns_file_asks_for_the_same(library, tmp_path):
     asked = campaign_of_meshes(write_manifest(library / "objects.csv"), LibraryRules(), VALUES)
-    assert list(asked.runs) == ["panda-acme-part-one-aimed-s0", "panda-b-part-aimed-s0"]
+    assert list(asked.runs) == ["panda-acme-part-one-aimed-s0-physical", "panda-b-part-aimed-s0-physical"]
     assert all(NAME.fullmatch(name) for name in asked.runs)
     file = tmp_path / "campaign.toml"
     file.write_text(asked.toml)
@@ -105,7 +105,7 @@ def test_a_campaigns_file_names_a_manifest_as_an_object(library, tmp_path):
     file.write_text(tomli_w.dumps({"cross": [cross]}))
     runs = read_campaign(file).runs
     assert len(runs) == 6
-    alone = campaign_of_meshes(manifest, LibraryRules(), VALUES).runs
+    alone = campaign_of_meshes(manifest, LibraryRules(), VALUES | {"protocol": "paper"}).runs
     assert all(runs[name] == spec for name, spec in alone.items())
 
 
@@ -125,11 +125,11 @@ def test_folders_in_a_folder_are_read_and_their_meshes_named_by_their_path(libra
     shutil.copy(library / "b" / "part.stl", library / "a" / "part.stl")
     runs = campaign_of_meshes(library, LibraryRules(mass=0.1), VALUES).runs
     assert {name: spec.mass for name, spec in runs.items()} == {
-        "panda-a-part-aimed-s0": 0.1,
-        "panda-b-part-aimed-s0": 0.2,
-        "panda-top-aimed-s0": 0.1,
+        "panda-a-part-aimed-s0-physical": 0.1,
+        "panda-b-part-aimed-s0-physical": 0.2,
+        "panda-top-aimed-s0-physical": 0.1,
     }
-    assert runs["panda-top-aimed-s0"].about is None
+    assert runs["panda-top-aimed-s0-physical"].about is None
 
 
 def test_flags_are_for_rows_that_do_not_say_otherwise(library):
