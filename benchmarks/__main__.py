@@ -1,7 +1,7 @@
-"""What things cost on this machine: `make bench`, or `python -m benchmarks --help`.
+"""Measures costs on this machine: `make bench`, or `python -m benchmarks --help`.
 
-All figures are CPU time unless they say otherwise. What is compared was measured in turns in this one
-process: read figures as ratios. Intervals are quartiles over the rounds.
+All figures are CPU time unless they say otherwise. Things that are compared are measured in turns in
+this one process: read figures as ratios. Intervals are quartiles over the rounds.
 """
 
 import argparse
@@ -34,7 +34,7 @@ PARTS: dict[str, Part] = {
 
 
 def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
-    """Everything as plain values."""
+    """All figures as plain values."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": machine(),
@@ -44,7 +44,7 @@ def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
 
 
 def shown(name: str, part: Iterable[Figure], console: Console) -> list[Figure]:
-    """The figures of a part, while it is said how far it is."""
+    """Measure the figures of a part, and print progress."""
     found = []
     with console.status(name) as status:
         for figure in part:
@@ -54,11 +54,11 @@ def shown(name: str, part: Iterable[Figure], console: Console) -> list[Figure]:
 
 
 def write(out: Path, found: dict[str, list[Figure]]) -> None:
-    """What there is so far: as JSON, as a page, and as a figure."""
+    """Write the figures so far: as JSON, as a page, and as a picture."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "bench.json").write_text(json.dumps(whole(found), indent=1) + "\n")
     sections = [measure.markdown(name, figures) for name, figures in found.items()]
-    (out / "bench.md").write_text("\n\n".join(["# What things cost", *sections]) + "\n")
+    (out / "bench.md").write_text("\n\n".join(["# Measured costs", *sections]) + "\n")
     if "evaluations" in found:
         figure.draw(found["evaluations"]).write(out / figure.NAME)
 

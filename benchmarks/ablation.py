@@ -1,4 +1,4 @@
-"""What each part of the search that aims brings: `python -m benchmarks.ablation --help`.
+"""Gain by each part of the search that aims: `python -m benchmarks.ablation --help`.
 
 One part is left out at a time; all else, seeds included, stays. Each finished run is a line of the file that
 `--out` names, and is not carried out again: a stop costs at most one run.
@@ -35,7 +35,7 @@ LOOSE = 0.5
 
 
 class WithoutGate(TouchSearch):
-    """Whatever is left of a genome's candidates is simulated, likely or not."""
+    """A genome's remaining candidates are simulated, likely or not."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return super()._weights(np.zeros_like(wanted))
@@ -161,7 +161,7 @@ class WithoutSecondTries(ValueSearch):
 
 
 class WithoutValueThreshold(ValueSearch):
-    """Whatever is left of a genome's candidates is simulated, of value or not."""
+    """A genome's remaining candidates are simulated, of value or not."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return super()._weights(np.zeros_like(wanted))
@@ -188,7 +188,7 @@ VARIANTS: dict[str, Callable[[RunSpec, SearchSpace], AimedSearch]] = {
 
 
 class Finished:
-    """Runs that are in, in a file with a line of JSON for each.
+    """Finished runs, in a file with a line of JSON for each.
 
     Parameters
     ----------
@@ -203,11 +203,11 @@ class Finished:
         self._runs = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
     def find(self, asked: dict[str, Any]) -> dict[str, Any] | None:
-        """The run that was asked for in these words."""
+        """The finished run with these values; None if there is none."""
         return next((run for run in self._runs if run["asked"] == asked), None)
 
     def add(self, run: dict[str, Any]) -> None:
-        """Keep a run."""
+        """Add a run to the file."""
         self._runs.append(run)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(run) + "\n")
@@ -221,7 +221,7 @@ def measure(
     finished: Finished,
     **values: Any,
 ) -> list[dict[str, Any]]:
-    """The figures of each variant on each object with each seed, of runs that are in or carried out now."""
+    """Figures of each variant, object and seed; runs that are not finished are carried out."""
     found = []
     for name, thing, seed in product(names, objects, seeds):
         asked = values | {

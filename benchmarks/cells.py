@@ -1,4 +1,4 @@
-"""What a monitor's first look at a run with many cells costs, its recorder above all.
+"""Cost of a monitor's first look at a run with many cells, its recorder above all.
 
 `python -m benchmarks.cells` writes a journal by hand, has a real recorder answer for it at a router of
 its own, reads it as `qdgrasp-monitor --web` does, twice, and prints a line of JSON. The coordinator has no
@@ -33,7 +33,7 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 ROWS = 4
-"""Rows of the journal for each that is a find."""
+"""Rows of the journal for each success."""
 POPULATION = 100
 COMMIT = 2000
 """Rows in a transaction."""
@@ -119,7 +119,7 @@ def listed(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
         before = cpu(recorder)
         is_counted = False
         while not is_counted:
-            with suppress(NoReply):  # the recorder is slower than anybody waits
+            with suppress(NoReply):  # the recorder takes longer than the timeout
                 is_counted = not records.entries(job).uncounted
         found[name] = round(cpu(recorder) - before, 2)
     return found

@@ -1,4 +1,4 @@
-"""What a genome costs the coordinator and the recorder, the bus apart."""
+"""Cost of a genome in the coordinator and in the recorder, without the bus."""
 
 import tempfile
 import time
@@ -97,7 +97,7 @@ class Coordinator:
         )
 
     def __call__(self, meter: Meter) -> float:
-        """Have the next batches evaluated; how many rows became final."""
+        """Have the next batches evaluated; returns the number of rows that became final."""
         before = self._pipeline.tally.rows
         with meter.running():
             sent = self._lease()
@@ -132,7 +132,7 @@ class Coordinator:
 
     @property
     def stages(self) -> dict[str, float]:
-        """Microseconds of a genome by what they are spent on."""
+        """Microseconds of a genome by stage."""
         rows = self._pipeline.tally.rows
         return {name: 1e6 * seconds / rows for name, seconds in self._ledger.seconds.items()}
 

@@ -1,4 +1,4 @@
-"""Evaluations per second by hand, object and regime, and what they spend it on."""
+"""Evaluations per second by hand, object and regime, and how their time is spent."""
 
 import multiprocessing
 import time
@@ -34,9 +34,9 @@ from qdgrasp_worker.filters.contact_filter import ContactFilter
 from qdgrasp_worker.filters.overlap_filter import OverlapFilter
 
 REST = "rest"
-"""What is in no stage: rows, lists and the loop."""
+"""Name of the time outside all stages: rows, lists and the loop."""
 STEPS = ", steps"
-"""Behind a stage's name: the simulator's own steps within it."""
+"""Suffix of a stage's name for the simulator's own steps within it."""
 
 
 def _shake(_: ShakenEpisode, shake: Shake, *rest: object) -> str:
@@ -101,7 +101,7 @@ class Profile:
 
     @property
     def step_share(self) -> float:
-        """How much of all time is spent in the simulator's steps: the floor."""
+        """The share of all time that is spent in the simulator's steps: the lower bound."""
         steps = sum(time for name, time in self._ledger.seconds.items() if name.endswith(STEPS))
         return steps / self._ledger.total
 
@@ -127,12 +127,14 @@ class Profile:
 WATCHED = 0.5
 """Time under a watch, as a share of the time without."""
 DRAWS = 400
-"""How often the batches are drawn anew, for the interval. Few poses take most of the time, so that all of
-them are taken together, not round by round."""
+"""Bootstrap draws of the batches, for the interval.
+
+Few poses take most of the time, so that all of them are taken together, not round by round.
+"""
 
 
 class TimedEvaluations:
-    """What one search asks, evaluated in batches as large as a worker would get them."""
+    """Genomes of one search, evaluated in batches as large as a worker would get them."""
 
     def __init__(
         self,
@@ -156,7 +158,7 @@ class TimedEvaluations:
         self._rows: list[int] = []
         self._own: list[float] = []
         self._other: list[float] = []
-        """Of each batch: its rows, and what they took [s]."""
+        """Of each batch: its rows, and their seconds, of ours and of the naive path."""
         self._watched = 0.0
 
     def skip(self, rows: int) -> "TimedEvaluations":
@@ -166,7 +168,7 @@ class TimedEvaluations:
         return self
 
     def one(self, rows: int) -> int:
-        """Evaluate one batch of so many rows, or fewer; how many that were."""
+        """Evaluate one batch of so many rows, or fewer; returns the number."""
         genomes = self._next(rows)
         self._evaluate(genomes)
         return len(genomes)
@@ -255,11 +257,11 @@ WARM = 200
 
 
 TURNS = {PoseRegime.ANYWHERE: 2.0, PoseRegime.NEAR: 1.0}
-"""How much longer poses anywhere are measured: few of them take most of the time."""
+"""Factor by which poses anywhere are measured longer: few of them take most of the time."""
 
 
 class Pair(NamedTuple):
-    """A hand and an object, and what else is measured of them."""
+    """A hand and an object, and the further measurements of them."""
 
     hand: str
     object: str
@@ -345,12 +347,12 @@ def measure_scaling(seconds: float) -> list[Figure]:
 
 
 class Turn(NamedTuple):
-    """What processes did side by side."""
+    """Speed of processes that evaluate side by side."""
 
     rate: float
-    """Evaluations in a second of the clock on the wall."""
+    """Evaluations per second of wall-clock time."""
     cost: float
-    """CPU seconds of an evaluation."""
+    """CPU seconds per evaluation."""
 
 
 def _lines(workers: list[Connection], regime: PoseRegime, seconds: float) -> Iterator[Figure]:
@@ -387,7 +389,7 @@ def _process(number: int) -> Iterator[Connection]:
     process = context.Process(target=_serve, args=(there, number), daemon=True)
     process.start()
     try:
-        there.close()  # so that its end is heard
+        there.close()  # so that the end of the process is seen
         yield here
     finally:
         here.send(None)

@@ -1,4 +1,4 @@
-"""Where does the time go: the figure of `make bench`, a bar for each hand, object and regime."""
+"""Figure of `make bench`: time by stage, a bar for each hand, object and regime."""
 
 from collections.abc import Mapping, Sequence
 
@@ -22,13 +22,13 @@ COLOURS = {
     "shake x": "#e69f00",
     "rest": "#9aa2aa",
 }
-"""Of each stage; the hues of Okabe and Ito, as in the figures of campaigns."""
+"""Colour of each stage; the hues of Okabe and Ito, as in the figures of campaigns."""
 PALE = 0.45
-"""Opacity of what is not the simulator's own steps, within a stage that has some."""
+"""Opacity of the part of a stage outside the simulator's own steps, if it has some."""
 BAR, PITCH = 0.66, 0.235
 """Height of a bar, of the room for it; and that room [inches]."""
 ROOM = 1.2
-"""Length of the axis in bars: behind each it is said how long it takes."""
+"""Length of the axis in bars: each bar is followed by its time in words."""
 HOW = (
     "Share of an evaluation's CPU time, and how long it takes. "
     "Full colour: the simulator's steps; pale: what the same stage does besides."

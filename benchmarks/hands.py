@@ -2,7 +2,7 @@
 
 Protocol `paper`. Each hand is judged on genomes of the prior `contact` anywhere, and on others around those
 that succeeded with one hand or the other. The reference hand is judged again with every pose moved by 1 um:
-no model can be asked to agree better with it than it does with itself.
+no model can agree better with it than it does with itself.
 """
 
 import argparse
@@ -39,11 +39,11 @@ PRIOR, POSE_GENES = "contact", 7
 BATCH = 50
 """Genomes until it is the other hand's turn."""
 PARENTS = 20
-"""So many successes are looked for on each object."""
+"""Successes that are looked for on each object."""
 MOST = 8
 """Times that genomes are drawn anywhere, at most."""
 SIGMA = 0.05
-"""Of the genes around those of successes: some 9 degrees, and 2 to 5 mm."""
+"""Deviation of the genes around those of successes: some 9 degrees, and 2 to 5 mm."""
 MOVED = 1e-6  # m
 
 
@@ -53,7 +53,7 @@ Found = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What one hand did with some genomes, and what that took."""
+    """Results of one hand for some genomes, and their cost."""
 
     outcome: NDArray[np.uint8]
     fitness: NDArray[np.float32]
@@ -67,7 +67,7 @@ class Verdicts:
 
     @property
     def is_miss(self) -> NDArray[np.bool_]:
-        """Simulated, and no success."""
+        """Which genomes were simulated without success."""
         return (self.outcome >= Outcome.MISSED) & ~self.is_success
 
     @property
@@ -85,7 +85,7 @@ def joined(parts: Sequence[Verdicts]) -> Verdicts:
 
 
 Three = tuple[Verdicts, Verdicts, Verdicts]
-"""The built-in hand's, the reference hand's, and those once more on poses moved by 1 um."""
+"""Verdicts of the built-in hand, the reference hand, and that one on poses moved by 1 um."""
 
 
 def _joined(parts: Sequence[Three]) -> Three:
@@ -95,7 +95,7 @@ def _joined(parts: Sequence[Three]) -> Three:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is known of a built-in hand, from genomes anywhere and near successes."""
+    """Figures of a built-in hand, from genomes anywhere and near successes."""
 
     anywhere: Three
     near: Three
@@ -125,13 +125,13 @@ def agreement(ours: NDArray[np.generic], theirs: NDArray[np.generic], where: NDA
 
 
 def on_grasps(ours: Verdicts, theirs: Verdicts) -> dict[str, float]:
-    """Agreement on fitness where either says that a shake is survived."""
+    """Agreement on fitness where either hand survives a shake."""
     either = (ours.fitness >= 1) | (theirs.fitness >= 1)
     return {"poses": int(either.sum()), "share": agreement(ours.fitness, theirs.fitness, either)}
 
 
 def balanced(verdicts: Verdicts) -> NDArray[np.intp]:
-    """As many successes as misses; their places."""
+    """Return the places of as many successes as misses."""
     hits, misses = np.flatnonzero(verdicts.is_success), np.flatnonzero(verdicts.is_miss)
     random, count = np.random.default_rng(0), min(len(hits), len(misses))
     return np.concatenate([random.choice(each, count, replace=False) for each in (hits, misses)])
@@ -211,7 +211,7 @@ def _measured(evaluator: Evaluator, prior: str, genomes: NDArray[np.float32]) ->
 
 @contextmanager
 def counted_steps() -> Iterator[list[None]]:
-    """As many items as the simulator makes steps in this block."""
+    """Count the steps of the simulator in this block: the list gets an item for each."""
     steps: list[None] = []
     step = BulletShakenWorld.step
 

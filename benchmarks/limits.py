@@ -1,7 +1,7 @@
-"""What keeps runs from the rest of S_G: `python -m benchmarks.limits RUN...`.
+"""Why runs do not find the rest of S_G: `python -m benchmarks.limits RUN...`.
 
-Where the evaluations of each stretch of a run went, and what is known of the cells of S_G that it did not
-find: whether a hand closed there without success, and how far they are from what it found.
+Outcomes of the evaluations of each stretch of a run, and of the cells of S_G that it did not find:
+whether a hand closed there without success, and how far they are from the cells that it found.
 """
 
 import argparse
@@ -26,7 +26,7 @@ STRETCHES = 5
 
 @dataclass(frozen=True)
 class Share:
-    """What became of the counted evaluations of a stretch, in percent."""
+    """Outcomes of the counted evaluations of a stretch, in percent."""
 
     until: int
     unseated: float
@@ -47,15 +47,15 @@ class Rest:
 
     cells: float
     closed: float
-    """Where a hand closed without success."""
+    """Cells where a hand closed without success."""
     beside: float
-    """Of which a neighbour (26) was found."""
+    """Cells with a neighbour (of 26) that was found."""
     weak: float
-    """Whose best known fitness is 0."""
+    """Cells whose best known fitness is 0."""
 
 
 def shares(rows: Rows, reference: ReferenceSet, counts: NDArray[np.bool_]) -> Iterator[Share]:
-    """Where the counted evaluations went, in `STRETCHES` equal parts."""
+    """Outcomes of the counted evaluations, in `STRETCHES` equal parts."""
     rows = rows[counts]
     where = cell_keys(cells(rows["descriptor"][:, :3]))
     is_found = rows["outcome"] >= Outcome.DROPPED
@@ -76,7 +76,7 @@ def shares(rows: Rows, reference: ReferenceSet, counts: NDArray[np.bool_]) -> It
 
 
 def rest(rows: Rows, reference: ReferenceSet) -> Rest:
-    """What is known of the cells that were not found."""
+    """Figures of the cells that were not found."""
     closed = rows[rows["outcome"] >= Outcome.MISSED]
     found = np.unique(cells(closed["descriptor"][closed["outcome"] >= Outcome.DROPPED, :3]), axis=0)
     is_left = ~np.isin(cell_keys(reference.cells), cell_keys(found))

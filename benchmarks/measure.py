@@ -1,4 +1,4 @@
-"""Counts what is done against the time that it takes, and tables of it."""
+"""Rates of work done per second, and tables of them."""
 
 import time
 from collections import Counter
@@ -30,7 +30,7 @@ class Ledger:
 
     @contextmanager
     def within(self, name: str) -> Iterator[None]:
-        """What is done here is spent on `name`."""
+        """Count the time of this block under `name`."""
         self.enter(name)
         try:
             yield
@@ -47,7 +47,7 @@ class Ledger:
 
     @property
     def inmost(self) -> str:
-        """What time is spent on now."""
+        """The innermost open name, to which time is counted now."""
         return self._open[-1]
 
     def _pass(self) -> None:
@@ -58,27 +58,27 @@ class Ledger:
 
 
 ROUNDS = 5
-"""How often everything that is compared has its turn."""
+"""Turns of each thing that is compared."""
 Clock = Callable[[], float]
 CLOCKS: dict[str, Clock] = {"cpu": time.process_time, "wall": time.perf_counter}
 
 
 @dataclass(frozen=True)
 class Figure:
-    """So many things took so many seconds."""
+    """A number of things done, and the seconds that they took."""
 
     name: str
     count: float
     seconds: float
     clock: str = "cpu"
-    """Or "wall"; "none": the count alone is meant."""
+    """Clock, "cpu" or "wall"; "none": the count alone is meant."""
     remark: str = ""
     rates: tuple[float, ...] = ()
     """Things per second in each round; empty where there was but one."""
     published: tuple[float, ...] = ()
-    """How many times as long the public code's calls took for the same things, in each round."""
+    """Time of the public code's calls for the same things over ours, in each round."""
     stages: Mapping[str, float] = field(default_factory=dict)
-    """Microseconds of one thing by what they were spent on."""
+    """Microseconds of one thing by stage."""
 
     @property
     def per_second(self) -> float:
@@ -90,7 +90,7 @@ class Figure:
         return 1e6 / self.per_second
 
     def ratios(self, other: "Figure") -> tuple[float, ...]:
-        """How many times as many as another's, round by round where they took turns."""
+        """Ratios to another's rates, round by round where they took turns."""
         if len(self.rates) == len(other.rates) and self.rates:
             return tuple(own / its for own, its in zip(self.rates, other.rates, strict=True))
         return (self.per_second / other.per_second,)
@@ -126,7 +126,7 @@ def spread(values: Sequence[float], digits: int = 3) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number to so many figures, without an exponent where it is large."""
+    """A number to so many digits, without an exponent where it is large."""
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:,.0f}" if rounded >= 10 ** (digits - 1) else f"{rounded:.{digits}g}"
 
@@ -140,7 +140,7 @@ def taken(microseconds: float) -> str:
 
 
 class Meter:
-    """Seconds within its `running` blocks."""
+    """Sums the seconds within its `running` blocks."""
 
     def __init__(self, clock: str = "cpu") -> None:
         self.seconds = 0.0
@@ -157,20 +157,20 @@ class Work(Protocol):
     """One of several things that are measured in turns."""
 
     def __call__(self, meter: Meter) -> float:
-        """Do some of it, count the time that is of interest, and say how much it was."""
+        """Do some of the work, count its time, and return its amount."""
 
     @property
     def remark(self) -> str:
-        """What there is to say of it in the end."""
+        """A remark on the whole measurement, for the table."""
 
     @property
     def stages(self) -> Mapping[str, float]:
-        """Microseconds of one thing by what they were spent on; empty where that is not known."""
+        """Microseconds of one thing by stage; empty where unknown."""
 
 
 @dataclass
 class Subject:
-    """A work, and what it took in each of its turns."""
+    """A work, and the time of each of its turns."""
 
     name: str
     work: Work
@@ -202,7 +202,7 @@ def in_turns(subjects: Sequence[Subject], seconds: float, rounds: int = ROUNDS) 
 
 
 def machine() -> dict[str, Any]:
-    """The node that this is measured on."""
+    """Name of the machine that this is measured on."""
     values: dict[str, Any] = msgspec.to_builtins(node_info())
     return values
 

@@ -1,4 +1,4 @@
-"""What a worker's process needs of memory: whether it grows with evaluations, and what eight scenes take.
+"""Memory of a worker's process: its growth with evaluations, and its size with eight scenes.
 
 `python -m benchmarks.memory [--share S]`. Each course is followed in a process of its own; `--share`
 takes that part of its evaluations.
@@ -24,7 +24,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, ROWS_AT_ONCE, Evaluator, EvaluatorCache
 
 LOOKS = 20
-"""How often a course is looked at; the first fifth of it is warming up."""
+"""Samples of memory in a course; the first fifth of it is warming up."""
 BATCH = ROWS_AT_ONCE
 MEGABYTE = 1 << 20
 Genomes = NDArray[np.float32]
@@ -33,7 +33,7 @@ EIGHT = tuple(
     for gripper in ("panda", "allegro", "barrett", "shadow")
     for thing in ("mug", "power_drill")
 )
-"""As many scenes as a worker keeps."""
+"""Scenes, as many as a worker keeps."""
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ COURSES = (
 
 @dataclass(frozen=True)
 class Found:
-    """What a process had of memory on the way [MB]."""
+    """Memory of a process over time [MB]."""
 
     sizes: tuple[float, ...]
-    """Resident, at equal distances."""
+    """Resident memory at equal intervals."""
     peak: float
 
     @property
     def growth(self) -> float:
-        """From the end of warming up to the end."""
+        """Growth from the end of warming up to the end."""
         return self.sizes[-1] - self.sizes[len(self.sizes) // 5]
 
 
@@ -108,7 +108,7 @@ def above(scene: Scene, n: int, random: np.random.Generator) -> Genomes:
 
 
 DRAWN = {"contact": anywhere, VALUED: above}
-"""How genomes of a prior are drawn."""
+"""Functions that draw genomes, by prior."""
 
 
 def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
@@ -128,13 +128,13 @@ def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
 
 
 def apart(act: Callable[..., Found], *arguments: object) -> Found:
-    """What an act finds in a new process."""
+    """The result of a function in a new process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(act, arguments)
 
 
 def shortened(course: Course, share: float) -> Course:
-    """The course with that part of its evaluations."""
+    """The course with this share of its evaluations."""
     return Course(course.gripper, course.object, course.prior, int(course.evaluations * share))
 
 

@@ -1,7 +1,7 @@
 """The naive path: an evaluation as the public code calls the simulator (Huber et al. 2024, commit 0b8f8da).
 
 Every pose is simulated: the overlap is tested by a step, all motors are commanded and all contacts are asked
-for at each step, in numpy's numbers, and nothing ends early. What an outcome means is as in `Episode`. That
+for at each step, in numpy's numbers, and nothing ends early. Outcomes mean the same as in `Episode`. That
 code's decoding of poses, which costs 1.6 to 35 ms more, is left out; its reading of a state file twice in
 each evaluation, and its asking for contacts finger by finger, are in `Published` alone.
 """
@@ -33,7 +33,7 @@ class Naive:
         self._protocol = PROTOCOLS[scene.protocol]
         self._surface = ObjectSurface(scene)
         self._bullet = Bullet()
-        self._client = self._bullet._client  # the calls that `Bullet` does without
+        self._client = self._bullet._client  # for calls that `Bullet` has no method for
         self._hand = HandBody(self._bullet, scene.gripper)
         self._target = ObjectBody(self._bullet, scene.object)
         self._bullet.set_friction(self._target.body, self._target.lateral_friction, *self._target.frictions)

@@ -1,10 +1,10 @@
-"""How convex parts change verdicts, and what an evaluation costs with them.
+"""Effect of convex parts on verdicts, and the cost of an evaluation with them.
 
 `python -m benchmarks.parts [OBJECT ...] [--thresholds T ...]`. The stand-ins are made of convex parts that
-enclose the same space as their surface: they say what is lost when CoACD cuts that surface into parts, and
-what the rule of `qdgrasp_assets.geometry.collision_parts` makes of it
+enclose the same space as their surface: they show what is lost when CoACD cuts that surface into parts, and
+the effect of the rule of `qdgrasp_assets.geometry.collision_parts`
 (docs/decisions/0008-collision-decomposition.md). Scans are held against the hulls of the reference data.
-Contacts are chaotic: the finest threshold says how much is chance.
+Contacts are chaotic: the finest threshold shows how much is chance.
 """
 
 import argparse
@@ -35,7 +35,7 @@ OBJECTS = ("mug", "bowl", "power_drill", "spatula")
 THRESHOLDS = (0.1, 0.05, 0.025)
 GRIPPER, PRIOR = "panda", "contact"
 SIGMA = 0.03
-"""Of each gene around those of a grasp."""
+"""Deviation of each gene around that of a grasp."""
 BATCH = 64
 TIME_LIMIT = 600.0  # s
 OWN, HULL = "own", "hull"
@@ -44,11 +44,11 @@ Genomes = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What an object's parts make of genomes."""
+    """Results of genomes with an object's parts."""
 
     rows: Rows
     seconds: float
-    """CPU."""
+    """CPU time."""
 
     @property
     def grasps(self) -> NDArray[np.bool_]:
@@ -62,7 +62,7 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Line:
-    """One set of parts, against those that are right."""
+    """One set of parts, compared with the right ones."""
 
     object: str
     parts_from: str
@@ -72,14 +72,14 @@ class Line:
     bare: float
     fits: bool
     decomposed_in: float
-    """Seconds on the clock on the wall."""
+    """Wall-clock seconds."""
     outcomes_agree: float
-    """Of random poses."""
+    """Share of random poses with the same outcome."""
     lost: float
-    """Of the grasps near grasps."""
+    """Share of the grasps near grasps that these parts lose."""
     gained: float
     fitness_agrees: float
-    """Where either has a grasp."""
+    """Share of equal fitness where either set has a grasp."""
     random_us: float
     near_us: float
 
@@ -106,7 +106,7 @@ class Judge:
             self._right_near = judged(evaluator, self._near)
 
     def line(self, source: str, parts: tuple[Mesh, ...], seconds: float) -> Line:
-        """What these parts make of the same poses."""
+        """The line of these parts, on the same poses."""
         anywhere, near = self._right_anywhere, self._right_near
         if source != OWN:
             with Evaluator(with_parts(self._scene, parts)) as evaluator:
@@ -134,8 +134,8 @@ class Judge:
 
 
 def judged(evaluator: Evaluator, genomes: Genomes) -> Verdicts:
-    """The rows of genomes, and what they cost."""
-    evaluator.evaluate(PRIOR, genomes[:1], np.zeros(1, np.uint16))  # what is made once is made before
+    """The rows of genomes, and their cost."""
+    evaluator.evaluate(PRIOR, genomes[:1], np.zeros(1, np.uint16))  # setup is not measured
     began = time.process_time()
     rows = [
         evaluator.evaluate(PRIOR, some, np.zeros(len(some), np.uint16)).rows
@@ -150,7 +150,7 @@ def with_parts(scene: Scene, parts: tuple[Mesh, ...]) -> Scene:
 
 
 def compare(name: str, thresholds: tuple[float, ...], number: int, near: int) -> list[Line]:
-    """Own parts, the hull, and what CoACD finds at each threshold."""
+    """Its own parts, the hull, and the parts that CoACD finds at each threshold."""
     judge = Judge(name, number, near)
     sets: Mapping[str, float | None] = {OWN: None, HULL: None, **{f"{each:g}": each for each in thresholds}}
     lines = []

@@ -32,12 +32,12 @@ MILESTONES = (1000, 2000, 3000, 5000, 10_000, 20_000, 50_000)
 
 @dataclass(frozen=True)
 class Alone:
-    """What a run found, and what it cost."""
+    """The rows of a run, and its cost."""
 
     spec: RunSpec
     scene: Scene
     rows: Rows
-    """In journal order."""
+    """Rows in journal order."""
     evaluation_seconds: float
     """CPU time."""
     search_seconds: float
@@ -87,7 +87,7 @@ class Alone:
 
 
 class Timed:
-    """A search with a meter."""
+    """A search whose CPU time is measured."""
 
     def __init__(self, search: SearchAlgorithm) -> None:
         self._search = search
@@ -140,7 +140,7 @@ def _evaluated(pipeline: Pipeline, evaluator: Evaluator, prior: str) -> tuple[Ro
 
 
 def arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    """What says which run."""
+    """Add the options that choose the run."""
     parser.add_argument("--gripper", default="ref_panda_2f")
     parser.add_argument("--object", default="ycb_rubiks_cube")
     parser.add_argument("--method", default="aimed")

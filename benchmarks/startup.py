@@ -1,4 +1,4 @@
-"""How long a worker takes from the start of its process to its first result, and where that time goes.
+"""Times of a worker from the start of its process to its first result, by stage.
 
 `python -m benchmarks.startup [--rounds N] [--scene GRIPPER OBJECT PRIOR]`. Each round is a fresh
 process with an empty cache: it joins, fetches the scene and evaluates the four rows of a first batch. This
@@ -37,10 +37,10 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS
 
 STAGES = ("joins", "asks for the scene", "answers")
-"""What the worker does first, in this order."""
+"""First actions of the worker, in this order."""
 SCENES = (("panda", "rubiks_cube", "contact"), ("panda", "mug", "valued"), ("shadow", "mug", "valued"))
 ROWS = 4
-"""In a first batch, whose cost nobody knows yet."""
+"""Rows of a first batch, whose cost is not known yet."""
 JOB, EPOCH = "startup", 1
 PATIENCE = 60.0  # s
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -67,13 +67,13 @@ Course = dict[str, Moment]
 
 @dataclass
 class Counter:
-    """The other end of the bus: what a coordinator answers to one worker."""
+    """The other end of the bus: answers one worker as a coordinator does."""
 
     scene: Scene
     bundle: Bundle
     prior: str
     seen: SimpleQueue[str] = field(default_factory=SimpleQueue)
-    """Stages as they are reached."""
+    """The stages reached, in order."""
     joined: SimpleQueue[Join] = field(default_factory=SimpleQueue)
 
     def join(self, query: Query) -> bytes:
@@ -154,7 +154,7 @@ def started(endpoint: str, cache: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """What a process and those it started have had of the CPU."""
+    """CPU seconds of a process and of those it started."""
     user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
     started = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return (int(user) + int(system)) / TICKS + sum(cpu_seconds(int(child)) for child in started)
@@ -171,7 +171,7 @@ def middle(courses: list[Course]) -> Course:
 
 
 def command(arguments: list[str]) -> Moment:
-    """What `qdgrasp` takes with these arguments, from its start to its end, with all that it starts."""
+    """Time of `qdgrasp` with these arguments, from start to end, with all its processes."""
     with tempfile.TemporaryDirectory() as folder:
         before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         subprocess.run(

@@ -1,4 +1,4 @@
-"""How long a page with many cells takes to open, and how fluidly it turns, without a graphics card.
+"""Measures how fast a page with many cells opens and turns, without a graphics card.
 
 `python -m benchmarks.view` serves the monitor's page with an archive made by hand, opens it in Chromium
 drawing on the processor, and prints a line of JSON: how many pictures a second there are, and how finely
@@ -20,7 +20,7 @@ from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_coordinator.storage.success_pages import MOST_SUCCESSES, SuccessTable
 from qdgrasp_protocol.rows import Outcome
 
-INSIDE = 10  # cells: nearer to the middle stands the object
+INSIDE = 10  # cells; the object is within this distance of the middle
 THERE = "(words) => document.querySelector('#scene-words').textContent.startsWith(words)"
 TURN = """async (ms) => {
   const canvas = document.querySelector("#scene"), key = new KeyboardEvent("keydown", { key: "ArrowLeft" });
@@ -32,11 +32,11 @@ TURN = """async (ms) => {
   }
   return times;
 }"""
-WARM, MEASURED = 3000, 6000  # ms: to find its pace, and then
+WARM, MEASURED = 3000, 6000  # ms, of warming up and of measuring
 
 
 def archive(n: int) -> SuccessTable:
-    """Finds in `n` cells around the object, as dense as they are found: two cells of three are taken."""
+    """Successes in `n` cells around the object, at a usual density: two cells of three."""
     random = np.random.default_rng(0)
     reach = int(np.ceil((n * 1.5 / 4.19 + INSIDE**3) ** (1 / 3)))
     side = np.arange(-reach, reach + 1)
@@ -47,7 +47,7 @@ def archive(n: int) -> SuccessTable:
 
 
 def measured(page: Any, cells: int, address: str) -> dict[str, object]:
-    """What a visit to a page in a browser that runs comes to."""
+    """Figures of a visit to a page, in a browser that runs."""
     began = time.perf_counter()
     page.goto(f"{address}/#job=mug")
     page.wait_for_function(THERE, arg=f"{cells:,} cells")
@@ -57,7 +57,7 @@ def measured(page: Any, cells: int, address: str) -> dict[str, object]:
 
 
 def turned(page: Any, button: str | None = None) -> dict[str, float | str]:
-    """How it turns, after a button was pressed, and how finely it is drawn then."""
+    """Frame rate and resolution while the page turns, after a button was pressed."""
     if button:
         page.get_by_role("button", name="Leave out the cells").click()
     page.evaluate(TURN, WARM)

@@ -1,4 +1,4 @@
-"""What weights of other runs bring a search: `python -m benchmarks.warm_start --help`.
+"""Gain by weights of other runs for a search: `python -m benchmarks.warm_start --help`.
 
 The search for value runs on each object with and without weights learned on the sources, less that object.
 """
@@ -29,7 +29,7 @@ def asked_spec(asked: argparse.Namespace, thing: str, **values: int) -> RunSpec:
 
 
 def learned_search(asked: argparse.Namespace, thing: str) -> ValueSearch:
-    """The search of a source, told all of its run."""
+    """The search of a source, told all rows of its run."""
     spec = asked_spec(asked, thing, evaluations=asked.source_evaluations, seed=0)
     return replayed_search(spec, prepare_scene(spec), [run(spec).rows])
 

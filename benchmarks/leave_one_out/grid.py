@@ -20,7 +20,7 @@ class Constant:
 
     name: str
     words: str
-    """For a person."""
+    """Meaning, for a reader."""
     today: float
     others: tuple[float, ...]
     """The values that are tried beside today's."""
@@ -69,7 +69,10 @@ GRID = {
         ),
     )
 }
-"""By name, as docs/methods.md has them; one process evaluates and searches, so that all can be replaced."""
+"""Constants by name, as in docs/methods.md.
+
+One process evaluates and searches, so that all can be replaced.
+"""
 TODAY = "today"
 """The variant whose constants are those of the code."""
 

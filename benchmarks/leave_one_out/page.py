@@ -78,7 +78,7 @@ def page(table: Table, evaluations: int) -> str:
 
 
 def _standing(table: Table, known: Refits, evaluations: int) -> str:
-    """Which runs are in, and of which code."""
+    """The number of finished runs, and their code."""
     rows = [row for key, row in table.items() if key.evaluations == evaluations]
     codes = sorted(Counter(row.code for row in rows).items())
     words = ", ".join(f"`{code}` of {number} runs" for code, number in codes) or "no run is in"
@@ -100,7 +100,7 @@ def _counts(table: Table, asked: Sequence[Key]) -> tuple[str, str]:
 
 
 def _constants() -> str:
-    """What is varied, in words."""
+    """The table of the constants that are varied."""
     lines = [(f"`{one.name}`", one.words, _number(one.today)) for one in GRID.values()]
     return markdown_table(("constant", "meaning", "today"), lines)
 

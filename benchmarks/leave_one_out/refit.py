@@ -35,14 +35,14 @@ def robust_cells(table: Table, evaluations: int) -> Runs:
 
 
 def scores(found: Runs, scene: str) -> dict[str, RunValues]:
-    """The scores of all variants on an object, or none where a variant has no run or nothing holds."""
+    """The scores of all variants on an object; none if one has no run, or no grasp holds."""
     there = {name: found[name, scene] for name in VARIANTS if (name, scene) in found}
     mean = np.mean([values.mean() for values in there.values()]) if len(there) == len(VARIANTS) else 0.0
     return {name: values / mean for name, values in there.items()} if mean else {}
 
 
 Scores = Mapping[str, Mapping[str, RunValues]]
-"""By object and variant."""
+"""Scores by object and variant."""
 
 
 def mean_score(known: Scores, name: str) -> float:
@@ -67,7 +67,7 @@ class Refit:
     """Constants chosen from the runs on some objects."""
 
     values: Values
-    """Those that replace today's."""
+    """Constants that replace today's."""
     error: float
     """The standard error of a difference that the choice went by."""
 
@@ -93,13 +93,13 @@ def refit(known: Scores) -> Refit:
 
 
 Refits = Mapping[str, Refit]
-"""By the object that was left out; "" for none."""
+"""Refits by the object that was left out; "" for none."""
 
 
 def refits(table: Table, evaluations: int) -> Refits:
-    """The constants chosen on all tuning objects, and without each; nothing before all runs are in.
+    """The constants chosen on all tuning objects, and without each.
 
-    Nor is there anything where nothing holds on one of them.
+    Empty until all runs are finished, and where no grasp holds on one of the objects.
     """
     found = robust_cells(table, evaluations)
     known = {scene: scores(found, scene) for scene in TUNING}
@@ -116,9 +116,9 @@ class HeldOutComparison:
     """Refitted constants beside today's, in cells that hold, as shares of today's mean on each object."""
 
     today: ConfidenceInterval
-    """Around 1."""
+    """Today's constants, around 1."""
     difference: ConfidenceInterval
-    """Refitted less today's."""
+    """Mean of the refitted constants less that of today's."""
 
     @property
     def is_within(self) -> bool:
@@ -137,6 +137,6 @@ def compare(found: Runs, name: str) -> HeldOutComparison:
 
 
 def is_complete(found: Runs, name: str) -> bool:
-    """Whether all runs are in that `compare` looks at."""
+    """Whether all runs that `compare` looks at are finished."""
     arms = product((TODAY, name), HELD_OUT)
     return all(len(found.get(arm, ())) == len(HELD_OUT_SEEDS) for arm in arms)

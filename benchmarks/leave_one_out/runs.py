@@ -1,4 +1,4 @@
-"""Runs of variants: what is asked for, what is in, and carrying out what is missing."""
+"""Runs of variants: the wanted ones, the finished ones, and carrying out the missing ones."""
 
 import csv
 import io
@@ -37,13 +37,13 @@ HEX = 16
 
 
 class Key(NamedTuple):
-    """One run that is asked for."""
+    """One wanted run."""
 
     variant: str
     scene: str
     """Its object."""
     seed: int
-    """Of the search, and of the surface points."""
+    """Seed of the search and of the surface points."""
     evaluations: int
     """The budget."""
 
@@ -58,9 +58,9 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     robust_cells: int
     """Distinct 1 cm cells with a grasp that holds, in the end."""
     cells: int
-    """The same with a finger that touches."""
+    """Distinct 1 cm cells with a success, in the end."""
     cpu_seconds: float
-    """Of search and evaluations."""
+    """CPU time of search and evaluations."""
     code: str
     """Digest of their code, 16 digits."""
 
@@ -136,7 +136,7 @@ def carry_out(asked: Key) -> Row:
 
 
 def carry_on(file: Path, asked: Iterable[Key], current: Collection[str]) -> None:
-    """Carry out what the table in a file does not have of current code, and write each run as it comes."""
+    """Carry out the runs of current code that a file's table lacks; write each as it ends."""
     table = read(file)
     missing = [key for key in asked if key not in table or table[key].code not in current]
     for number, key in enumerate(missing, 1):

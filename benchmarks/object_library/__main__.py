@@ -1,4 +1,4 @@
-"""Makes a library of varied closed meshes, and says how long it takes to take them in.
+"""Makes a library of varied closed meshes, and measures the time to check them.
 
 `python -m benchmarks.object_library OUT --meshes 1000 --seed 0 --intake`; then
 `qdgrasp campaign OUT/library.csv --gripper panda --skip-unusable` is a campaign over all of them.

@@ -14,7 +14,7 @@ from numpy.random import Generator
 
 SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 SPLITS = ("train", "train", "train", "train", "test")
-BROKEN_EVERY = 50  # One in so many: 2 %
+BROKEN_EVERY = 50  # One mesh in so many is broken: 2 %
 
 
 def lathe(random: Generator) -> trimesh.Trimesh:

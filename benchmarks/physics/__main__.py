@@ -49,7 +49,7 @@ def scene_of(hand: str, target: str, protocol: str) -> Scene:
 
 @dataclass
 class Judged:
-    """What a protocol made of a pose."""
+    """The result of a pose under a protocol."""
 
     result: EpisodeResult
     seconds: float
@@ -59,19 +59,19 @@ class Judged:
 
 
 class CountingWorld(BulletPhysicalWorld):
-    """Counts its steps."""
+    """A world that counts its steps."""
 
     count = 0
 
     def step(self) -> None:
-        """Move on by a step."""
+        """Make a step."""
         super().step()
         self.count += 1
 
 
 @dataclass(frozen=True)
 class SeenEpisode(PhysicalEpisode):
-    """Remembers where the object was after closing."""
+    """An episode that stores the object's pose after closing."""
 
     places: list[tuple[Any, Any]] = field(default_factory=list)
 
@@ -117,7 +117,7 @@ def touched_poses(scene: Scene, n: int, seed: int) -> list[HandPose]:
 
 
 def physical_runs(scene: Scene, physics: Physics, poses: Sequence[HandPose]) -> list[Judged]:
-    """What `physical` makes of poses with other settings."""
+    """The results of poses under `physical` with other settings."""
     with closing(CountingWorld(scene, physics)) as world:
         episode = SeenEpisode(world, replace(PHYSICAL, physics=physics))
         return [judge(world, episode, pose) for pose in poses]
@@ -126,7 +126,7 @@ def physical_runs(scene: Scene, physics: Physics, poses: Sequence[HandPose]) -> 
 def side_by_side(
     paper_scene: Scene, scene: Scene, physics: Physics, poses: Sequence[HandPose]
 ) -> tuple[list[Judged], list[Judged]]:
-    """Both protocols in turns."""
+    """The results of poses under both protocols, in turns."""
     with closing(BulletShakenWorld(paper_scene)) as first, closing(CountingWorld(scene, physics)) as second:
         paper = ShakenEpisode(first, PAPER)
         physical = SeenEpisode(second, replace(PHYSICAL, physics=physics))
@@ -135,7 +135,7 @@ def side_by_side(
 
 
 def held(found: Sequence[Judged]) -> np.ndarray:
-    """Which are held."""
+    """Which poses are held, (n,)."""
     return np.array([each.result.outcome is Outcome.HELD for each in found])
 
 

@@ -55,7 +55,7 @@ AnyWorld = ShakenWorld | PhysicalWorld
 
 
 class HalfStepBullet(BulletShakenWorld):
-    """Bullet with two half steps in each, and motors of the same velocities."""
+    """Bullet with two half steps for each step, and motors of the same velocities."""
 
     def _prepare(self, gripper: SceneGripper) -> None:
         self._bullet.set_stepping(TIME_STEP / 2, ITERATIONS)
@@ -77,7 +77,7 @@ class HalfStepBullet(BulletShakenWorld):
 
 
 class HalfStepMujoco(MujocoShakenWorld):
-    """MuJoCo with two half steps in each."""
+    """MuJoCo with two half steps for each step."""
 
     _time_step = TIME_STEP / 2
 
@@ -99,7 +99,7 @@ def half_step_world(scene: Scene, protocol: EvaluationProtocol) -> AnyWorld:
 
 
 class Verdict(NamedTuple):
-    """What an engine made of a pose."""
+    """The result of a pose in an engine."""
 
     result: EpisodeResult
     seconds: float
@@ -126,7 +126,7 @@ class Judge:
 
 
 def chosen_poses(scene: Scene, judge: Callable[[HandPose], Verdict], held: int, lost: int) -> list[HandPose]:
-    """The first poses that touch, so many that hold and so many that do not."""
+    """The first poses that touch: some that hold and some that do not."""
     found: dict[bool, list[HandPose]] = {True: [], False: []}
     for pose in poses_of(scene, seed=1):
         outcome = judge(pose).result.outcome
@@ -176,7 +176,7 @@ def figures(hand: str, target: str, protocol: str, held: int, lost: int, rounds:
 
 
 def agreement(found: dict[str, list[Verdict]]) -> dict[str, Any]:
-    """How far the engines agree on what is held."""
+    """Agreement of the engines on which grasps are held."""
     holds = {
         name: np.array([each.result.outcome is Outcome.HELD for each in verdicts])
         for name, verdicts in found.items()
@@ -212,7 +212,7 @@ def agreement(found: dict[str, list[Verdict]]) -> dict[str, Any]:
 
 
 def counted(pairs: Any) -> list[tuple[tuple[Outcome, Outcome], int]]:
-    """How often each pair comes, in order."""
+    """The number of each pair, sorted by pair."""
     listed = list(pairs)
     return [(pair, listed.count(pair)) for pair in sorted(set(listed))]
 

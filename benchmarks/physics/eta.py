@@ -3,8 +3,8 @@
 Grasps that hold are taken in groups of one block of 2 cm, of a run under `physical` (Panda, `aimed`, seed 0);
 those that do not hold are a dozen of each outcome. They meet trials in which the hand is set at its pose
 ("set"), goes back from it to the first clear place ("retreat"), or comes from outside and stops before it
-would be inside the object ("path", that of the protocol), and the trials of `robust` on `paper`. What was
-simulated stays in a folder, and is not simulated again.
+would be inside the object ("path", that of the protocol), and the trials of `robust` on `paper`. Results
+are stored in a folder, and are not simulated again.
 """
 
 import argparse
@@ -39,8 +39,8 @@ from qdgrasp_worker.physical_episode import PhysicalEpisode, PhysicalWorld
 
 HAND = "panda"
 EVALUATIONS = {"ycb_rubiks_cube": 800, "ycb_mug": 800, "ycb_power_drill": 600}
-HELD, OTHERS = 60, 12  # So many grasps that hold, and so many of each other outcome of a success
-BLOCK, LEAST, MOST = 0.02, 3, 5  # Side of the block of a group [m], and how many of it are taken
+HELD, OTHERS = 60, 12  # Number of grasps that hold, and of each other outcome of a success
+BLOCK, LEAST, MOST = 0.02, 3, 5  # Side of the block of a group [m], and grasps taken from it
 TRIALS = 50
 ARRIVALS = ("set", "retreat", "path")
 ARMS = ("paper", *ARRIVALS)
@@ -64,7 +64,7 @@ def kept_arrays(file: Path, make: Callable[[], Arrays]) -> Arrays:
 
 @dataclass(frozen=True)
 class Results:
-    """What trials (n, t) of grasps ended with."""
+    """Results of trials (n, t) of grasps."""
 
     outcome: NDArray[np.int64]
     fitness: NDArray[np.int64]
@@ -76,7 +76,7 @@ class Results:
 
 
 class Study:
-    """The grasps of one object and what they met, kept in a folder."""
+    """The grasps of one object and the results of their trials, stored in a folder."""
 
     def __init__(self, target: str, folder: Path) -> None:
         self.target = target
@@ -368,7 +368,7 @@ def refinement_row(study: Study, which: str) -> Iterable[list[object]]:
 
 
 def way_rows(study: Study) -> Iterable[list[object]]:
-    """Where hands stop, in shares of trials of grasps that hold; how far back [mm]; how many hold then."""
+    """Of grasps that hold: shares of trials that stop early, distance back [mm], shares held."""
     is_held = study.grasps["outcome"] == Outcome.HELD
     path, retreat = (study._arrivals[f"{arm} back"][is_held] for arm in ("path", "retreat"))
     holds, is_early = study.results("path").outcome[is_held] == Outcome.HELD, path > 0

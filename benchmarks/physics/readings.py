@@ -37,10 +37,10 @@ OBJECT_AXES = {"translationZ": (0.0, 0.0, 1.0), "rotationX": (1.0, 0.0, 0.0)}
 
 
 class UnsweptWorld(BulletShakenWorld):
-    """A world that is quickly made; closing in it goes on to the end."""
+    """A world that is quickly made, in which closing goes on to the end."""
 
     def measure_sweep(self, *_: object) -> None:  # type: ignore[override]
-        """Measure nothing."""
+        """Skip the measurement."""
 
 
 def judged(
@@ -95,7 +95,7 @@ def readings(scene: Scene, poses: Sequence[HandPose]) -> Iterator[tuple[str, lis
 
 
 def share(found: Sequence[bool]) -> str:
-    """A share as the table has it."""
+    """A share as text for the table."""
     return f"{np.mean(found):.2f}"
 
 

@@ -44,7 +44,7 @@ def run(
     runs: Runs = RUNS,
     workers: options.Workers = None,
 ) -> None:
-    """Carry out what is missing, the cheapest scene first; stopped at any time, the same command goes on."""
+    """Carry out missing runs, the cheapest scene first; if stopped, the same command goes on."""
     store = _store(table, home, accept)
     asked = chosen(store.known, campaigns or (), cell or ())
     with lifetime("qdgrasp results") as stop:
@@ -67,7 +67,7 @@ def show(
     table: Table = TABLE,
     home: Home = HOME,
 ) -> None:
-    """Print what is missing in the order in which it would be done, and do nothing."""
+    """Print the missing runs in their order of execution, and carry out none."""
     store = _store(table, home, accept)
     asked, costs = chosen(store.known, campaigns or (), cell or ()), Costs(store.table.values())
     left = store.missing(asked)
@@ -79,13 +79,13 @@ def show(
 
 @app.command()
 def add(directories: Folders, accept: Accept = None, table: Table = TABLE, home: Home = HOME) -> None:
-    """Add the finished runs in folders; rows of today's evaluation code give way to their like alone."""
+    """Add finished runs in folders; only rows of today's evaluation code replace such rows."""
     typer.echo(_store(table, home, accept).add(directories).words)
 
 
 @app.command()
 def assets(runs: Runs = RUNS) -> None:
-    """Make the benchmark's own hands and objects, and print where they are."""
+    """Make the benchmark's own hands and objects, and print their folder."""
     for file in FILES:
         make_asset(runs / NAME / file)
         typer.echo(str(runs / NAME / file))

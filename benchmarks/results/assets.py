@@ -30,8 +30,8 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
 
 NAME = "grasp-bench-1"
-"""The benchmark with its version: the folder of its files, and the beginning of its campaigns' names."""
-SIDES = 24  # Corners of what is turned on a lathe
+"""Name and version of the benchmark: its folder, and the beginning of its campaigns' names."""
+SIDES = 24  # Corners of a turned solid
 MILLIMETRE = 1e-3
 DIGEST_DIGITS = 16
 
@@ -42,19 +42,19 @@ Point = tuple[float, float, float]
 
 
 def turned(*profile: tuple[float, float], sides: int = SIDES) -> Mesh:
-    """Return what a lathe makes of a profile, from the middle of its bottom up to that of its top."""
+    """Return the solid of revolution of a profile, from its bottom's middle to its top's."""
     return cup(np.array(profile), sides)
 
 
 def loop(outline: Profile, sides: int) -> Mesh:
-    """Return what is left between the axis and a closed outline that is turned about it."""
+    """Return the ring that a closed outline makes when turned about the axis."""
     rings = revolve(np.array([*outline]), sides)
     corners = np.arange(rings.shape[0] * sides).reshape(-1, sides)
     return Mesh(rings.reshape(-1, 3), strip(np.concatenate([corners, corners[:1]])))
 
 
 def bar(sections: Iterable[Floats]) -> Mesh:
-    """Return what convex sections (s, 3) [mm], one after the other, enclose with both ends.
+    """Return the solid between convex sections (s, 3) [mm] in their order, with both ends.
 
     Seen from the last one the corners of each are counter-clockwise.
     """
@@ -207,8 +207,8 @@ OBJECTS = {
 class BenchmarkHand:
     """A hand that is made of a URDF in a public package, as `qdgrasp gripper new --mend --yes` does.
 
-    Other than there it has no ratings, as the efforts in its URDF cannot be true: `physical` bounds its
-    drives as those of any hand without.
+    Unlike there it has no ratings, as the efforts in its URDF cannot be true: `physical` bounds its
+    drives as those of any hand without ratings.
     """
 
     urdf: str

@@ -69,7 +69,7 @@ class SceneGroup:
     has: Callable[[Arm], bool]
 
     def arms(self, known: Sequence[Arm]) -> list[Arm]:
-        """Those of its scenes that have runs, and are of one protocol."""
+        """Its scenes that have runs, and are of one protocol."""
         return [arm for arm in known if arm.rows and arm.key.protocol == PROTOCOL and self.has(arm)]
 
 
@@ -106,7 +106,7 @@ class Contest:
 
     @cached_property
     def equal_cpu(self) -> ConfidenceInterval:
-        """The same after as many CPU seconds; scenes where a run took too few are left out."""
+        """That ratio after as many CPU seconds; scenes where a run took too few are left out."""
         pairs = [pair for one in self.scenes if (pair := after_equal_cpu(one)) is not None]
         upper: ScenesOfRuns = [ours for ours, _ in pairs]
         return ratio_interval(upper, [theirs for _, theirs in pairs])

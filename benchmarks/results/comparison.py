@@ -35,15 +35,15 @@ class Arm:
     """Runs of the programme with one spec but for the seed."""
 
     key: Key
-    """Of any of them; the seed means nothing."""
+    """Key of any of its runs; the seed means nothing."""
     seeds: tuple[int, ...]
-    """Those that are wanted."""
+    """Seeds of the wanted runs."""
     rows: Mapping[int, Row]
-    """Those that are in the table, by seed."""
+    """Rows of the table, by seed."""
 
     @property
     def method(self) -> str:
-        """The method, with those of its settings that are not as it has them."""
+        """The method, with the settings that differ from its own."""
         aims = "" if self.key.method != DEFAULT or "aim_for" in settings_of(self.key) else " for touch"
         return f"`{self.key.method}`{aims}" + (
             f" ({', '.join(found)})" if (found := changed(self.key)) else ""
@@ -56,7 +56,7 @@ class Arm:
 
     @property
     def count(self) -> str:
-        """How many of its runs are in, in words."""
+        """The number of its finished runs, in words."""
         whole, here = len(self.seeds), len(self.rows)
         return str(whole) if here == whole else f"{here} of {whole}"
 
@@ -116,7 +116,7 @@ def spread(values: NDArray[np.float64], digits: int = 1) -> str:
 
 @dataclass(frozen=True)
 class Figure:
-    """What two arms are compared by."""
+    """A figure that two arms are compared by."""
 
     name: str
     words: str
@@ -133,7 +133,7 @@ BESIDE = (
     Figure("orientations", "orientations", digits=2),
     Figure("niches", "niches", digits=0),
 )
-"""What stands beside, so that coverage is not bought with worse grasps."""
+"""Further figures, which show if coverage comes with worse grasps."""
 SIGNIFICANT = 1 - CONFIDENCE_LEVEL
 """An adjusted p-value of at most this is a win or a loss."""
 VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "adjusted p", "verdict")
@@ -154,12 +154,12 @@ class MethodComparison:
 
     @property
     def has_runs(self) -> bool:
-        """Whether both have any."""
+        """Whether both have runs."""
         return bool(self.ours.rows and self.theirs.rows)
 
     @property
     def seeds(self) -> str:
-        """Numbers of runs of both, one where they are alike."""
+        """Numbers of runs of both, one number where they are equal."""
         ours, theirs = len(self.ours.rows), len(self.theirs.rows)
         return str(ours) if ours == theirs else f"{ours} / {theirs}"
 
@@ -177,7 +177,7 @@ class MethodComparison:
         return ours, theirs
 
     def difference(self, figure: Figure) -> ConfidenceInterval:
-        """Ours less theirs."""
+        """The default's mean less the other's."""
         return over_scenes(difference_interval, [self], figure)
 
     @cached_property
@@ -187,7 +187,7 @@ class MethodComparison:
 
     @property
     def codes(self) -> str:
-        """The evaluation code of both, the default's first where they are not alike."""
+        """The evaluation code of both, the default's first where they differ."""
         ours, theirs = self.ours.codes, self.theirs.codes
         return f"{ours} / {theirs}" if self.is_mixed else ours
 
@@ -266,7 +266,7 @@ class Verdict:
 
     @property
     def words(self) -> str:
-        """The arm that is ahead for certain: win, loss, level; or that there are few seeds."""
+        """The verdict on the default: win, loss, level or few seeds."""
         if np.isnan(self.adjusted):
             return "few seeds"
         if self.adjusted > SIGNIFICANT:
@@ -297,7 +297,7 @@ def _line(one: MethodComparison, verdict: Verdict) -> tuple[str, ...]:
 
 
 def _pooled(done: Sequence[MethodComparison]) -> Iterator[tuple[str, ...]]:
-    """The same for each hand and method over its objects that have a figure alike."""
+    """Verdicts for each hand and method over its objects with the same figure."""
     groups: dict[tuple[str, str, Figure], list[MethodComparison]] = {}
     for one in done:
         groups.setdefault((one.ours.key.gripper, one.theirs.method, one.figure), []).append(one)
@@ -324,7 +324,7 @@ VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "few seeds": "of 
 
 
 def _behind(done: Sequence[MethodComparison], figure: Figure | None) -> Iterator[tuple[str, ...]]:
-    """For each hand and object where the default is behind in a figure: whom, and by how much, most first."""
+    """Hands and objects where the default is behind in a figure: of which method, and how far."""
     compared = [(one, figure or one.figure) for one in done]
     some = [(one, measure) for one, measure in compared if all(len(values) for values in one.pair(measure))]
     verdicts = verdicts_of([one.difference(measure) for one, measure in some])

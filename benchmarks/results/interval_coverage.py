@@ -56,13 +56,13 @@ def _draws(sample: Sample, seed: int) -> Values:
 
 
 def percentile(sample: Sample, seed: int) -> tuple[float, float]:
-    """The middle 95 % of the draws."""
+    """The percentile interval: the middle 95 % of the draws."""
     low, high = np.quantile(_draws(sample, seed), TAILS)
     return float(low), float(high)
 
 
 def bca(sample: Sample, seed: int) -> tuple[float, float]:
-    """The same, corrected for bias and acceleration; what is left out in turn is a scene, or of one a run."""
+    """The BCa interval; its jackknife leaves out scenes, or runs where there is one scene."""
     draws = _draws(sample, seed)
     bias = norm.ppf(np.clip((draws < sample.difference).mean(), 1 / len(draws), 1 - 1 / len(draws)))
     axis = 0 if len(sample.runs) > 1 else 2

@@ -65,7 +65,7 @@ def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Reference
 
 
 def _reference(folder: RunFolder, targets: ReferenceLookup) -> ReferenceSet | None:
-    """The set of a run's object itself: what a stand-in covers of its scan's set is no result."""
+    """The set of a run's object itself: a stand-in's coverage of its scan's set is no result."""
     target = targets.of(folder.scene(), folder.spec.object)
     return None if target.stand_in else target.reference
 
@@ -77,7 +77,7 @@ def row(values: Figures) -> Row:
 
 
 def _stops(spec: RunSpec, rows: Rows, budgets: set[int]) -> dict[int, int]:
-    """How many rows of a journal are those of the run with each budget, of the budgets that are spent."""
+    """The number of a journal's rows that belong to each budget that is spent."""
     spent = np.cumsum(evaluation_mask(rows, spec.overlaps))
     least = 0 if trial_count(spec.protocol) or not len(rows) else min(spec.evaluations, int(spent[-1]) + 1)
     stops = {one: int(np.searchsorted(spent, one)) + 1 for one in sorted(budgets) if one < least}
@@ -99,14 +99,14 @@ def code_of(platform: Mapping[str, str], engine: EngineChoice | None) -> str:
 
 
 def codes_here() -> set[str]:
-    """The same of the code that is here, for each engine."""
+    """Beginnings of the digests of the installed code, one for each engine."""
     known = {f"{name}_code": syntax_digest(*worlds(engine)) for name, engine in ENGINES.items()}
     known["code"] = code_digest()
     return {code_of(known, name) for name in ENGINES}
 
 
 def _origin(journal: Journal, rows: Rows, spec: RunSpec) -> Figures:
-    """By what the rows were made."""
+    """Versions and digests that the rows were made with."""
     platform = journal.platform
     return {
         "version": journal.package,
@@ -118,7 +118,7 @@ def _origin(journal: Journal, rows: Rows, spec: RunSpec) -> Figures:
 
 
 def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figures:
-    """What a run found with these rows of its journal."""
+    """The figures of a run with these rows of its journal."""
     spec, archive = folder.spec, empty_niche_archive(folder)
     total, metrics = count_rows(spec, [rows]), SuccessMetrics(TrialPlan.of(spec))
     metrics.count(rows)
@@ -143,7 +143,7 @@ def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figure
 
 
 def covered(found: SuccessHistory, known: ReferenceSet, evaluations: int) -> Figures:
-    """How much of a reference set was found, in the end and at the milestones that were reached."""
+    """Coverage of a reference set, in the end and at the milestones that were reached."""
     reached, size = found.found(known), len(known)
     distinct = len(np.unique(cells(found.rows["base_to_object"][:, :3]), axis=0))
     return {
@@ -177,7 +177,7 @@ def growth(spec: RunSpec, parts: Sequence[JournalSlice]) -> Figures:
 
 
 def costs(parts: Sequence[JournalSlice]) -> Figures:
-    """What rows cost: seconds of the workers, and of a success among them."""
+    """The cost of rows: CPU seconds of the workers, and milliseconds of a success."""
     return {"cpu_seconds": sum(part.cpu_seconds for part in parts), "success_ms": _success_ms(parts)}
 
 

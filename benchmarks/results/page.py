@@ -71,7 +71,7 @@ def _coverage_line(arm: Arm) -> tuple[str, ...]:
 
 
 def _aim(arm: Arm) -> str:
-    """What is aimed at, and whether it is reached."""
+    """The targets, and whether they are reached."""
     verdicts = []
     for evaluations, percent in _targets(arm).items():
         found = arm.values(f"coverage_{evaluations // 1000}k", 100)
@@ -102,7 +102,7 @@ def _short(shown: Sequence[Arm]) -> Iterator[str]:
 AUTHORS = 0.079
 """Percent of S_G a CPU second, the best of the authors' code: approach_rand, Panda on rubiks_cube, 10 000."""
 SCENE, BUDGET = ("panda", "ycb_rubiks_cube", "paper"), 10_000
-"""Where that is compared, and after how many evaluations."""
+"""Scene of that comparison, and its number of evaluations."""
 CPU_COLUMNS = (
     "hand", "object", "method", "counting", "evaluations", "runs", "coverage, %", "CPU s", "% of S_G a CPU s",
     f"x {AUTHORS}", "a success, ms", "ceiling, % a CPU s", "of the ceiling, %", "code",
@@ -143,7 +143,7 @@ def _cpu_line(arm: Arm) -> tuple[str, ...]:
 
 
 def _beside_authors(arm: Arm) -> str:
-    """How many times the authors' rate; empty for runs that theirs is not like."""
+    """The multiple of the authors' rate; empty for runs of another scene or budget."""
     is_alike = (arm.key.scene, arm.key.budget) == (SCENE, BUDGET)
     return f"{100 * _rate(arm) / AUTHORS:.1f}" if is_alike else ""
 
@@ -243,7 +243,7 @@ def benchmark_arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
 def _arms(
     known: Programme, table: Mapping[Key, Row], prefix: str, without: tuple[str, ...] = ()
 ) -> list[Arm]:
-    """The arms of campaigns whose names begin in one way, and in none of some others."""
+    """The arms of campaigns whose names begin with one text, and with none of some others."""
     campaigns = known.campaigns.items()
     chosen = {
         name: runs for name, runs in campaigns if name.startswith(prefix) and not name.startswith(without)
@@ -252,7 +252,7 @@ def _arms(
 
 
 def _standing(known: Programme, table: Mapping[Key, Row]) -> str:
-    """Which runs are in, and of which code."""
+    """The number of finished runs, and their code."""
     wanted = known.wanted
     here = [table[one] for one in wanted if one in table]
     others = len(table) - len(here)

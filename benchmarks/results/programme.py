@@ -26,7 +26,7 @@ class Wanted:
     """A run of the programme."""
 
     name: str
-    """As its campaign calls it; runs that differ in their budget alone share it."""
+    """Its name in the campaign; runs that differ in their budget alone share it."""
     spec: RunSpec
 
     @cached_property
@@ -47,7 +47,7 @@ class Programme:
         return {one.key: one for runs in self.campaigns.values() for one in runs}
 
     def budgets(self, asked: Key) -> set[int]:
-        """The budgets that the programme has for a run, whatever its own."""
+        """All budgets that the programme has for the run of a key."""
         return self._budgets.get(asked._replace(budget=0), set())
 
     @cached_property
@@ -132,18 +132,18 @@ HAND_MS = {
     "panda": 10.0, "robotiq": 10.0, "xarm": 30.0, "pr2": 30.0, "allegro": 30.0, "shadow": 25.0,
     "barrett": 60.0, "bh280": 80.0,
 }  # fmt: skip
-"""What an evaluation is taken to cost [ms] with a hand whose name holds this, while no run is known."""
+"""Assumed cost of an evaluation [ms] by a part of the hand's name, while no run is known."""
 UNKNOWN_MS = 50.0
 LIKENESS: tuple[Callable[[Key], tuple[str, ...]], ...] = (
     lambda one: (one.gripper, one.protocol, one.overlaps, one.method, one.object),
     lambda one: (one.gripper, one.protocol, one.overlaps, one.method),
     lambda one: (one.gripper, one.protocol, one.overlaps),
 )
-"""What makes two runs alike in cost, the closest first."""
+"""Values that runs of similar cost share, the most similar first."""
 
 
 class Costs:
-    """What runs cost, judged by those that are in the table."""
+    """Costs of runs, estimated from those in the table."""
 
     def __init__(self, rows: Iterable[Row]) -> None:
         known = [(row.key, row.cpu_seconds / row.evaluations) for row in rows if row.evaluations]
@@ -182,7 +182,7 @@ def ordered(runs: Iterable[Wanted], costs: Costs) -> list[Wanted]:
 
 
 def stages(runs: Sequence[Wanted], costs: Costs) -> Iterator[list[Wanted]]:
-    """The runs in parts that a campaign can have: about ten minutes of CPU time, and no name twice."""
+    """Split the runs into parts for a campaign: some ten minutes of CPU, no name twice."""
     part: list[Wanted] = []
     spent = 0.0
     for one in runs:

@@ -28,7 +28,7 @@ CPU_MILESTONES = {f"{n}s": n for n in (5, 10, 20, 50, 100, 200)}
 
 
 class Key(NamedTuple):
-    """What was asked for: no two rows of a table have the same. Rows are sorted by it."""
+    """The wanted run: unique in a table, whose rows are sorted by it."""
 
     gripper: str
     object: str
@@ -37,7 +37,7 @@ class Key(NamedTuple):
     method: str
     overlaps: str
     settings: str
-    """Whatever else of the spec is not the spec's default: `population=50` of `aimed`, mostly nothing."""
+    """Other values of the spec that are not its defaults, such as `population=50`; mostly empty."""
     seed: int
     budget: int
 
@@ -48,7 +48,7 @@ class Key(NamedTuple):
 
     @property
     def words(self) -> str:
-        """For a person."""
+        """Name for a reader."""
         marks = (
             f"{self.protocol}, {'overlaps redrawn' if self.overlaps == 'redraw' else 'every pose counted'}"
         )
@@ -69,15 +69,15 @@ class Row(Struct, frozen=True, kw_only=True):
     seed: int
     budget: int
     version: str
-    """Of this package, when the run was begun."""
+    """Version of this package when the run was begun."""
     code: str
-    """Digest of the evaluation's code: what decides whether a row is of today."""
+    """Digest of the evaluation's code, which decides whether a row is current."""
     platform: str
     """Digest of all that decides the bits of a result (docs/reproducibility.md), `code` included."""
     scene: str
     """Digest of the scene bundle."""
     journal: str
-    """The beginning of what `qdgrasp digest` prints."""
+    """The beginning of the output of `qdgrasp digest`."""
     evaluations: int
     """Counted ones; fewer than the budget where a search ended by itself."""
     simulated: int
@@ -99,7 +99,7 @@ class Row(Struct, frozen=True, kw_only=True):
     coverage_10k: float | None = None
     coverage_50k: float | None = None
     coverage: float | None = None
-    """The same in the end."""
+    """De-duplicated coverage of the reference set in the end."""
     robust_coverage: float | None = None
     """The share of the set's entries in which a success of fitness 2 was found."""
     outside: float | None = None
@@ -107,14 +107,14 @@ class Row(Struct, frozen=True, kw_only=True):
     robust_cells: int | None = None
     """Distinct 1 cm cells with a grasp that survived every disturbance, in the end."""
     robust_cells_500: int | None = None
-    """The same after so many counted evaluations."""
+    """Robust cells after so many counted evaluations."""
     robust_cells_1k: int | None = None
     robust_cells_2k: int | None = None
     robust_cells_5k: int | None = None
     robust_cells_10k: int | None = None
     robust_cells_50k: int | None = None
     robust_cells_5s: int | None = None
-    """The same after so many CPU seconds of the workers."""
+    """Robust cells after so many CPU seconds of the workers."""
     robust_cells_10s: int | None = None
     robust_cells_20s: int | None = None
     robust_cells_50s: int | None = None
@@ -127,21 +127,21 @@ class Row(Struct, frozen=True, kw_only=True):
     niches: int | None = None
     """Niches of position, orientation and synergy with a success."""
     robust_niches: int | None = None
-    """Those with a success of fitness 2."""
+    """Niches with a success of fitness 2."""
     orientations: float | None = None
-    """Of 60 bins, those with a success in a cell with one, mean over these cells."""
+    """Orientation bins with a success, of 60: mean over the cells with a success."""
     near_nu: float | None = None
     """Share of the successes that aim at a surface point with nu below pi / 4, 0 to 1."""
     cpu_seconds: float
-    """Of the workers."""
+    """CPU time of the workers."""
     coverage_per_cpu_second: float | None = None
     success_ms: float | None = None
-    """What a success costs its worker [ms], fitted to the blocks of the journal."""
+    """Cost of a success to its worker [ms], fitted to the blocks of the journal."""
     wall_seconds: float | None = None
 
     @property
     def key(self) -> Key:
-        """What was asked for."""
+        """The wanted run."""
         return Key(*(getattr(self, name) for name in Key._fields))
 
 
@@ -150,7 +150,7 @@ NEEDED = tuple(field.name for field in msgspec.structs.fields(Row) if field.requ
 
 
 def key(spec: RunSpec) -> Key:
-    """What a spec asks for.
+    """The key of a spec.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def _named(name: str) -> str:
 
 
 def _settings(spec: RunSpec) -> str:
-    """What of a spec no other column says, where it is not the spec's default.
+    """Values of a spec that are in no other column and are not its defaults.
 
     A surface seed that is the run's seed is called so: runs that differ in both alone are alike.
     """
@@ -198,7 +198,7 @@ def _settings(spec: RunSpec) -> str:
 
 
 def written(value: object) -> str:
-    """A figure as it stands in the table."""
+    """A figure as text for the table."""
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}" if abs(value) < 10**DIGITS else f"{value:.0f}"
     return "" if value is None else str(value)
@@ -251,7 +251,7 @@ def parquet(table: Table) -> bytes:
 
 
 def _plain(kind: Any) -> type:
-    """The type of a figure that is there."""
+    """The type of a figure that is not None."""
     some: type = next((one for one in get_args(kind) if one is not type(None)), kind)
     return some
 
@@ -276,7 +276,7 @@ def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[
 
 @contextmanager
 def held(file: Path) -> Iterator[None]:
-    """Be the only process that changes a table; see `job_folder.hold_lock`."""
+    """Lock a table against changes by other processes; see `job_folder.hold_lock`."""
     with atomic_files.writing(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
     with job_folder.hold_lock(file.parent, f".{file.name}.lock"):
@@ -291,7 +291,7 @@ def write(file: Path, table: Table) -> None:
 
 @contextmanager
 def disk_text(file: Path) -> Iterator[io.StringIO]:
-    """A file's text as lines; what is no CSV at all is told in a sentence."""
+    """A file's text as lines; raises an InputError where it is no CSV."""
     try:
         yield io.StringIO(atomic_files.read(file).decode())
     except (csv.Error, UnicodeDecodeError) as error:

@@ -36,10 +36,10 @@ PAGE = "index.md"
 
 
 class Added(msgspec.Struct, frozen=True):
-    """What adding runs came to."""
+    """The result of adding runs."""
 
     new: int
-    """Rows that were not in, or are others now."""
+    """Rows that are new, or have changed."""
     kept: int
     """Rows that were left out, as the table has them of today's code."""
     bare: tuple[str, ...]
@@ -49,7 +49,7 @@ class Added(msgspec.Struct, frozen=True):
 
     @property
     def words(self) -> str:
-        """For a person."""
+        """Summary for a reader."""
         kept = f"; {self.kept} of other code were left out" if self.kept else ""
         bare = f" No S_G on this machine of {', '.join(self.bare)}: no coverage." if self.bare else ""
         return f"{self.new} new rows, {self.whole} in all{kept}.{bare}"
@@ -63,7 +63,7 @@ class Store:
     file
         The table.
     known
-        The programme, for the page and for what is missing.
+        The programme, for the page and for missing runs.
     current
         Digests of evaluation code that count as today's.
     """
@@ -79,7 +79,7 @@ class Store:
         return tables.read(self.file)
 
     def missing(self, asked: Programme) -> list[Wanted]:
-        """What of a programme the table does not have of today's code."""
+        """The runs of a programme that the table lacks, of today's code."""
         return asked.missing(self.table, self._current)
 
     def add(self, directories: Iterable[Path], *, again: bool = True) -> Added:
@@ -133,13 +133,13 @@ class _Budgets:
 
 NAME_DIGITS = 12
 SEARCHING = ("metrics/cells", "metrics/run_stats", "scheduler/pipeline")
-"""Modules of the coordinator, beside the searches, that have a say in what is asked."""
+"""Modules of the coordinator, beside the searches, that affect which genomes are asked."""
 
 
 def carry_on(
     store: Store, asked: Programme, runs: Path, team: LocalJobConfig, stop: Stop
 ) -> list[QdgraspError]:
-    """Carry out what is missing, stage by stage, and add what each one finished.
+    """Carry out missing runs, stage by stage, and add the finished runs of each.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def carry_on(
 
 
 def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
-    """The hands and objects of runs that are not on this machine, and what is to be said of each.
+    """The hands and objects of runs that are not on this machine, each with its message.
 
     Those of the benchmark are made first.
     """
@@ -197,27 +197,27 @@ def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
 
 
 def _gather(store: Store, place: Path) -> None:
-    """Add the rows of a workplace that are not in yet."""
+    """Add the new rows of a workplace."""
     if JobFolder.is_job(place):
         store.add([place], again=False)
 
 
 def workplace(home: Path) -> Path:
-    """The folder below `home` for the runs of this code: of what evaluates, and of what searches."""
+    """The folder below `home` for the runs of this code, of evaluation and search."""
     said = json.dumps(platform(), sort_keys=True).encode()
     digest = hashlib.sha256(said + _search_digest())
     return home / digest.hexdigest()[:NAME_DIGITS]
 
 
 def _search_digest() -> bytes:
-    """The sha256 over the sources of the searches, and of what asks them."""
+    """The sha256 over the sources of the searches, and of the modules that ask them."""
     here = Path(str(qdgrasp_coordinator.__file__)).parent
     sources = [*(here / f"{name}.py" for name in SEARCHING), *sorted(here.glob("search/*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).digest()
 
 
 def work(place: Path, stage: Sequence[Wanted], team: LocalJobConfig, stop: Stop) -> None:
-    """Carry out a stage, and what an earlier one left undone.
+    """Carry out a stage, and the unfinished runs of an earlier one.
 
     Raises
     ------

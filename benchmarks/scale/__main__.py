@@ -1,4 +1,4 @@
-"""How far a coordinator goes: `make scale`, or `python -m benchmarks.scale --help`.
+"""Measures the limits of a coordinator: `make scale`, `python -m benchmarks.scale --help`.
 
 Workers are stand-ins that answer at once with prepared results, except where real ones are named; router and
 recorder are processes of their own. CPU times hold on a busy machine, rates and seconds only on a quiet one.

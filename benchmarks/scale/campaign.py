@@ -1,4 +1,4 @@
-"""How a campaign of many runs is carried: `python -m benchmarks.scale.campaign --runs 2000`.
+"""Measures a campaign of many runs: `python -m benchmarks.scale.campaign --runs 2000`.
 
 `qdgrasp campaign` is the real one, with its coordinator and its recorder; the workers are stand-ins that
 answer at once. Every run has its journal. One scene serves many runs, so that few are built. CPU times hold
@@ -57,9 +57,9 @@ LEFT = 8
 INTERVAL = 0.05
 """Seconds between two looks at the processes."""
 UNCHECKED = ("--checked", "0")
-"""Options of a job whose workers are stand-ins, which agree with nobody."""
+"""Options of a job whose workers are stand-ins, whose results never agree."""
 NAMES = ("coordinator", "recorder")
-"""Of processes, as they stand in the command lines and titles of these."""
+"""Names of processes, as in their command lines and titles."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Size:
     method: str
     workers: int
     row_seconds: float
-    """What an evaluation is said to cost [CPU s]."""
+    """Reported cost of an evaluation [CPU s]."""
 
     def source(self) -> dict[str, Any]:
         """The content of the campaign's file; at least so many runs as are asked for."""
@@ -83,13 +83,13 @@ class Size:
 
 @dataclass
 class Process:
-    """What a process has taken, as it was seen last."""
+    """Memory and CPU time of a process at the last look."""
 
     pid: int
     cpu: float = 0.0
     """CPU time [s]."""
     memory: list[int] = field(default_factory=list)
-    """At the `LOOKS` that are over [bytes]."""
+    """Memory at the `LOOKS` that are over [bytes]."""
 
     def look(self) -> None:
         with suppress(OSError):  # it has ended
@@ -99,7 +99,7 @@ class Process:
 
 @dataclass
 class Course:
-    """What was seen of a command that carries the campaign out."""
+    """Measurements of a command that carries the campaign out."""
 
     began: float
     processes: dict[str, Process]
@@ -113,7 +113,7 @@ class Course:
 
 
 class FirstLease(StandIn):
-    """A stand-in that tells when it is sent its first batch."""
+    """A stand-in that reports its first batch."""
 
     def __init__(self, crowd: Crowd) -> None:
         super().__init__(0, crowd, Clockwork().later)

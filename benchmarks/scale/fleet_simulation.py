@@ -37,7 +37,7 @@ UNTRIED = 0.4
 SCREENED = 0.3
 """Time of such a genome, as a share of the mean."""
 SHAPES = (9.0, 16.0)
-"""Of the gamma distributions of the times of both kinds: with these 99.9 % take less than thrice the mean."""
+"""Shapes of the gamma distributions of both times: 99.9 % are below three times the mean."""
 SLOW = 10.0
 """Time of a slow row, as a multiple of its usual time: the machine was busy, or something was made first."""
 GENOMES = 16_700
@@ -122,7 +122,7 @@ class SimulatedWorker:
     number: int = 1
     free_at: float = 0.0
     pending: dict[bytes, float] = field(default_factory=dict)
-    """When the result of each batch it holds is there."""
+    """Time at which the result of each of its batches is ready [s]."""
     is_over: bool = False
 
 
@@ -140,7 +140,7 @@ class FleetSimulation:
         self._is_at_work = False
         self._wakes_at = inf
         self._useful: list[tuple[float, float, int]] = []
-        """When batches were settled, what they took, and their rows."""
+        """Of settled batches: the moment, the time that they took, and their rows."""
         self._leased: list[tuple[float, int]] = []
         self._workers = WorkerRegistry()
         self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
@@ -148,7 +148,7 @@ class FleetSimulation:
         self._opened = itertools.count()
         self._pipelines: dict[str, Pipeline] = {}
         self._told: set[str] = set()
-        """Runs that may have something to ask."""
+        """Runs that may have genomes to ask."""
         for _ in range(task.runs):
             share = 1.0 if task.runs == 1 else self._chance.random()
             self._open_run(int(min(task.genomes, MANY) * share))
@@ -202,7 +202,7 @@ class FleetSimulation:
             heapq.heappush(self._events, (time, next(self._count), call))
 
     def _send(self, call: Callable[[], None]) -> None:
-        """Let the coordinator hear something."""
+        """Send a message to the coordinator."""
         self._at(self.now + LATENCY, lambda: self._arrive(call))
 
     def _arrive(self, call: Callable[[], None]) -> None:
@@ -214,7 +214,7 @@ class FleetSimulation:
     # The coordinator.
 
     def _turn(self) -> None:
-        """Process what came, and do what can be done, as the service does."""
+        """Process the messages, and act on them as the service does."""
         n, before = min(len(self._inbox), AT_ONCE), self._rows
         for _ in range(n):
             self._inbox.popleft()()
@@ -236,7 +236,7 @@ class FleetSimulation:
             self._wake(min(self.now + MOST_WAIT, max(self.now, self._workers.next_deadline()) + 0.01))
 
     def _wake(self, time: float) -> None:
-        """Have the coordinator look at what is due, at the latest at a time."""
+        """Have the coordinator do its next step at this time at the latest."""
         if time < self._wakes_at:
             self._wakes_at = time
             self._at(time, self._look)
@@ -248,7 +248,7 @@ class FleetSimulation:
             self._step()
 
     def _ask(self) -> None:
-        """Queue what may be asked; what rows cost is known from the first one on."""
+        """Queue the genomes that may be asked; the cost of rows is known from the first one on."""
         waiting = self._dispatcher._queue._runs
         is_first = not waiting
         told, self._told = self._told, set()
@@ -293,7 +293,7 @@ class FleetSimulation:
         self._at(self.now + self._time(self._profile.freeze), lambda: self._freeze(worker))
 
     def _begin(self) -> float:
-        """When a worker of the beginning is there: at once, or when it thaws."""
+        """Time at which a first worker joins [s]: at once, or when its freeze ends."""
         is_frozen = self._chance.random() < FROZEN / (FROZEN + self._profile.freeze)
         return float(self._chance.uniform(0, FROZEN)) if is_frozen else 0.0
 
@@ -310,7 +310,7 @@ class FleetSimulation:
             worker.pending.pop(batch, None)
 
     def _take(self, lease: Lease) -> None:
-        """A worker evaluates a batch, behind what it has."""
+        """A worker evaluates a batch, after those that it has."""
         worker = self._simulated.get(lease.wid)
         if worker is None or lease.join != worker.number:
             return
@@ -340,7 +340,7 @@ class FleetSimulation:
         self._workers.on_token(worker.wid, False, self.now)
 
     def _freeze(self, worker: SimulatedWorker) -> None:
-        """Stand still; the token vanishes, and with the link back the worker joins again."""
+        """Freeze a worker: its token vanishes, and it joins again when it is back."""
         if worker.is_over:
             return
         worker.pending = {batch: due + FROZEN for batch, due in worker.pending.items()}

@@ -39,7 +39,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 @dataclass(frozen=True)
 class ScaleFigure:
-    """One number."""
+    """A measured number and its bounds."""
 
     name: str
     value: float
@@ -50,7 +50,7 @@ class ScaleFigure:
 
     @property
     def is_met(self) -> bool | None:
-        """Whether it is within what is wanted; None: nothing is."""
+        """Whether it is within its bounds; None: it has none."""
         if self.least is None and self.most is None:
             return None
         return (self.least or -float("inf")) <= self.value <= (self.most or float("inf"))
@@ -81,7 +81,7 @@ REACH = 0.15
 VARIETY = 64
 """Different results for batches of one length."""
 _MARKS = {"run": "@" * 31, "generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
-"""What stands in a result where a batch's own values are filled in."""
+"""Placeholders in a result for a batch's own values."""
 
 
 def rows(n: int, random: np.random.Generator, shape: RowShape = SHAPE) -> Rows:
@@ -103,7 +103,7 @@ class Answers:
     number
         The worker's: each has results of its own.
     seconds
-        What a batch is said to cost [CPU s].
+        Reported cost of a batch [CPU s].
     key
         The worker's own.
     """
@@ -126,7 +126,7 @@ class Answers:
         )
 
     def to(self, run: str, generation: int, batch: bytes, attempt: int) -> bytes:
-        """The next one, for a batch."""
+        """The next result, for a batch."""
         pieces = next(self._pieces)
         own = (msgpack.packb(run), msgpack.packb(generation), batch, msgpack.packb(attempt), b"")
         return b"".join(part for pair in zip(pieces, own, strict=True) for part in pair)
@@ -150,7 +150,7 @@ def _result(wid: str, epoch: int, found: Rows, seconds: float, shape: RowShape, 
 
 
 def _cut(payload: bytes) -> list[bytes]:
-    """A result in front of, between and behind its marks."""
+    """The pieces of a result before, between and after its placeholders."""
     pieces = []
     for mark in _MARKS.values():
         packed = mark if isinstance(mark, bytes) else msgpack.packb(mark)
@@ -169,18 +169,18 @@ PATIENCE = 30.0
 
 @dataclass(frozen=True)
 class Crowd:
-    """So many stand-ins of a job."""
+    """A number of stand-ins of a job."""
 
     endpoint: str
     job: str
     workers: int
     credit: int = 2
     seconds: float = 0.0
-    """What a batch takes one of them; 0: nothing."""
+    """Time that one of them takes for a batch [s]; 0: none."""
     row_seconds: float = 0.0
-    """What a row is said to cost beside that [CPU s]."""
+    """Reported cost of a row in addition [CPU s]."""
     sleeps: bool = False
-    """True: it takes that time for a row too."""
+    """True: a row also takes that time."""
     shape: RowShape = SHAPE
     variety: int = VARIETY
 
@@ -206,7 +206,7 @@ class StandIn:
         self._free_at = 0.0
 
     def join(self) -> float:
-        """Come up and join; when the answer was there."""
+        """Start and join; returns the time of the answer."""
         self._bus = self._doors.enter_context(ZenohBus.connect(self._crowd.endpoint, PATIENCE, Stop()))
         self._doors.enter_context(self._bus.subscribe(self._keys.work(self.wid), self._take))
         self._doors.enter_context(self._bus.token(self._keys.worker_token(self.wid)))
@@ -259,7 +259,7 @@ class StandIn:
             self._answers[kind] = Answers(*place, key=self._key)
         batch = (work["run"], work["generation"], work["batch"], work["attempt"])
         answer = self._answers[kind].to(*batch)
-        with suppress(BusError):  # the session is closed: nobody waits for it
+        with suppress(BusError):  # the session is closed: no process waits for it
             self._bus.put(self._keys.result(self.wid), answer, encoding=messages.encoding(Result))
 
 
@@ -324,7 +324,7 @@ class Ready:
         return all(pipe.poll() for pipe in self._pipes)
 
     def last_join(self) -> float:
-        """When the last of them had its answer, by `time.monotonic`."""
+        """Time at which the last of them had its answer, by `time.monotonic`."""
         return max(pipe.recv() for pipe in self._pipes)
 
 
@@ -352,7 +352,7 @@ def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int 
 
 
 class Several(RunQueue):
-    """A programme of runs that are all there, and go on as they are where they are put back."""
+    """A queue of given runs, which keep their state when they are put back."""
 
     def __init__(self, runs: list[RunPlan]) -> None:
         self.extent = JobExtent.of({run.run: run.spec.evaluations for run in runs})
@@ -368,15 +368,15 @@ class Several(RunQueue):
 
 @dataclass(frozen=True)
 class Window:
-    """What the coordinator did in a time."""
+    """The work of the coordinator in a time window."""
 
     seconds: float
     cpu_seconds: float
-    """Of this process."""
+    """CPU time of this process."""
     rows: int
-    """That became final."""
+    """Rows that became final."""
     batches: int
-    """That were settled."""
+    """Batches that were settled."""
 
     @property
     def microseconds(self) -> float:
@@ -402,7 +402,7 @@ class Watch:
         self.at_join: Callable[[], object] = lambda: None
         """Called when all have joined."""
         self.at_end: Callable[[], object] = lambda: None
-        """Called behind the window."""
+        """Called after the window."""
 
     def look(self, now: float, service: CoordinatorService) -> None:
         self._service = service
@@ -411,7 +411,7 @@ class Watch:
 
     @property
     def window(self) -> Window:
-        """What was measured."""
+        """The last window that was measured."""
         return self._windows[-1]
 
     def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
@@ -456,7 +456,7 @@ def coordinate(
             queue=Several(runs),
             make_sink=make_record(bus),
             batch_size=batch_size,
-            checked=0.0,  # stand-ins agree with nobody
+            checked=0.0,  # results of stand-ins never agree
         )
         service.run(lambda now: watch.look(now, service))
 

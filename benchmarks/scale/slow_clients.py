@@ -1,4 +1,4 @@
-"""What subscribers that never read, and twenty monitors, cost a coordinator, pair by pair."""
+"""Cost to a coordinator of subscribers that never read, and of twenty monitors, in pairs."""
 
 import multiprocessing
 import os
@@ -60,22 +60,22 @@ class Timed(ZenohBus):
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the coordinator did in a time."""
+    """The work of the coordinator in a time window."""
 
     per_batch: float
     """CPU time of a batch [us]."""
     p99: float
-    """Of its puts [us]."""
+    """99th percentile of its puts [us]."""
     longest: float
-    """Of its puts [s]."""
+    """Longest of its puts [s]."""
     shown: float
     """Messages for monitors in a second."""
     memory: int
-    """Of its process [bytes]."""
+    """Memory of its process [bytes]."""
 
 
 class Company(Protocol):
-    """Those who listen in one window of each pair."""
+    """Subscribers that are there in one window of each pair."""
 
     def come(self) -> Iterator[None]:
         """Yields until they are there."""
@@ -159,7 +159,7 @@ def take_turns(
             queue=Several(runs),
             make_sink=lambda run: PlatformSink(run.shape),
             batch_size=BATCH,
-            checked=0.0,  # stand-ins agree with nobody
+            checked=0.0,  # results of stand-ins never agree
         )
         service.run(lambda now: turns.look(now, service))
     return turns.pairs
@@ -191,9 +191,9 @@ def _words(ratios: list[float]) -> str:
 
 STUCK_PAIRS = 21
 STUCK_WINDOW = 2.0
-"""Seconds at most: whoever does not read for 4 s takes the router for dead, and is stuck no longer."""
+"""Seconds at most: a client that does not read for 4 s takes the router for dead."""
 FLOOD, PIECE = 1000, 64 << 10
-"""So many messages of so many bytes fill every buffer on the way to somebody who never reads."""
+"""Number and bytes of messages that fill every buffer on the way to a subscriber."""
 
 
 class Stuck:
@@ -202,7 +202,7 @@ class Stuck:
     def __init__(self, endpoint: str) -> None:
         self._endpoint = endpoint
         self.lost: list[int] = []
-        """How many messages it lost each time."""
+        """Number of messages that it lost each time."""
 
     def come(self) -> Iterator[None]:
         context = multiprocessing.get_context("spawn")
@@ -223,7 +223,7 @@ class Stuck:
 
 
 def flood(bus: ZenohBus, key: str, messages: int) -> None:
-    """Send much to those who hear what jobs show."""
+    """Send much to those who subscribe to the feeds of jobs."""
     for _ in range(messages):
         bus.put(key, bytes(PIECE), encoding="application/json", channel=Channel.MONITOR)
 
@@ -266,21 +266,21 @@ def measure_stuck_subscriber(seconds: float) -> Iterator[ScaleFigure]:
 MONITORS = 20
 MONITOR_PAIRS = 21
 MONITOR_WINDOW = 1.5
-"""Seconds at most: whoever is stopped for 4 s is taken for dead by the router."""
+"""Seconds at most: the router takes a client that is stopped for 4 s for dead."""
 SETTLING = 0.7
 """Seconds in which those who are not stopped read what was sent to fill the others."""
 BEHIND = 10
-"""How nice monitors are to the job's own processes."""
+"""Niceness of monitors, so that the job's own processes come first."""
 LOOK = 0.5
 """Seconds between two looks."""
 MOST_MORE = 1.1
-"""Messages that a window has too many or too few by chance are within it."""
+"""Factor within which the messages of two windows differ by chance."""
 FLOOD = 300
-"""So many messages of 64 KiB fill what lies between the router and a stopped monitor."""
+"""Messages of 64 KiB that fill all buffers between the router and a stopped monitor."""
 
 
 class Monitors:
-    """Processes that watch whatever job there is, when they are told to.
+    """Processes that watch any job that is there, when they are told to.
 
     Parameters
     ----------
@@ -358,7 +358,7 @@ def _watch(pipe: Connection, endpoint: str) -> None:
 
 
 def _told(pipe: Connection, feed: Feed) -> str:
-    """Look now and then, until there is something else to do."""
+    """Read the feed now and then, until the next command comes."""
     while not pipe.poll(LOOK):
         feed.views()
     return str(pipe.recv())

@@ -1,4 +1,4 @@
-"""How many genomes, sessions and rows a coordinator handles in a second."""
+"""Rates of a coordinator: genomes, sessions and rows per second."""
 
 import subprocess
 import sys
@@ -64,7 +64,7 @@ class Prepared:
         return self._genomes
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """Nothing is learned."""
+        """Ignore the rows."""
 
 
 def spec(method: str, population: int, evaluations: int = ENDLESS) -> RunSpec:
@@ -100,7 +100,7 @@ class Share:
         self.seconds = 0.0
 
     def of(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call, on this account."""
+        """The call, with its time added to this share."""
 
         def timed(*arguments: Any, **named: Any) -> Any:
             began = time.thread_time()
@@ -136,7 +136,7 @@ class Watched:
 
 
 def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
-    """What of pyribs a search has, and which calls it makes."""
+    """The pyribs objects of a search, with the methods that it calls."""
     if not hasattr(search, "_emitters"):
         return []
     return [(search._archive, ("add",)), *((emitter, ("ask", "tell")) for emitter in search._emitters)]
@@ -160,7 +160,7 @@ def measure_searching(seconds: float) -> Iterator[ScaleFigure]:
 SESSIONS = 1000
 PROCESSES = 2
 SECONDS = 1.0
-"""What a batch takes a stand-in."""
+"""Time that a stand-in takes for a batch [s]."""
 SESSION_BATCH = 16
 RUNS = 4
 """A generation of one run holds 4096 genomes at most: too few for so many sessions."""
@@ -180,7 +180,7 @@ def measure_sessions(seconds: float) -> Iterator[ScaleFigure]:
             memory.append((resident(), resident(pid)))
             coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, SESSION_BATCH)
     found, (before, *_, after) = watch.window, memory
-    share = min(100.0, 100 * found.batches * SECONDS / found.seconds / SESSIONS)  # what was late comes too
+    share = min(100.0, 100 * found.batches * SECONDS / found.seconds / SESSIONS)  # late results come too
     own, its = ((late - early) / SESSIONS / 1024 for early, late in zip(before, after, strict=True))
     yield ScaleFigure("until 1000 sessions have joined", watch.join_seconds, "s", most=10.0)
     core = found.cpu_seconds / found.seconds
@@ -198,7 +198,7 @@ ASLEEP, ROW_SECONDS, IDLE_SECONDS = 40, 0.05, 10.0
 
 
 def measure_asleep(seconds: float) -> Iterator[ScaleFigure]:
-    """How busy one run of the default method keeps 40 workers whose rows take 50 ms."""
+    """Utilisation of 40 workers whose rows take 50 ms, by one run of the default method."""
     scene = {"gripper": "panda", "object": "rubiks_cube", "evaluations": ENDLESS}
     asked = full_spec(RUN_DEFAULTS | scene)
     run = plan_run(asked, prepare_scene(asked))
@@ -266,7 +266,7 @@ def _run(name: str) -> RunPlan:
 
 @contextmanager
 def _recorder(endpoint: str, out: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The recorder as it is, in a process of its own."""
+    """The real recorder, in a process of its own."""
     command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder_process"]
     command += ["--connect", endpoint, "--job", JOB, "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -291,7 +291,7 @@ def measure_pairs(seconds: float) -> Iterator[ScaleFigure]:
 
 
 def _pair(seconds: float) -> dict[str, float]:
-    """One worker, then two: how many times as fast they are, by regime."""
+    """Ratio of the speed of two workers to that of one, by regime."""
     spec = full_spec({"gripper": "panda", "object": "mug", "method": BENCH_METHOD}, "scale")
     course = SceneBenchmark(
         spec, prepare_scene(spec), workers=PAIR_WORKERS, seconds=seconds, display=LineProgress("scale")

@@ -50,7 +50,7 @@ class Line:
     task: Task
     profile: dict[str, float] = field(default_factory=dict)
     sizes: tuple[int, ...] = SIZES
-    """Those that are worth their time."""
+    """Numbers of workers."""
 
 
 ONE = Panel("one run", (10, 30, 100, 300, 1000))
@@ -137,7 +137,7 @@ def read(file: Path) -> list[Point]:
 
 
 def _rounded(row: dict[str, object]) -> dict[str, object]:
-    """Four digits; nothing where nothing was seen."""
+    """A number to four digits; empty where there is none."""
     return {
         name: ("" if isnan(value) else f"{value:.4g}") if isinstance(value, float) else value
         for name, value in row.items()
@@ -152,7 +152,7 @@ TITLES = {
 }
 PLACES = {"one run": "lower left", "campaigns": "lower left", "crews": "lower left", "age": "upper right"}
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
-"""Of Okabe and Ito."""
+"""Colours of Okabe and Ito."""
 
 
 def make(folder: Path) -> int:
@@ -214,7 +214,7 @@ def _dress(axes: Axes, what: str) -> None:
     axes.grid(color=RULE, lw=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=FAINT, labelsize=8.5)
-    if what != "age":  # the lines are those of the panel beside it
+    if what != "age":  # same lines as in the panel beside it
         axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
 
 

@@ -1,8 +1,8 @@
-"""How ranked grasps fare under other disturbances: `python -m benchmarks.physics.calibration --help`.
+"""Tests ranked grasps under other disturbances: `python -m benchmarks.physics.calibration`.
 
 Each run is carried out, ranked, and its grasps are simulated again; then its lines stand in the table, and
-page and figure are made of the table anew. What the table has of the same numbers and code is not simulated
-again; what an interrupted run has simulated is in the folder.
+page and figure are made of the table anew. A run that the table has, of the same numbers and code, is not
+simulated again; simulations of an interrupted run are in the folder.
 """
 
 import argparse
@@ -34,7 +34,7 @@ NUMBERS = {
 
 
 def origin_of(design: Design) -> Origin:
-    """The origin of what is measured now."""
+    """The origin of runs that are measured now."""
     mujoco = syntax_digest(*worlds(ENGINES["mujoco"]))
     return Origin(design.words, code_digest()[:HEX], mujoco[:HEX])
 
@@ -64,7 +64,7 @@ def scene_of(words: str) -> tuple[str, str]:
 
 
 def count(words: str) -> int:
-    """A number of things."""
+    """Parse a positive whole number."""
     if not words.isdecimal() or not int(words):
         raise argparse.ArgumentTypeError(f"must be a whole number greater than 0, got {words}")
     return int(words)
@@ -91,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Measure what is missing, or make the page."""
+    """Measure the missing runs, or make the page."""
     given = parser()
     asked = given.parse_args(words)
     if asked.out is None and not asked.page:

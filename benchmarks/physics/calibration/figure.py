@@ -1,4 +1,4 @@
-"""The figure of the calibration study: survival by eta, by disturbance, and how well it is told."""
+"""Figure of the calibration study: survival by eta, by disturbance, and its prediction."""
 
 import textwrap
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from qdgrasp_coordinator.report.figure_grid import CONTEXT, FAINT, INK, FigureGrid, panel_heading, plain_axes
 
 HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
-"""Of hands, in their order; of Okabe and Ito."""
+"""Colours of hands, in their order; of Okabe and Ito."""
 APART = 0.3
 """Distance of the marks of two hands on a line of a panel [lines]."""
 PANEL = 2.9, 2.9  # inches
@@ -34,7 +34,7 @@ WORDS = "In simulation; no robot was used. Left and right: 95 % bootstrap interv
 
 
 def draw(rows: Rows) -> FigureGrid:
-    """Three panels; of each hand one colour."""
+    """Draw three panels, with one colour for each hand."""
     colours = {hand: HUES[place % len(HUES)] for place, hand in enumerate(by_hand(rows))}
     grid = FigureGrid(1, 3, PANEL, legend_rows=1, space_above=0.45, space_beside=1.9, left=0.55)
     _reliability(grid.axes(0, 0), rows, colours)
@@ -121,6 +121,6 @@ def _lines_of(axes: Axes, names: Sequence[str]) -> None:
 
 
 def _offsets(n: int) -> list[float]:
-    """Where the marks of n hands are about a line."""
+    """Offsets of the marks of n hands from a line."""
     offsets: list[float] = (APART * (np.arange(n) - (n - 1) / 2)).tolist()
     return offsets

@@ -48,9 +48,9 @@ TABLE_DIGEST = "Table"
 WIDTH = 110  # Letters in a line of prose, at most
 CODE = 6  # Digits of a digest that tell it from others on a page
 GROUPS: tuple[Group, Group] = ("best", "held")
-"""The best-ranked, and those that they are compared with."""
+"""The best-ranked grasps, and those that they are compared with."""
 SHORT = ("eta", "margin", "both engines")
-"""Predictors that are named in short."""
+"""Predictors that have a short name."""
 MADE = """
 Made by `python -m benchmarks.physics.calibration --page` from [calibration.csv](calibration.csv), which has
 a line for each grasp.
@@ -145,7 +145,7 @@ def _listed(disturbances: Sequence[Disturbance]) -> str:
 
 
 def _standing(rows: Rows) -> str:
-    """Which runs are in, of which numbers and which code."""
+    """The number of finished runs, with their numbers and code."""
     runs = {row.run: row for row in rows}
     wanted = {(*scene, seed) for scene in SCENES for seed in SEEDS}
     said = f"{len(wanted & runs.keys())} of the {len(wanted)} runs of the study are in"
@@ -246,7 +246,7 @@ def _disturbance_part(rows: Rows) -> Iterator[str]:
 
 
 def _predictor_part(rows: Rows) -> Iterator[str]:
-    """How well each figure tells survival."""
+    """The part on how well each figure predicts survival."""
     columns: list[tuple[str, ...]] = [("figure", *PREDICTORS)]
     for hand, some in by_hand(drawn(rows)).items():
         holding = [row for row in some if row.holds]
@@ -264,7 +264,7 @@ def _predictor_part(rows: Rows) -> Iterator[str]:
 
 
 def _bin_part(rows: Rows) -> Iterator[str]:
-    """Survival by ranges of what is known beforehand."""
+    """Survival by ranges of the figures that are known beforehand."""
     figures = {"eta": eta_bins, "margin, in its scene": margin_bins, "holds in": engine_bins}
     lines = [
         (hand, figure, each.name, str(len(each.rows)), f"{each.eta:.2f}", each.unseen.words, each.seen.words)

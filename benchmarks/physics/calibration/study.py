@@ -1,4 +1,4 @@
-"""Measures how the grasps of a run fare under disturbances that have no part in their ranking.
+"""Measures the survival of a run's grasps under disturbances unused in their ranking.
 
 A run of the default method under `physical` in MuJoCo is ranked as `qdgrasp rerank` ranks it: trials of
 `robust` with `base = "physical"`, sequential ones. The best by eta, and others drawn at random, are then
@@ -78,11 +78,11 @@ class Design:
     trials: int = 30
     """Trials of a drawn grasp; a ranked one has those of its ranking."""
     arm: int = 10
-    """Errors of the arm for each grasp."""
+    """Number of errors of the arm for each grasp."""
 
     @property
     def words(self) -> str:
-        """All of it, as the table has it."""
+        """All numbers in one text, as in the table."""
         return " ".join(f"{name}={value}" for name, value in asdict(self).items())
 
 
@@ -101,7 +101,7 @@ class Disturbance:
     words: str
     """Its label, explained."""
     is_unseen: bool = True
-    """It is of another kind, or greater, than the ranking's."""
+    """True: of another kind than the ranking's disturbances, or greater."""
     protocol: ProtocolName = "physical"
     engine: EngineName = "mujoco"
     physics: Mapping[str, float] = field(default_factory=dict)
@@ -234,7 +234,7 @@ def choose(
 
 
 class Study:
-    """The grasps of one run and how they fared; what was simulated stays in a folder."""
+    """The grasps of one run and their survival; simulations are stored in a folder."""
 
     def __init__(self, run: RunKey, design: Design, folder: Path) -> None:
         self.run = run

@@ -1,8 +1,9 @@
-"""Survival under disturbances, and how well it is told beforehand, with bootstrap intervals over grasps.
+"""Survival under disturbances, and how well it is predicted, with bootstrap intervals.
 
 Grasps are compared within a scene alone, a hand and an object: survival differs more between objects than
-between the grasps of one. Intervals are percentiles, of fixed scenes. Those of report/bootstrap.py divide
-each draw by its own standard error, which is 0 in many draws of shares of which most are 1.
+between the grasps of one. Intervals are percentiles over grasps, of fixed scenes. Those of
+report/bootstrap.py divide each draw by its own standard error, which is 0 in many draws of shares of which
+most are 1.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ Scene = tuple[str, str]
 """A hand and an object."""
 TAILS = ((1 - CONFIDENCE_LEVEL) / 2, (1 + CONFIDENCE_LEVEL) / 2)
 ETA_EDGES = (0.0, 0.5, 0.8, 0.95, 1.0)
-"""Of the bins of eta: each from its lower edge up to, but not with, its upper one; the last with it."""
+"""Edges of the bins of eta: each is without its upper edge, except the last."""
 THIRDS = ("lowest third", "middle third", "highest third")
 PREDICTORS: dict[str, Callable[[GraspRow], float]] = {
     "eta": lambda row: row.eta,
@@ -114,7 +115,7 @@ def _resampled_means(values: Floats, random: np.random.Generator) -> Floats:
 
 
 def concordance(scenes: Sequence[tuple[Floats, Floats]]) -> Interval:
-    """How often the grasp with the greater predictor survives more, of pairs (n,), (n,) in each scene.
+    """How often the grasp with the greater predictor survives more: (n,), (n,) in each scene.
 
     Counted are the pairs of grasps of one scene that survive unequally, over all scenes; equal predictors
     count half. Where survival is 0 or 1 it is the area under the ROC curve; 0.5 is chance.

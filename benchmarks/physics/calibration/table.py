@@ -28,19 +28,19 @@ class RunKey(NamedTuple):
 
     @property
     def words(self) -> str:
-        """For a person."""
+        """Name for a reader."""
         return f"{self.gripper} on {self.object}, seed {self.seed}"
 
 
 class Origin(NamedTuple):
-    """By what the lines of a run were made; lines of another origin are made again."""
+    """Numbers and code of a run's lines; lines of another origin are made again."""
 
     design: str
     """The numbers of the study (`study.Design`)."""
     code: str
     """Beginning of the digest of the evaluation's code, `platform code` of `qdgrasp info`."""
     mujoco_code: str
-    """The same of the code of MuJoCo's worlds."""
+    """Beginning of the digest of the code of MuJoCo's worlds."""
 
 
 class GraspRow(Struct, frozen=True, kw_only=True):
@@ -49,7 +49,7 @@ class GraspRow(Struct, frozen=True, kw_only=True):
     gripper: str
     object: str
     seed: int
-    """Of the search and of the surface points."""
+    """Seed of the search and of the surface points."""
     group: Group
     place: int
     """From 1: its rank, or the number of its draw."""
@@ -64,12 +64,12 @@ class GraspRow(Struct, frozen=True, kw_only=True):
     fitness: int
     """Pushes survived in MuJoCo, undisturbed; 6: it holds."""
     eta: float
-    """Of the trials of the ranking."""
+    """Share of disturbances survived in the trials of the ranking."""
     trials: int
     margin: float
     penetration_mm: float
     motion_mm: float
-    """Of the object in the hand while it closed."""
+    """Motion of the object in the hand while it closed."""
     bullet: float
     """1 if it holds in Bullet, undisturbed."""
     friction_050: float
@@ -89,7 +89,7 @@ class GraspRow(Struct, frozen=True, kw_only=True):
 
     @property
     def origin(self) -> Origin:
-        """By what it was made."""
+        """Numbers and code that it was made with."""
         return Origin(self.design, self.code, self.mujoco_code)
 
     @property
@@ -143,17 +143,17 @@ def text(rows: Iterable[GraspRow]) -> str:
 
 
 def replaced(rows: Sequence[GraspRow], run: RunKey, found: Sequence[GraspRow]) -> list[GraspRow]:
-    """The rows with those of a run in the place of what they had of it."""
+    """The rows, with the rows of a run replaced."""
     return [row for row in rows if row.run != run] + list(found)
 
 
 def is_measured(rows: Iterable[GraspRow], run: RunKey, origin: Origin) -> bool:
-    """Whether a run is in, made by the same design and code."""
+    """Whether the rows of a run are there, made by the same design and code."""
     return {row.origin for row in rows if row.run == run} == {origin}
 
 
 def add(file: Path, run: RunKey, found: Sequence[GraspRow]) -> list[GraspRow]:
-    """Put the rows of a run into a file's table; all rows that it has then."""
+    """Put the rows of a run into a file's table, and return all its rows."""
     with held(file):
         rows = replaced(read(file), run, found)
         with atomic_files.writing(file.parent):
