@@ -1,6 +1,6 @@
 """Archives of diverse, robust 6-DoF grasps by distributed quality-diversity search.
 
-What a program needs of it (docs/python.md):
+Names for programs (docs/python.md):
 
 * `open(path)`            a run's folder: its spec, its scene, its figures, its grasps as arrays; or a
                          campaign's: its runs, one after the other
@@ -10,8 +10,8 @@ What a program needs of it (docs/python.md):
 * `optimise(search, ...)` a run with a search of one's own, asked and told in order, and its folder
 * `serve(evaluator)`      an evaluator of one's own, as a worker on the bus
 
-`Place` says where that is done. Nothing is loaded before it is used. Notebooks show runs, campaigns, grasps
-and hands as pictures with their key figures.
+`Place` says where workers run. Modules are loaded when they are first used. Notebooks show runs, campaigns,
+grasps and hands as pictures with their key figures.
 """
 
 TYPE_CHECKING = False  # that of `typing`, which takes longer to load than all that is here

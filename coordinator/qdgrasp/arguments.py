@@ -74,7 +74,7 @@ class SceneArguments(TypedDict, total=False):
     object: Required[str | os.PathLike[str]]
     """A built-in object, one on the asset path, or a mesh file."""
     mass: float | None
-    """Of the object [kg]; needed for a mesh file."""
+    """Mass of the object [kg]; needed for a mesh file."""
     scale: float | None
     """Metres to a unit of the mesh file: 0.001 where it is in millimetres; 1."""
     friction: float | None
@@ -153,8 +153,8 @@ def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
 def check_fixed_poses(genomes: Genomes, hand: SceneGripper) -> None:
     """Check that genomes (n, d) of the prior `given` are poses, and synergies that a hand has.
 
-    Raises InputError if a quaternion is of length zero, a position is beyond all measure, or there is no
-    such synergy.
+    Raises InputError if a quaternion is of length zero, a position is too far away, or there is no such
+    synergy.
     """
     labels = genomes[:, 7] if hand.synergies else None
     HandPoses.of(POSE_COLUMNS, genomes[:, :3], genomes[:, 3:7], labels).check(hand)

@@ -45,7 +45,7 @@ class Place:
     security: str | os.PathLike[str] | None = None
     """Folder of certificates for a router elsewhere; None: links are not encrypted.
 
-        Of a coordinator, for `workers` also of a worker, and for `optimise` of a recorder.
+        A coordinator's, for `workers` also a worker's, and for `optimise` a recorder's.
     """
     batch_size: int | None = None
     """Rows in a batch; None: measured. No result depends on it."""
@@ -83,7 +83,7 @@ class Place:
         """Raise InputError if no worker is started here and none can connect."""
         if not self.hands and self.connect is None:
             raise InputError(
-                "Place(workers=0) has nobody who evaluates: start workers, or name a router that has some "
+                "Place(workers=0) has no workers: start some, or name a router that has some "
                 "with connect='tcp/HOST:PORT'."
             )
 
@@ -103,7 +103,7 @@ class Place:
         return ZenohBus.connect(self.connect, ROUTER_SECONDS, None, credentials), self.connect
 
 
-HERE = Place()  # This machine, all of it
+HERE = Place()  # All cores of this machine
 
 
 def check_place(place: object) -> None:
@@ -141,5 +141,5 @@ class SilentProgress:
             self.say(f"job '{figures.job}' waits: no worker has come to it yet")
 
     def say(self, sentence: str) -> None:
-        """Log what happened."""
+        """Log an event."""
         log.warning(sentence)

@@ -80,9 +80,9 @@ class GenomeRequests(RunQueue):
 class Evaluations:
     """Evaluates genomes whenever a program wants that: a context manager.
 
-    The coordinator, the bus and the workers are those of a run; there is no recorder and no folder. What a
-    genome gives depends on scene, prior and genome alone: not on the workers, on how genomes are grouped, or
-    on what was asked before.
+    The coordinator, the bus and the workers are those of a run; there is no recorder and no folder. The row
+    of a genome depends on scene, prior and genome alone: not on the workers, on how genomes are grouped, or
+    on earlier genomes.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Evaluations:
         The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed", "valued" or
         "given" (docs/methods.md).
     place
-        Where it is done.
+        Where the workers run.
     **scenery
         `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
@@ -168,9 +168,9 @@ class Evaluations:
         Raises
         ------
         ImpossibleValue
-            They have another shape, or hold what a genome, a pose or the hand cannot.
+            The genomes have another shape, or values that a genome, a pose or the hand cannot have.
         TimeoutError
-            The time is over. The genomes are evaluated all the same, and their rows are dropped.
+            The time is over. The genomes are still evaluated, and their rows are dropped.
         EndedEarly
             The job was cancelled, or workers die again and again.
         """
@@ -247,13 +247,13 @@ def evaluate(
     positions
         (n, 3) [m]: of the hand's root link, in the object's centre-of-mass frame.
     quaternions_xyzw
-        (n, 4): of the same; brought to length one.
+        (n, 4): orientations of that link; scaled to length one.
     synergies
         (n,): labels of the synergies that close, -1 for none; None: none.
     spreads
         (n, k): positions of the free joints [rad], NaN for open; None: open.
     place
-        Where it is done.
+        Where the workers run.
     **scenery
         `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 

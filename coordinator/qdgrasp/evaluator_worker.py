@@ -22,8 +22,8 @@ def serve(
 ) -> None:
     """Serve jobs on a bus with a custom evaluator; `qdgrasp-worker --evaluator` does the same.
 
-    It joins, holds leases and credit, and hands back what it cannot finish, as every worker does. The
-    evaluator runs in a process of its own, which may die: what it was at is tried again, row by row. Workers
+    It joins, holds leases and credit, and returns batches that it cannot finish, as every worker does. The
+    evaluator runs in a process of its own, which may die: its rows are then tried again, one by one. Workers
     with different evaluators, or different files of one, do not serve one job.
 
     Parameters
@@ -31,8 +31,8 @@ def serve(
     evaluator
         Called once with each `Scene`, it gives a function from `Hands` to `Verdicts`: a class with
         `__init__(scene)` and `__call__(hands)`, or a function that returns one. It must stand at the top
-        of its module. What it says of a hand depends on scene and hand alone: that is what makes a
-        run's journal a function of its spec. Or "FILE.py:NAME", "MODULE:NAME".
+        of its module. Its verdict on a hand depends on scene and hand alone: so a run's
+        journal is a function of its spec. Or "FILE.py:NAME", "MODULE:NAME".
     connect
         Endpoint of the router; None: port 7447 on loopback.
     job

@@ -16,7 +16,7 @@ from qdgrasp_protocol.errors import ImpossibleValue
 if TYPE_CHECKING:
     from trimesh import Scene as TrimeshScene
 
-PICTURE_WIDTH = 720  # Of the picture in a notebook [pixels]
+PICTURE_WIDTH = 720  # Width of the picture in a notebook [pixels]
 AT_ORIGIN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 PROTOCOL = "paper"  # Whose carrier it is mounted on; its links and joints are the same in all
 
@@ -66,7 +66,7 @@ class Hand:
 
     @cached_property
     def closed(self) -> NDArray[np.float64]:
-        """(j,): those that they close to where nothing is in the way [rad or m]."""
+        """(j,): the finger joints of the hand closed on nothing [rad or m]."""
         return np.array([joint.closed for joint in self.gripper.joints])
 
     def scene(self, joints: ArrayLike | None = None) -> "TrimeshScene":
@@ -86,7 +86,7 @@ class Hand:
         Raises
         ------
         ImpossibleValue
-            They are not j finite numbers.
+            The joints are not j finite numbers.
         """
         from qdgrasp_coordinator.export.grasp_pictures import hand_scene  # takes its time to load
 

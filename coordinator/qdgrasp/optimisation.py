@@ -32,8 +32,8 @@ from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, differences
 class Search(Protocol):
     """A search of one's own: asked and told generation by generation, each once and in order.
 
-    Where what it asks depends on nothing but what it was told, and on seeds, its run has the same journal
-    whatever the workers do, and can be resumed.
+    Where its genomes depend only on the rows that it was told, and on seeds, its run has the same journal
+    with any workers, and can be resumed.
     """
 
     def ask(self, generation: int) -> ArrayLike:
@@ -86,7 +86,8 @@ def optimise(
 ) -> Run:
     """Carry out a run with a custom search: coordinator, recorder and workers as in any run.
 
-    The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only this goes on with it.
+    The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only `optimise`
+    resumes it.
 
     Parameters
     ----------
@@ -100,32 +101,32 @@ def optimise(
     prior
         How genomes are decoded (docs/methods.md).
     seed
-        Written in the spec; what it means is the search's affair.
+        Written in the spec; only the search uses it.
     generations_in_flight
         Generation g is asked when generation g minus this has been told.
     resume
         Go on with a run that was stopped, if there is one: the search is made anew, and asked and told again
         what the journal has. Promised only where it asks the same again, bit for bit; that is compared.
     progress
-        Show how far it is, on standard error.
+        Show the progress on standard error.
     place
-        Where it is done.
+        Where the workers run.
     **scenery
         `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
     Returns
     -------
     run
-        What `qdgrasp.open(out)` gives.
+        As `qdgrasp.open(out)` returns it.
 
     Raises
     ------
     InputError
         A name that is not known, a value that cannot be, a file that cannot be used, genomes that are none;
-        or the journal is not what the search asks again. What is known before anything is evaluated leaves
-        no folder.
+        or the journal is not what the search asks again. Errors found before any evaluation leave no
+        folder.
     EndedEarly
-        The job was cancelled, or processes die again and again; with `resume` it is gone on with.
+        The job was cancelled, or processes die again and again; `resume` goes on with it.
 
     Examples
     --------

@@ -98,7 +98,7 @@ class PartialRun(Struct, frozen=True):
     run: str
     rows: int
     mark: str
-    """Of its journal (`Journal.mark`)."""
+    """Mark of its journal (`Journal.mark`)."""
     files: tuple[str, ...]
 
 
@@ -463,11 +463,11 @@ class DatasetWriter:
 SHARDED = ("parquet", "webdataset")
 """Formats whose files hold the grasps of several objects."""
 DATASET_WORDS = '{"dataset": "index.parquet, column about"}'
-"""What stands in the schema of a shard, in place of the metadata of one run."""
+"""Metadata in the schema of a shard, in place of that of one run."""
 
 
 def asset_name(name: str) -> str:
-    """Return what a gripper or an object is called: its name, or that of its file."""
+    """Return the name of a gripper or an object, or that of its file."""
     return Path(name).stem if Path(name).suffix else name
 
 

@@ -290,9 +290,9 @@ def _share_of(runs: Mapping[str, RunSpec], shard: Any, where: str) -> dict[str, 
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
-    """Name a run by gripper, object, method, seed, and whatever is not as usual.
+    """Name a run by gripper, object, method, seed, and other values that are not as usual.
 
-    `values` are those that the campaign gave for it; when it ends is no part of its name.
+    `values` are those that the campaign gave for it; its end is no part of its name.
     """
     own_name = spec.about.id if spec.about and spec.about.id else Path(spec.object).stem
     parts = [Path(spec.gripper).stem, own_name, spec.method, f"s{spec.seed}"]

@@ -101,7 +101,7 @@ class RunProgress(NamedTuple):
 
     totals: RunTotals
     ended: str
-    """Why it is finished, in words; empty while it is not."""
+    """Reason why it is finished, in words; empty while it is not."""
 
 
 def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
@@ -371,7 +371,7 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     little: int
     """Objects that got little."""
     least: list[ObjectListing]
-    """Of these the first few, by what they got."""
+    """The first few of these, by grasps and cells."""
 
     @property
     def table(self) -> str:

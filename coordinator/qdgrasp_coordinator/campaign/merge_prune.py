@@ -54,7 +54,7 @@ class MergeResult:
 
     summary: RunSummary
     repeats: tuple[str, ...]
-    """One sentence for each run left out because another one has what it has."""
+    """One sentence for each run left out because another one has all its rows."""
 
 
 def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
@@ -209,7 +209,7 @@ def _prune_locked(folder: RunFolder) -> int:
         _checkpoint_journal(file)
         write_reduced_journal(part, identity, found, [(source, source_rows(folder, 0))])
         with atomic_files.writing(folder.path):
-            for table in folder.path.glob(TABLES):  # They go by the numbers that rows had
+            for table in folder.path.glob(TABLES):  # Their rows are given by the old numbers
                 table.unlink()
             part.replace(file)
             atomic_files.sync(folder.path)

@@ -1,8 +1,8 @@
 """Reads a library: objects that a manifest names, or that lie in a folder of meshes.
 
 A manifest is a table in CSV or Parquet, or a TOML file of [[object]] tables, with a row for each object. All
-that cannot be used are named at once, or left out and reported where that is asked for. What was found with a
-mesh is remembered by its content (`mesh_check`).
+that cannot be used are named at once, or left out and reported where that is asked for. Checks of a mesh are
+remembered by its content (`mesh_check`).
 """
 
 import csv
@@ -53,9 +53,9 @@ class LibraryRules(Struct, frozen=True, kw_only=True):
     """Values of all objects of a library that do not have their own; mass or density, not both."""
 
     mass: float | None = None
-    """[kg]."""
+    """Mass [kg]."""
     density: float | None = None
-    """[kg/m3]."""
+    """Density [kg/m3]."""
     scale: float | None = None
     """Metres to a unit of the files; None: 1."""
     mesh: MeshPreparation | None = None

@@ -1,4 +1,4 @@
-"""The table of a campaign's objects: what each of them got, and why some got little.
+"""The table of a campaign's objects: the grasps found on each, and why some have few.
 
 A function of the campaign's runs with their counts and of the objects that were left out, without clock or
 files. `qdgrasp info` and the monitors show the same table.
@@ -172,9 +172,9 @@ def main_loss(found: RunTotals) -> str:
 def with_events(
     listings: Sequence[ObjectListing], events: Iterable[JobEvent], building: Collection[str] = ()
 ) -> list[ObjectListing]:
-    """Return objects with what a coordinator says of them.
+    """Return objects with a coordinator's notes on them.
 
-    That is which runs failed, which shapes have a fault, and whose shape is being built.
+    The notes say which runs failed, which shapes have a fault, and whose shape is being built.
     """
     failed: dict[str, dict[str, str]] = {}
     warned: dict[str, dict[str, None]] = {}

@@ -46,7 +46,7 @@ class SourceRow(Struct, frozen=True):
     generation: int
     index: int
     fitness: float
-    """Fitness that the search got there."""
+    """Fitness that the search was told."""
 
 
 class RankingSource(Struct, frozen=True):
@@ -55,7 +55,7 @@ class RankingSource(Struct, frozen=True):
     run: str
     """The folder of the run that found them."""
     rows: tuple[SourceRow, ...]
-    """In the order of the poses."""
+    """Origins in the order of the poses."""
 
 
 def read_run_grasps(folder: RunFolder) -> Rows:

@@ -66,7 +66,7 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     checked: int = 0
     """Rows that a second worker has evaluated."""
     differing: int = 0
-    """Those of them that workers answered which were excluded."""
+    """Of these, rows answered by workers that were excluded."""
     cpu_seconds: float
     wall_seconds: float
     complete: bool

@@ -1,7 +1,7 @@
 """Warm start: weights that a new run begins with, learned by others of the same hand.
 
-What is handed on is the value of candidates and of cells by their features, no cells: these belong to an
-object. It is learned from journals, by replaying them into their searches.
+The weights give the value of candidates and of cells by their features; cells themselves are not handed on,
+as they belong to an object. Weights are learned from journals, by replaying them into their searches.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
 
 SAME_KEYS = ("aim_for", "nominal_protocol", "overlaps")
-"""What must be the same of a spec, so that touch and quality mean the same."""
+"""Keys of a spec that must be the same, so that touch and quality mean the same."""
 
 
 class WarmStartRun(Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and what they found."""
+"""`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and their results."""
 
 import json
 from pathlib import Path
@@ -116,7 +116,7 @@ def campaign(
     one that was stopped goes on, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
-    What ends a run replaces what its [defaults] say; a [[cross]] with its own keeps that.
+    Flags that end a run replace the file's [defaults]; a [[cross]] with its own keeps them.
 
     With --grasps-per-object an object with many grasps ends early, and one with few goes on to
     --max-evaluations; with larger ones the same command goes on.

@@ -76,7 +76,7 @@ def coordinator(
             bus, endpoint = ZenohBus.embedded(listen, credentials, insecure=insecure)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
-        if stop.is_set:  # whoever started this process may be gone, and another one be there for the folder
+        if stop.is_set:  # the parent may be gone, and another coordinator have the folder
             raise typer.Exit(stop.exit_code)
         if folder is not None:
             folder.write_endpoint(endpoint)

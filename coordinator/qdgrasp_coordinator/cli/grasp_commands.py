@@ -128,7 +128,7 @@ def export(
                 is_stopped=lambda: stop.is_set,
             )
         if not written:
-            echo(f"Stopped. What is complete stands in {out}.part; the same command goes on.", err=True)
+            echo(f"Stopped. Complete files are in {out}.part; the same command goes on.", err=True)
             raise typer.Exit(stop.exit_code)
         echo(written)
         return

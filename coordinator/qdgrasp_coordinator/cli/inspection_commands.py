@@ -258,8 +258,8 @@ def render(
     or draw several grasps beside each other.
 
     Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
-    was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. What is seen
-    is compared with what is recorded: where they differ that is said, and the exit code is 1.
+    was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. The
+    result is compared with the recorded one: where they differ that is said, and the exit code is 1.
 
     With --grasps nothing is carried out again: each hand is drawn as it is recorded after closing, all from
     one side and at one scale, each above its number, outcome, score and margin.

@@ -59,7 +59,7 @@ SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, w
 
 
 class MissingRequirement(InputError):
-    """Something that a run needs is not there."""
+    """A requirement of runs is missing."""
 
 
 def doctor() -> None:
@@ -98,7 +98,7 @@ def _check_python() -> str:
 
 
 def _check_engines() -> str:
-    """Name both engines; without PyBullet, say what follows."""
+    """Name both engines; without PyBullet, say what does not work."""
     found = ", ".join(f"{name} {package_version(name)}" for name in ENGINE_PACKAGES.values())
     try:
         check_engine(DEFAULT_ENGINE)
@@ -243,8 +243,8 @@ Directory = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of ce
 def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
     """Write an authority, a certificate for each role, and the routers' access list.
 
-    DIR/ca.key signs further certificates and is needed by nobody else. A node that only serves workers needs
-    ca.pem, worker.pem and worker.key; `qdgrasp security add` makes a folder for one.
+    DIR/ca.key signs further certificates and is needed for nothing else. A node that only serves workers
+    needs ca.pem, worker.pem and worker.key; `qdgrasp security add` makes a folder for one.
 
     Example: qdgrasp security init security --host head --host 10.0.0.1
     """

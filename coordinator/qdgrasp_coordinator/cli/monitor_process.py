@@ -47,7 +47,7 @@ EXCLUSIVE_FLAGS = (
     ("as_json", "ascii_only"),
     ("token", "token_file"),
 )
-NEEDED_FLAGS = (("token", "web"), ("token_file", "web"))  # The second flag is what the first is for
+NEEDED_FLAGS = (("token", "web"), ("token_file", "web"))  # The first flag needs the second
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 

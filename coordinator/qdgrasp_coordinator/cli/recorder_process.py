@@ -37,7 +37,7 @@ def recorder(
     Example: qdgrasp-recorder --connect tls/head:7447 --security security --job mugs --out runs/mugs
     """
     with lifetime(f"qdgrasp-recorder {job}") as stop:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a file at its size limit is a full disk, not a death
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # files at a size limit count as a full disk
         configure_logging("recorder")
         credentials = Credentials.find(security, Role.RECORDER)
         with ZenohBus.connect(connect, wait, stop, credentials) as bus:

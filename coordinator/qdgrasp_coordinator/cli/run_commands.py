@@ -465,7 +465,7 @@ def rerank_spec(
 OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", "finalists", *GOAL_KEYS)
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
-"""What another protocol has otherwise of the same hand, or scenes of version 0.1.0 do not have."""
+"""Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""
 
 
 def _check_same(old: Scene, new: Scene) -> None:

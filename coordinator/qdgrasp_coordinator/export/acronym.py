@@ -149,7 +149,7 @@ SUCCESSES = "grasps/qualities/flex/object_in_gripper"
 MOTION = "grasps/qualities/flex/object_motion_during_closing"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
-LISTS = ("runs", "resting_poses")  # What the file says of itself in its dataset `about` alone
+LISTS = ("runs", "resting_poses")  # Metadata that is in the dataset `about` alone
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
 
 
@@ -163,7 +163,7 @@ def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
         for name, value in _datasets(grasps, ours).items():
             file[name] = value
         file[ABOUT] = ours.json
-        # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
+        # metadata, one attribute each; specs and digests are in the dataset `about`
         for name, value in ours.values.items():
             if name not in LISTS:  # HDF5 has no nested attributes
                 file["qdgrasp"].attrs[name] = json.dumps(value) if isinstance(value, dict) else value

@@ -31,7 +31,7 @@ INDEX_BATCH = 2000  # Lines of the index that are in memory at a time
 
 
 class DatasetOptions(Struct, frozen=True, kw_only=True):
-    """All that a data set is made by."""
+    """Campaign and options that a data set is made from."""
 
     campaign: str
     """The identity of the campaign."""
@@ -51,17 +51,17 @@ class IndexEntry(Struct, frozen=True, kw_only=True):
     gripper: str
     run: str
     split: str
-    """Empty: none."""
+    """Split of the object; empty: none."""
     category: str
     licence: str
-    """Of the object."""
+    """Licence of the object."""
     source: str
     object_file: str
     """The name of its mesh file; empty: it is built in."""
     mesh_sha256: str
-    """Of that file; empty where it was not there when this was written."""
+    """Digest of that file; empty where it was missing when this was written."""
     object_sha256: str
-    """Of the object as it was simulated."""
+    """Digest of the object as it was simulated."""
     mesh: str
     """The copy of its mesh in this data set [m]; empty: there is none."""
     method: str
@@ -82,7 +82,7 @@ class IndexEntry(Struct, frozen=True, kw_only=True):
     """sha256 of the scene bundle."""
     files: tuple[str, ...] = ()
     about: str
-    """What a file of this run alone says of itself, as JSON; not in CSV."""
+    """Metadata of a file of this run alone, as JSON; not in CSV."""
 
 
 def write_index(folder: Path, entries: Callable[[], Iterable[IndexEntry]]) -> None:
@@ -210,7 +210,7 @@ class DatasetFigures:
     def __init__(self, entries: Iterable[IndexEntry]) -> None:
         self.rows, self.failures, self.runs, self.evaluations = 0, 0, 0, 0
         self.files: dict[str, dict[str, str]] = {}
-        """By hand and split, one of their files."""
+        """One file for each hand and split."""
         self.lines: Counter[tuple[str, str]] = Counter()
         self.objects: dict[tuple[str, str], set[str]] = {}
         self.conditions: Counter[str] = Counter()
@@ -278,7 +278,7 @@ def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
     given |= {name: value for name, value in limits.items() if value is not None}
     chosen = ", ".join(f"{name} {value}" for name, value in given.items()) or "every success"
     frame = OBJECT_FRAMES[options.frame].format("the mesh")
-    return f"""## What was simulated
+    return f"""## Simulation
 
 An open hand without an arm stands at a commanded pose, closes, and the object is disturbed
 ({counted(figures.evaluations, "evaluation")} in all):

@@ -80,13 +80,13 @@ class Grasp(NamedTuple):
     eta_error: float
     """Its standard error, for the number of trials alone."""
     trials: int
-    """Trials that it is of."""
+    """Number of trials behind eta."""
     confidence: float
-    """0 to 1."""
+    """Confidence, 0 to 1."""
     grasps: "Grasps"
-    """The grasps of which it is one."""
+    """The set of grasps that it belongs to."""
     place: int
-    """Its place in them."""
+    """Its place in that set."""
 
     @property
     def arrays(self) -> "Grasps":
@@ -160,7 +160,7 @@ class Grasps:
 
     scene: Scene
     spec: RunSpec
-    """Of the run's folder."""
+    """Spec of the run's folder."""
     sources: tuple[Provenance, ...]
     """The runs that found them: one, but for a merged folder."""
     origins: NDArray[np.int64]
@@ -172,7 +172,7 @@ class Grasps:
     eta: Floats
     """(n,): estimated probability of transfer; NaN where too few trials of a success are there."""
     trials: NDArray[np.int64]
-    """(n,): trials that it is of."""
+    """(n,): numbers of trials behind eta."""
     elsewhere: dict[str, Verdicts] = field(default_factory=dict)
     """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
     approach: "ReachabilityCheck | None" = None

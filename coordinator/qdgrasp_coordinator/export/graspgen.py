@@ -3,7 +3,7 @@
 Public description: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1.0.0. The folder
 has
 
-* `grasp_data/NAME.json`             transforms and bits, and what the file says of itself
+* `grasp_data/NAME.json`             transforms, bits and metadata
 * `grasp_data/map_uuid_to_path.json` which object is in which file
 * `splits/train.txt`, `valid.txt`    the object, in both: there is one
 * `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms

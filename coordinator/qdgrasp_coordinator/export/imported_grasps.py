@@ -56,11 +56,11 @@ class ImportedGrasps:
     scale: float | None = None
     """Factor of the lengths of the object's mesh."""
     mass: float | None = None
-    """Of the object [kg]."""
+    """Mass of the object [kg]."""
     friction: float | None = None
-    """Lateral coefficient of the object."""
+    """Lateral friction coefficient of the object."""
     metadata: GraspMetadata | None = None
-    """Of a file of ours."""
+    """Metadata of a file of ours."""
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -42,7 +42,7 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 FORMAT, VERSION = "isaac_grasp", 1.0
 EXTRA_KEY = "grasps"  # The lists in the block `qdgrasp` that have an item for each grasp
 MOST_JOINTS = 1000  # Of a hand, at most
-PREGRASP = "pregrasp_"  # What keys of the commanded pose and the open joints begin with
+PREGRASP = "pregrasp_"  # Prefix of keys of the commanded pose and the open joints
 WXYZ = "w, then xyz = [x, y, z]"
 
 

@@ -80,7 +80,7 @@ class RestingPoseRecord(Struct, frozen=True, kw_only=True):
     """A way in which the object rests on a table."""
 
     number: int
-    """Of `qdgrasp asset resting-poses`."""
+    """Its number in `qdgrasp asset resting-poses`."""
     up: tuple[float, float, float]
     """Unit vector in the object's frame that points away from the table."""
     height: float

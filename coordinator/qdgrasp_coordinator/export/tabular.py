@@ -34,9 +34,9 @@ from qdgrasp_coordinator.export.text_format import shortest_decimals
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import LIFT, Outcome
 
-JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
+JOINT, PREGRASP = "joint.", "pregrasp."  # Prefixes of columns of joints; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-SETTLED = "settled_"  # What the columns of the settled pose begin with
+SETTLED = "settled_"  # Prefix of columns of the settled pose
 CONTACTS = "contact_points"
 RESTING_POSES = "resting_poses"
 SAME_MEANINGS = {

@@ -31,7 +31,7 @@ def shortest_decimals(numbers: NDArray[np.floating]) -> list[str]:
     Always with a point and never with an exponent: `1e-05` is a word, not a number, to readers of YAML 1.1.
     """
     words: list[str]
-    if find_spec("pyarrow"):  # the same words, sooner
+    if find_spec("pyarrow"):  # the same words, in less time
         import pyarrow as pa
 
         words = pa.array(np.ascontiguousarray(numbers)).cast(pa.string()).to_pylist()
@@ -68,7 +68,7 @@ RESERVED_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 DEEPEST = 16  # Levels of lists and mappings in a file that is read
 LARGEST_YAML = 1 << 28  # Bytes of a file that is read
 
-Tree = str | list["Tree"] | dict[str, "Tree"]  # What a file holds; every number is still a word
+Tree = str | list["Tree"] | dict[str, "Tree"]  # Content of a file; every number is still a word
 
 
 def yaml_word(name: str) -> str:

@@ -125,7 +125,7 @@ def row_bytes(rows: Rows) -> NDArray[np.void]:
 
 
 def take_rows(rows: Rows, places: Any) -> Rows:
-    """A copy of the rows at some places: whatever an array is indexed by."""
+    """A copy of the rows at some places, given by any index of an array."""
     chosen: Rows = row_bytes(rows)[places].copy().view(rows.dtype)
     return chosen
 

@@ -220,7 +220,7 @@ def meanings(kind: type[Struct]) -> dict[str, str]:
 
 
 GREATEST_COUNT = 2**63  # Greatest number allowed in a published struct
-LONGEST_WAIT = 1e10  # seconds that nobody waits for
+LONGEST_WAIT = 1e10  # seconds; longer times are not shown
 SLOW_RATE = 9.5  # Evaluations a second below which a tenth of one is told
 STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
 
@@ -311,7 +311,8 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     checked: Annotated[int, "Rows that a second worker has evaluated, in this epoch."] = 0
     differing: Annotated[int, "Rows to which workers answered differently, in this epoch."] = 0
     strays: Annotated[
-        int, "Results that were dropped in this epoch: late, duplicate, unknown, or of somebody else's batch."
+        int,
+        "Results that were dropped in this epoch: late, duplicate, unknown, or of another worker's batch.",
     ] = 0
     workers: Annotated[int, "Workers that are there, and make progress."]
     wanted_workers: Annotated[

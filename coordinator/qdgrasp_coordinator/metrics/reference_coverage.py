@@ -343,13 +343,13 @@ class Coverage(Struct, frozen=True, kw_only=True):
     robust_size: int
     """Entries of the set with fitness 2."""
     robust_found: int
-    """Those in which a success of fitness 2 was found."""
+    """Entries in which a success of fitness 2 was found."""
     released_found: int | None
     """Elites of the released code's archive in the set; None for a foreign hand or set."""
     estimate: RichnessEstimate | None
-    """How many cells there are, estimated from the runs that a set of one's own was built from."""
+    """Number of cells, estimated from the runs that a set of one's own was built from."""
     robust_estimate: RichnessEstimate | None
-    """The same for cells in which a grasp has fitness 2; None: see `ReferenceSet.estimate`."""
+    """Number of cells with a grasp of fitness 2; None: see `ReferenceSet.estimate`."""
     sentence: str = ""
     """The result in words."""
 

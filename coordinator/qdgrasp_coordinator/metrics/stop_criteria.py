@@ -1,6 +1,6 @@
-"""Stop criteria: what ends a run besides its budget, judged row by row in journal order.
+"""Stop criteria: the ends of a run besides its budget, judged row by row in journal order.
 
-A criterion is met by one nominal row, whoever evaluated what and when: that is a function of the journal,
+A criterion is met by one nominal row, with any workers and at any time: that is a function of the journal,
 so that a run ends with the same row however many workers it has, and however often it was resumed. CPU
 seconds differ from one run of a spec to the next; simulated evaluations stand for them (docs/campaigns.md).
 """

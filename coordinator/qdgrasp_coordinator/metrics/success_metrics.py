@@ -26,7 +26,7 @@ from qdgrasp_protocol.spec import Overlaps
 
 FITNESS_COLOURS = ("#bdb7ad", "#f2a431", "#2a73b9")
 """Of survival 0, 1 and 2; told apart with any colour vision, and by their lightness alone."""
-FITNESS_WORDS = ("no disturbance survived", "some survived", "all survived")  # What they mean
+FITNESS_WORDS = ("no disturbance survived", "some survived", "all survived")  # Of survival 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ class SuccessHistory:
 
     @classmethod
     def among(cls, rows: Rows, overlaps: Overlaps, before: int = 0) -> Self:
-        """Those among rows in journal order, before which their run counted so many evaluations."""
+        """The successes among rows in journal order, after so many counted evaluations."""
         evaluations = before + np.cumsum(evaluation_mask(rows, overlaps))
         success = success_mask(rows)
         return cls(rows[success], evaluations[success])
 
     @classmethod
     def placed(cls, rows: Rows, population: int) -> Self:
-        """Those among kept rows, where every genome counts and there are so many in a generation."""
+        """The successes among kept rows, if every genome counts; `population` in a generation."""
         found = successes(rows)
         generation, index = (found[name].astype(np.int64) for name in ("generation", "index"))
         return cls(found, generation * population + index + 1)
@@ -188,7 +188,7 @@ class EtaSummary(Struct, frozen=True, kw_only=True):
     """Estimated probability, 0 to 1, that successes transfer (Huber et al. 2024, section IV)."""
 
     successes: int
-    """Those with as many trials as every one has; the other figures are of these, and None without one."""
+    """Successes with as many trials as every one has; the other figures are of these, else None."""
     mean: float | None
     best: float | None
     """Eta of the success whose lower bound is the greatest."""
@@ -274,7 +274,7 @@ class SuccessMetrics:
 
     @property
     def _scores(self) -> ScoreCounts:
-        """Those of all scored successes."""
+        """The counts of all scored successes."""
         return self._closed.with_rows(self._trials.rest())
 
     @property
@@ -320,11 +320,11 @@ class Diversity(Struct, frozen=True, kw_only=True):
     """Occupied niches, and their number in a cell; None for a mean without a success."""
 
     niches: int
-    """Those with a success."""
+    """Niches with a success."""
     grasp_niches: int
-    """Those with a grasp, which survived some disturbance."""
+    """Niches with a grasp, which survived some disturbance."""
     robust_niches: int
-    """Those with a robust grasp, which survived every one."""
+    """Niches with a robust grasp, which survived every disturbance."""
     orientations: float | None
     """Mean number of orientation bins with a success in a cell with one, 1 to 60."""
     synergies: float | None

@@ -1,4 +1,4 @@
-"""Estimates the time that the rest of a job takes; says what it does while no rows come in.
+"""Estimates the time that the rest of a job takes; describes its work while no rows come in.
 
 Rows and shapes are estimated apart, each by the time that workers took for one: while shapes are built no
 rows come, and a rate over that time would say nothing of the rows that are left. Pure: time is passed in.
@@ -51,7 +51,7 @@ class TimeLeft:
 
     Work is measured in seconds of workers: those that one evaluation took on the mean while there were rows,
     since the first came, and those that one shape took. Workers without rows count where others have some, as
-    they will not have any later either. What is left is divided among the workers that are there.
+    they will not have any later either. The remaining work is divided among the present workers.
     """
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class WorkersAtWork(NamedTuple):
 def with_time_left(
     figures: JobStatus, work: WorkersAtWork, shapes_left: float, left: TimeLeft, now: float
 ) -> JobStatus:
-    """Return a job's figures with the time left, and with what it does if no rows come in.
+    """Return a job's figures with the time left, and with its work if no rows come in.
 
     `shapes_left` are those under way, and those that are only expected. `left` is given these figures.
     """
@@ -144,7 +144,7 @@ def with_time_left(
 
 
 def activity(figures: JobStatus, work: WorkersAtWork, *, has_begun: bool) -> str:
-    """Return what a job does, in words; `has_begun`: rows have come in before."""
+    """Describe the work of a job in words; `has_begun`: rows have come in before."""
     loading = sum(sign.loading for sign in work.signs)
     rows, done = sum(sign.rows for sign in work.signs), sum(sign.done for sign in work.signs)
     names = [Path(mesh).name for mesh in figures.building]

@@ -33,7 +33,7 @@ class TrialPlan:
     disturbances: int = SHAKES
     """Disturbances in each trial."""
     finalists: int | None = None
-    """How many best successes are wanted; None: the best of each 1 cm cell."""
+    """Number of best successes that are wanted; None: the best of each 1 cm cell."""
 
     @classmethod
     def of(cls, spec: RunSpec) -> Self:

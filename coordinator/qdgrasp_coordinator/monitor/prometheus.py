@@ -1,8 +1,8 @@
 """Metrics of jobs for Prometheus, named and typed by its conventions.
 
 Metrics of a job begin with `qdgrasp_job_`, those of a run with `qdgrasp_run_`, those of a worker with
-`qdgrasp_worker_`, so that parts are not added to their sum. What only grows is a counter and ends in
-`_total`; a unit stands before that. What comes from elsewhere is a label's value, never a name. The help of a
+`qdgrasp_worker_`, so that parts are not added to their sum. A figure that only grows is a counter and ends in
+`_total`; a unit stands before that. Texts from elsewhere are labels' values, never names. The help of a
 metric is the docstring of its figure (`metrics.job_status`).
 """
 
@@ -23,7 +23,7 @@ from qdgrasp_coordinator.monitor.job_view import OVER, JobView
 MOST_RUNS = 256  # The most runs of a job with series: first those in progress, then the latest heard
 MOST_WORKERS = 512  # The most workers of a job with series, by their joins; `qdgrasp_workers` counts all
 INACTIVE_STATES = ("silent", *OVER)  # The states of a job without messages
-STATES = ("starting", "running", "paused", "ending", *INACTIVE_STATES)  # Of a job: see `JobView`
+STATES = ("starting", "running", "paused", "ending", *INACTIVE_STATES)  # States of a job: see `JobView`
 RUN_LABELS = ("gripper", "object", "method", "protocol", "seed")  # Labels of `qdgrasp_run_info`
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]

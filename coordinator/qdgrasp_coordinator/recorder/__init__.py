@@ -1,1 +1,1 @@
-"""The recorder: what arrives of a job, in order, into the journals of its runs."""
+"""The recorder: writes the rows of a job, in order, into the journals of its runs."""

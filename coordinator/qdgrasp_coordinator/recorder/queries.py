@@ -218,7 +218,7 @@ LISTING_SECONDS = 2.0  # seconds for which runs are counted before a list is giv
 
 
 class ObjectIndex:
-    """Lists the objects of a job's folder with what they got; writes nothing.
+    """Lists the objects of a job's folder with their figures; writes nothing.
 
     The objects are those of the campaign's file; without one, those of the runs that have begun. The counts
     of a run that is finished are read once: from the index of such runs, else from its journal, bit by bit.

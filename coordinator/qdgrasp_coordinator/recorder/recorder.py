@@ -1,7 +1,7 @@
 """Decides what a recorder does: opens runs, takes rows, commits them in groups, reports.
 
 Decided without a thread or a clock (docs/bus.md, rule 8); time is passed in, in seconds of any steady clock.
-What is not known of a run is found in its folder, so a recorder that was started again goes on with any run.
+The state of a run is read from its folder, so a recorder that was started again goes on with any run.
 
 A run is reported at once when there is news of it, and then each second for a while after its last message:
 a report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
@@ -147,7 +147,7 @@ class Recorder:
         self._reports = ReportSchedule()
         self._rows_not_taken: Counter[Arrival] = Counter()
         self.writers: dict[str, RunWriter] = {}
-        """Of the runs that are written, by name; others, also finished ones, may be in the folder."""
+        """Writers of runs by name; other runs, also finished ones, may be in the folder."""
         self._waiting: dict[str, RunWriter] = {}
         self._without_scene: dict[str, RunWriter] = {}
         self._finished = FinishedRuns(folder.folder.path)

@@ -1,7 +1,7 @@
 """The recorder on the bus: takes settled rows, commits them, and reports what is durable.
 
 One thread does everything but fetching scenes; callbacks of the bus and the fetcher only fill its inbox.
-`Recorder` decides what to do with what comes; it is carried out here.
+`Recorder` decides on each event; its decisions are carried out here.
 """
 
 import secrets
@@ -106,7 +106,7 @@ class RecorderService:
         return self._fetch_at if recorder.missing_scenes else inf
 
     def _process(self, recorder: Recorder, timeout: float) -> None:
-        """Process what is in the inbox, waiting at most `timeout` seconds for the first event."""
+        """Process the events in the inbox; wait at most `timeout` seconds for the first."""
         with suppress(Empty):
             self._take(recorder, self._inbox.get(timeout=timeout), time.monotonic())
             for _ in range(MOST_EVENTS):

@@ -31,7 +31,7 @@ class Arrival(Enum):
     """Result of offering rows."""
 
     TAKEN = "taken"
-    """They, or the part that was not known, wait for their commit."""
+    """The rows, or the new part of them, wait for their commit."""
     DUPLICATE = "known already"
     GAP = "rows before them are missing"
     STALE = "of a coordinator that was replaced"
@@ -56,13 +56,13 @@ class RunWriter:
         self._folder = folder
         self._journals = journals
         self.durable = 0  # Number of rows on disk
-        self.platform = dict(platform)  # What the journal says of its rows, or of those to come
+        self.platform = dict(platform)  # Platform of the journal's rows, or of those to come
         if begun is None:
             journal = self.journal
             begun = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
             self.platform, self.durable = journal.platform, journal.count
         self.identity = begun
-        self._counter: RunCounter | None = None  # Of the rows on disk; None before rows were committed here
+        self._counter: RunCounter | None = None  # Counts rows on disk; None before the first commit
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []
         self._since = 0.0

@@ -1,7 +1,7 @@
 """Draws frames, the approach axis, contacts and labels over a rendered picture.
 
-Labels stand beside what they name, none over another, and none over the hand or the object; lines are
-supersampled.
+Labels stand beside the parts that they name, none over another, and none over the hand or the object; lines
+are supersampled.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -266,7 +266,7 @@ CONTACT_WORDS = {
 }
 """Meanings of the colours of contacts."""
 ANNOTATION_COLOURS = (APPROACH_COLOUR, *AXIS_COLOURS.values(), *CONTACT_WORDS)  # Colours of all marks
-LABEL_OFFSET = 0.55  # From a point to what is written beside it; this and what follows in heights of letters
+LABEL_OFFSET = 0.55  # From a point to the words beside it; this and what follows in heights of letters
 TIP_OFFSETS = (0.8, 1.3)
 """From the tip of an axis to the middle of its letter, farther where something else stands."""
 LABEL_SHIFTS = (0.0, 1.2, -1.2, 2.4, -2.4)

@@ -105,7 +105,7 @@ class PanelLabel(NamedTuple):
     title: str
     line: str
     colour: str
-    """Of the dot, which says how the evaluation ended."""
+    """Colour of the dot, which shows the outcome of the evaluation."""
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,7 @@ PORTRAIT_PIXELS = 560  # Width and height of each of the two views
 AZIMUTH = np.radians(35.0)
 BEYOND = 1.2  # The name of an axis stands so far out, in its lengths
 OUTLINE = withStroke(linewidth=3, foreground="white")  # Keeps a letter readable on any part
-CLOSE_TOGETHER = 0.01  # What an object is drawn in is at least so wide [m]
+CLOSE_TOGETHER = 0.01  # Least width of the view of an object [m]
 OPEN_EDGE_COLOUR = "#d62728"
 STANDOFF_COLOUR = "#aa3377"
 

@@ -1,7 +1,7 @@
 """Renders triangle meshes by casting rays: parallel camera, soft light, image layers.
 
-The light is a sky of distant lamps, brighter over the viewer's left shoulder. Solid layers hide what is
-behind them, translucent ones let it through.
+The light is a sky of distant lamps, brighter over the viewer's left shoulder. Solid layers hide those
+behind them, translucent ones do not.
 """
 
 from dataclasses import dataclass, field

@@ -1,1 +1,1 @@
-"""Reports of runs: histories, figures and tables of a campaign, all that is known of a row."""
+"""Reports of runs: histories, figures and tables of a campaign, and details of a row."""

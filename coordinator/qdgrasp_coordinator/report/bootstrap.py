@@ -37,9 +37,9 @@ class ConfidenceInterval:
     high: float
     scenes: int
     runs: tuple[int, ...]
-    """Of each arm, over all scenes."""
+    """Number of runs of each arm, over all scenes."""
     p_value: float = np.nan
-    """Of both sides, of the hypothesis that the number is `null`."""
+    """Two-sided p-value of the hypothesis that the number is `null`."""
     null: float = 0.0
     """The number without an effect: 0, of a ratio 1."""
 

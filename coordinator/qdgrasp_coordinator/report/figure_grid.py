@@ -21,7 +21,7 @@ from qdgrasp_coordinator.search import registry
 
 Dashes = Literal["-"] | tuple[float, Sequence[float]]
 INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"
-"""Text, text beside it, rules, and curves that only give context."""
+"""Colours of text, of notes beside it, of rules, and of curves that only give context."""
 PRIOR_HUES = {
     "contact": "#0072b2",
     "approach": "#d55e00",
@@ -33,7 +33,7 @@ PRIOR_HUES = {
 PRIOR_WORDS = {
     "spherical": "no prior",
     "valued": "aimed",
-}  # What a prior is called in a figure, where not by its name
+}  # Label of a prior in a figure, where not its name
 FAMILIES: dict[str, Dashes] = {
     "aimed": "-",
     "me_scs": "-",

@@ -240,9 +240,9 @@ class NuDistribution:
     """The share below pi / 4."""
     scenes: int
     runs: int
-    """With a success that has a nu."""
+    """Runs with a success that has a nu."""
     evaluations: tuple[int, int]
-    """Of the shortest and of the longest of these runs."""
+    """Evaluations of the shortest and of the longest of these runs."""
 
     @property
     def row(self) -> str:
@@ -325,7 +325,7 @@ MOST_VOXEL_ROWS = (
 VOXEL_COLUMNS = 4  # Views of one method side by side
 VOXEL_PANEL_INCHES, VOXEL_PIXELS = 2.6, 420
 TRIAD_LENGTH = 0.085  # Of the object's axes, as a share of a view's height
-LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Named in the legend of robust runs
+LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Etas that are named in the legend of robust runs
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""All that is known of one row of a journal, and the context that its columns are read in.
+"""Report on one row of a journal, and the context that its columns are read in.
 
 The context says which synergy a genome chose and how many trials a success has.
 """
@@ -154,7 +154,7 @@ class GeneValue(Struct, frozen=True, kw_only=True):
 
     name: str
     gene: float
-    """In [-1, 1]; under the prior `given` the value itself."""
+    """Gene in [-1, 1]; under the prior `given` the value itself."""
     value: float
     """The length or angle that it stands for [m or rad]."""
 
@@ -163,9 +163,9 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """All that is known about one row; positions are metres in the object's CoM frame."""
 
     folder: str
-    """Of the run."""
+    """Folder of the run."""
     number: int
-    """The row's in the journal, as the view in 3D counts."""
+    """Number of the row in the journal, as the view in 3D counts."""
     rows: int
     generation: int
     index: int
@@ -175,7 +175,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """`Outcome` by its name in lower case."""
     meaning: str
     reason: str
-    """Of an error; else empty."""
+    """Reason of an error; else empty."""
     fitness: float
     """Disturbances survived."""
     eta: float | None
@@ -187,7 +187,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
     descriptor: tuple[float, ...]
     """The hand's commanded position [m], then what the prior tells beside it."""
     cell: tuple[int, ...] | None
-    """Of 1 cm; None where there is no pose."""
+    """Cell of 1 cm; None where there is no pose."""
     base_to_object: ReportedPose | None
     """The commanded pose, before closing; None where there was no pose."""
     settled: ReportedPose | None
@@ -209,7 +209,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
     contacts: int
     """Finger links that touch the object after closing."""
     penetration: float
-    """The deepest after closing [m], 0 or positive."""
+    """Deepest penetration after closing [m], 0 or positive."""
     contact_points: tuple[ReportedContact, ...]
     """Contacts after closing, some of them where there were many; none where they are not recorded."""
     gripper: str
@@ -238,7 +238,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
 
     @property
     def table(self) -> str:
-        """All of it in words, one to a line."""
+        """All fields in words, one to a line."""
         values = msgspec.structs.asdict(self)
         values["outcome"] = ": ".join(
             filter(None, [self.outcome, values.pop("meaning"), values.pop("reason")])

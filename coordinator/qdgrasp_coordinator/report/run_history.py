@@ -1,4 +1,4 @@
-"""Reads what one run found over its evaluations, in one pass over its journal.
+"""Reads the successes of one run over its evaluations, in one pass over its journal.
 
 Nominal rows are counted; a success's randomised trials give its eta and nothing else. A journal that keeps
 successes alone has the sums over all rows; where every genome counts, the place of a success says after how
@@ -68,11 +68,11 @@ class RunHistory:
     cells: StepSeries
     """Distinct 1 cm cells with a success."""
     robust_cells: StepSeries
-    """Those with a robust success."""
+    """Distinct 1 cm cells with a robust success."""
     found: StepSeries | None
     """Distinct entries of the reference set."""
     robust_found: StepSeries | None
-    """Those of fitness 2, found by robust successes."""
+    """Entries of fitness 2, found by robust successes."""
     published: StepSeries | None
     """Entries as the released code counts them; None for a hand that it does not have."""
     diversity: Diversity
@@ -82,7 +82,7 @@ class RunHistory:
     near: int
     """Successes with nu below pi / 4."""
     eta: EtaSummary | None
-    """Of the successes whose trials are recorded; None where the protocol has none."""
+    """Eta of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:

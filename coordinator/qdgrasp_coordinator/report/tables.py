@@ -31,7 +31,7 @@ class Figure(NamedTuple):
     """A number of a run, with its heading and format in tables."""
 
     heading: str
-    """Of its column; empty: it is in CSV files alone."""
+    """Heading of its column; empty: it is in CSV files alone."""
     words: Callable[[float], str]
     of: Callable[[RunHistory], float | None]
 
@@ -252,7 +252,7 @@ CAPTIONS = {
     "scenes of the mean over runs. Dashed: pi/4. `nu.csv` has the methods with other priors too: `approach` "
     "is bound to pi/4, and antipodal hands stand beside the line between their two points, near pi/2.",
     "voxels": "Cells of 1 cm with a success, by the most robust one in each, in the run with the median "
-    "number of cells. Views of one object have one camera and one scale, whatever hand and method.",
+    "number of cells. Views of one object have one camera and one scale, for all hands and methods.",
     "coverage": "Every method on every scene: median over seeds and interquartile range. Coverage is "
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
     "of 1 cm are counted instead and the panel says so. `coverage.csv` has the count as published beside it.",

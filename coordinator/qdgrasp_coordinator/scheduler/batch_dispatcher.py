@@ -1,7 +1,7 @@
 """Dispatch: which worker gets which batch, and which result counts.
 
-Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so whatever is lost in flight is
-evaluated again, and the first result of a batch is as good as any other. Time is passed in, in seconds of
+Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so a batch that is lost in flight
+is evaluated again, and the first result of a batch is as good as any other. Time is passed in, in seconds of
 any steady clock.
 """
 
@@ -156,7 +156,7 @@ class Dispatcher:
     def leases(self, now: float) -> list[Lease]:
         """Lease what is queued to workers with credit left; send them in this order.
 
-        Where nothing waits, idle workers are leased what others have held for long.
+        Where nothing waits, idle workers are leased batches that others have held for long.
         """
         leases: list[Lease] = []
         for worker in self._workers.idle(now) if self._queue or self._queue.has_tried else ():
@@ -188,7 +188,7 @@ class Dispatcher:
         return self._workers.may_have(worker, batch.tried_by)
 
     def _double_leases(self, now: float) -> Iterator[Lease]:
-        """Lease to idle workers what others have held for long; the others keep it."""
+        """Lease to idle workers batches that others have held for long; these keep them too."""
         late = self._batches.late(now - self._workers.lease_timeout.straggling)
         for worker in self._workers.idle(now) if late else ():
             if worker.batches or not late:
@@ -286,7 +286,7 @@ class Dispatcher:
         """Settle a result: the first of a batch counts, if its sender was leased the batch.
 
         Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
-        worker `wid`. What is to be checked first, or is a check, is fresh and has no rows: `take_released`
+        worker `wid`. A result to be checked first, or of a check, is fresh and has no rows: `take_released`
         gives them later. Raises MessageError if it has another number of rows than its batch, or names a
         failed row that the batch has not.
         """
@@ -358,7 +358,7 @@ class Dispatcher:
             self._queue.submit_again(result.run, asked_rows(result.rows))
 
     def take_released(self, now: float) -> list[HeldResult]:
-        """Return results that were held and against which nothing speaks any more.
+        """Return results that were held and are not in doubt any more.
 
         Checks are begun for workers that no other has confirmed, and ended where no worker can decide them.
         """

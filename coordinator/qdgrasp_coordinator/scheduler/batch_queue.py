@@ -100,7 +100,7 @@ class Settlement(Enum):
     """Kinds of results."""
 
     FRESH = "fresh"
-    """The first of its batch: it is taken, all others are dropped."""
+    """The first result of its batch: it is taken, all others are dropped."""
     DUPLICATE = "duplicate"
     """Its sender has already settled this batch."""
     LATE = "late"
@@ -108,7 +108,7 @@ class Settlement(Enum):
     UNKNOWN = "unknown"
     """No such batch is known, or no longer."""
     FOREIGN = "foreign"
-    """Of another epoch, or from a worker that was never leased this batch."""
+    """A result of another epoch, or from a worker that was never leased this batch."""
 
 
 @dataclass(frozen=True)

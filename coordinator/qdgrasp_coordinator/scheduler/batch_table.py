@@ -34,9 +34,9 @@ class BatchTable:
     def __init__(self, epoch: int) -> None:
         self._epoch = epoch
         self._open: OrderedDict[bytes, BatchState] = OrderedDict()
-        """By id, those that were leased last at the end."""
+        """Leased batches by id; the latest leases are at the end."""
         self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
-        """By id: the workers that were leased it, and that which settled it; None: it was withdrawn."""
+        """By id: the workers that were leased it, and the one that settled it; None: withdrawn."""
 
     def open(self, batch: Batch | ShapeBuild) -> BatchState:
         """Return the state of a batch that is leased, made at its first lease."""
@@ -50,7 +50,7 @@ class BatchTable:
     def late(self, before: float) -> list[BatchState]:
         """Return batches that one worker has held since before a time, those held for longest first.
 
-        Rows on which others failed are not among them: they may end whoever evaluates them.
+        Rows on which others failed are not among them: they may end any worker's process.
         """
         found = []
         for state in self._open.values():

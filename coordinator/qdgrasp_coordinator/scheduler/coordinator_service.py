@@ -1,7 +1,7 @@
 """The coordinator on the bus: ask, dispatch, settle, tell - for every run of a job at once.
 
 One thread does everything but opening runs; callbacks of the bus and the run loader only fill its inbox.
-What to do with what comes is decided in `JobScheduler`, and carried out here.
+`JobScheduler` decides on each event; its decisions are carried out here.
 """
 
 import time

@@ -1,7 +1,7 @@
 """Cross-checks: a second worker evaluates some rows too, and a third decides what differs.
 
 Rule 14 of docs/bus.md as plain state. Evaluation is pure, so two workers that answer differently are not both
-right. Results wait here until nothing speaks against them: those of a worker that no other has confirmed yet,
+right. Results wait here while they are in doubt: those of a worker that no other has confirmed yet,
 those of rows that are being checked, and those of workers that answered differently.
 """
 
@@ -40,7 +40,7 @@ class Check:
     run: RunRef
     rows: Generation
     answers: dict[WorkerName, bytes]
-    """What each worker answered, as the bytes of the rows."""
+    """The answer of each worker, as the bytes of the rows."""
     is_first: bool = False
     """True: it is to confirm a worker, which then needs no other."""
     failed_on: tuple[WorkerName, ...] = ()
@@ -83,7 +83,7 @@ class CheckCounts:
 
     checked: int = 0
     differing: int = 0
-    """Those of them that workers answered which were excluded."""
+    """Of these, rows answered by workers that were excluded."""
 
 
 class CrossChecks:
@@ -140,7 +140,7 @@ class CrossChecks:
         return bool(self._share) and (worker.wid not in self._confirmed or worker in self._disputing)
 
     def hold(self, result: HeldResult) -> None:
-        """Keep a result until nothing speaks against it."""
+        """Keep a result while it is in doubt."""
         self.held.append(result)
 
     def answer(self, name: bytes, worker: WorkerName, content: bytes) -> CheckVerdict | None:
@@ -215,7 +215,7 @@ class CrossChecks:
         self._confirmed.discard(wid)
 
     def take_released(self, has_other: Callable[[tuple[WorkerName, ...]], bool]) -> list[HeldResult]:
-        """Return the results against which nothing speaks any more; they are held no longer."""
+        """Return the results that are not in doubt any more; they are held no longer."""
         released, held = list[HeldResult](), list[HeldResult]()
         for result in self.held:
             is_checked = result.check in self._checks or result.worker in self._disputing

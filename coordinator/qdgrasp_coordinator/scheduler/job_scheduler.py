@@ -1,7 +1,7 @@
 """The scheduler of a job: decides on each event, without a thread or a clock.
 
 It lives as long as its coordinator, over the epoch that a recorder issues. Pipelines, dispatcher, workers
-and outboxes decide for themselves; here stands which event goes to which of them, and what goes out
+and outboxes decide for themselves; this module passes events to them, and their messages on to the bus
 (docs/bus.md, rules 1 to 10). Time is passed in, in seconds of any steady clock.
 """
 
@@ -70,7 +70,7 @@ RUNS_NAMED = 5  # Most runs that an event names
 COUNTERS_SHOWN = ("requeued", "doubled", "checked", "differing")
 
 PutMessage = Callable[[str, Message, Channel], None]
-"""Sends a message on a key; what is sent while there is no link is lost."""
+"""Sends a message on a key; messages are lost while there is no link."""
 
 
 class JobScheduler:
@@ -171,7 +171,7 @@ class JobScheduler:
             raise MessageError(f"an answer of worker {wid[:WID_DIGITS]} without this worker's key")
 
     def _on_result(self, result: Result, wid: str, now: float) -> None:
-        """Settle a result once, and pass on to the recorder what became final."""
+        """Settle a result once, and pass the rows that became final on to the recorder."""
         run = self.runs.get(result.run)
         if run is None:
             self.workers.progressed(wid, now)
@@ -184,7 +184,7 @@ class JobScheduler:
             self._take_rows(run, wid, settled, settled.rows, now)
 
     def _take_rows(self, run: ActiveRun, wid: str, settled: SettleReply, rows: Rows, now: float) -> None:
-        """Take rows of a worker for good, and pass on to the recorder what became final."""
+        """Take rows of a worker for good, and pass those that became final on to the recorder."""
         if len(rows) > len(settled.failures):
             run.settled_by.add(wid)
         self.workers.on_settled(wid, len(rows), now)
@@ -200,7 +200,7 @@ class JobScheduler:
             self._withdraw(run.name)
 
     def _settle_checked(self, now: float) -> None:
-        """Take results that were held, and act on what checks and failures say of workers."""
+        """Take results that were held, and act on checks and failures of workers."""
         released = self.dispatcher.take_released(now)
         for verdict in self.dispatcher.take_verdicts():
             self._on_verdict(verdict)
@@ -236,7 +236,7 @@ class JobScheduler:
                 self._go_back(run)
 
     def _go_back(self, run: ActiveRun) -> None:
-        """Evaluate again what a run has not passed on, unless that is all."""
+        """Evaluate again the rows that a run has not passed on, unless that is all."""
         if run.pipeline.finished is None:
             self._withdraw(run.name)
             run.goes_back = True
@@ -364,7 +364,7 @@ class JobScheduler:
             run.sink.set_platform(self.workers.platform)
 
     def _on_lost(self, lost: LostWorker) -> None:
-        """Queue again what a worker held that left, vanished or is stuck."""
+        """Queue again the batches of a worker that left, vanished or is stuck."""
         worker, requeued = lost.worker, self.dispatcher.requeue(lost.worker.wid, lost.batches)
         log.info("gave a worker up", worker=worker.wid[:8], reason=lost.reason, requeued=requeued)
         end = "is stuck" if lost.is_there else "is gone"
@@ -379,7 +379,7 @@ class JobScheduler:
         self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
 
     def step(self, now: float) -> None:
-        """Do all that is possible now: give up workers, ask, record, lease, end and open runs."""
+        """Do all steps that are due: give up workers, ask, record, lease, end and open runs."""
         for lost in self.workers.overdue(now):
             self._on_lost(lost)
         self._settle_checked(now)

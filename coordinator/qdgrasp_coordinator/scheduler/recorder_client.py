@@ -1,6 +1,6 @@
 """Sinks of a run's rows: a recorder, or memory where only a result is wanted.
 
-A put is no promise: what was sent may be lost, repeated or overtaken. The outbox knows the number up to
+Messages may be lost, repeated or overtaken. The outbox knows the number up to
 which the recorder has reported rows durable, and sends everything behind it again when the recorder is new
 or stands still (docs/bus.md, rule 8). Time is passed in, in seconds of any steady clock.
 """
@@ -56,7 +56,7 @@ class RowSink(ABC):
         self.platform = platform
 
     def tick(self, now: float) -> None:
-        """Send what is due."""
+        """Send the messages that are due."""
         return
 
     def on_report(self, message: Recorded, now: float) -> None:
@@ -64,7 +64,7 @@ class RowSink(ABC):
         return
 
     def on_recorder_up(self, now: float) -> None:
-        """Send again what is not durable: a recorder appeared."""
+        """Send again the rows that are not durable: a recorder appeared."""
         return
 
     @property
@@ -154,7 +154,7 @@ class Outbox:
             self._end = part.stop
 
     def take_due(self, now: float) -> list[JournalSlice]:
-        """Return what is to be sent now, in slices, and count it as sent."""
+        """Return the rows to be sent now, in slices, and count them as sent."""
         if self._is_waiting and now >= self._progress + RESEND_AFTER:
             self.resend(now)
         if self._sent == self._end:
@@ -277,7 +277,7 @@ class RecorderClient(RowSink):
         self._outbox.push(part)
 
     def on_report(self, message: Recorded, now: float) -> None:
-        """Take note of what is durable."""
+        """Note the number of durable rows."""
         if message.epoch > self._epoch > 0:
             raise TookOver(self._job, message.epoch)
         if message.run != self._run or message.epoch != self._epoch:
@@ -289,7 +289,7 @@ class RecorderClient(RowSink):
             raise fallen.of(self._run) from None
 
     def on_recorder_up(self, now: float) -> None:
-        """A recorder appeared: send again what is not durable."""
+        """A recorder appeared: send again the rows that are not durable."""
         self._outbox.resend(now)
 
     def tick(self, now: float) -> None:

@@ -1,6 +1,6 @@
-"""Plans of runs with all that carrying them out takes, and the queue of a job's runs.
+"""Plans of runs, and the queue of a job's runs.
 
-From what a user asks for to a run that can be carried out: spec, scene, search and pipeline.
+A plan turns a user's spec into a run that can be carried out: spec, scene, search and pipeline.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -130,7 +130,7 @@ class ShapeWarning(NamedTuple):
     """A fault of a shape that is used all the same, or was left aside."""
 
     object: str
-    """As specs name it."""
+    """Its name in specs."""
     words: str
 
 

@@ -1,8 +1,9 @@
 """The runs of a job in progress: opened and replayed when needed, let go when done.
 
 The loader makes the next run ready in a thread of its own: the replay of a journal may take seconds, and so
-may a scene that no worker builds; results go on being settled meanwhile. What was made is handed over by the
-scheduler's inbox. Shapes that runs wait for are built by workers, some for each worker ahead of their runs.
+may a scene that no worker builds; results go on being settled meanwhile. The runs are handed over through
+the scheduler's inbox. Shapes that runs wait for are built by workers, some for each worker ahead of their
+runs.
 """
 
 import threading
@@ -44,7 +45,7 @@ class ActiveRun:
         self.settled_by: set[str] = set()
         """Ids of the workers whose rows it has taken."""
         self.goes_back = False
-        """True: once what it passed on is recorded it is opened anew, and the rest is evaluated again."""
+        """True: once its settled rows are recorded it is reopened, and the others evaluated again."""
         self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
         self._began = time.monotonic()
 
@@ -214,7 +215,7 @@ class RunLoader:
             self._put(self._open_next(request.epoch) if request.opens else NoRunOpened(runs_wait=False))
         except _Closed:
             return
-        except Exception as error:  # noqa: BLE001  # whatever it is, it is raised again where the job is run
+        except Exception as error:  # noqa: BLE001  # any error is raised again where the job is run
             self._put(RunNotOpened(error))
 
     def _open_next(self, epoch: int) -> LoaderEvent:

@@ -1,6 +1,6 @@
 """Publishes the status of a job, and answers late comers who ask (docs/bus.md).
 
-What that costs does not depend on how many watch, or ask. The cache of what was shown last is filled by the
+Its cost does not depend on how many watch, or ask. The cache of the latest values is filled by the
 coordinator's one thread and read in threads of the bus.
 """
 

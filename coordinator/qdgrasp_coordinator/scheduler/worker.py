@@ -58,7 +58,7 @@ class Worker:
     """A worker, the batches that it holds, and its figures."""
 
     join: Join
-    """Its latest."""
+    """Its latest join request."""
     order: int
     """Ascends with its first join."""
     since: float
@@ -68,7 +68,7 @@ class Worker:
     heard: float
     """Time of its last message."""
     speed: RateMeter
-    """Of the rows that it settles."""
+    """Rate of the rows that it settles."""
     batches: dict[bytes, bool] = field(default_factory=dict)
     """The ids of the batches it holds; True: a shape that it builds."""
     scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
@@ -202,7 +202,7 @@ def names_of(workers: Iterable[WorkerName]) -> str:
 def fewest_batches_first(workers: list[Worker], now: float) -> Iterator[Worker]:
     """Yield the worker to lease to next, while one has credit left and took what it was offered.
 
-    Among equals those that answered lately come first: what a silent worker held is not given to the next
+    Among equals those that answered lately come first: a silent worker's batch is not given to the next
     silent one. Then comes the one that was quiet for longest, so that every stuck worker is tried.
     """
 

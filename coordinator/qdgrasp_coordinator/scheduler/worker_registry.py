@@ -83,7 +83,7 @@ class LostWorker:
     batches: list[bytes]
     """Ids of the batches it held."""
     is_there: bool
-    """It is still there, but stuck."""
+    """True: it is still there, but stuck."""
 
 
 GONE_SECONDS = 60.0  # Seconds for which a worker that is gone is still shown

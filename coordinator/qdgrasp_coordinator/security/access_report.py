@@ -120,7 +120,7 @@ class AccessReport:
     def faults(self) -> list[str]:
         """All faults, in words."""
         wrong = [words for cell in self.matrix for words in cell.wrong]
-        over = [f"by a pattern that nobody may use: {words}" for words in self.wide]
+        over = [f"by a pattern that no role may use: {words}" for words in self.wide]
         inside = [f"got in with {login.who}" for login in self.logins if login.got_in]
         return [*dict.fromkeys(wrong), *over, *inside]
 

@@ -16,7 +16,7 @@ from qdgrasp_protocol.keys import NAME
 from qdgrasp_protocol.session import Credentials, Role
 
 PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
-AUTHORITY_DAYS = 3650  # An authority outlives what it issues
+AUTHORITY_DAYS = 3650  # Longer than the certificates that it issues
 HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
 )
@@ -86,7 +86,7 @@ class SecurityFolder:
 def _make_folder(made: Path, root: CertificateIdentity) -> None:
     """Make a folder that only its owner can look into, with the authority's certificate."""
     made.mkdir(PRIVATE_FOLDER)
-    made.chmod(PRIVATE_FOLDER)  # whatever the umask takes away
+    made.chmod(PRIVATE_FOLDER)  # against the umask
     write_private_file(made / "ca.pem", root.certificate_pem)
 
 

@@ -2,7 +2,7 @@
 
 A line says what a run's journal was counted to and by which mark of its files; a line whose mark does not
 fit is passed over, and the run is counted anew. So the file may be lost, cut or copied at any time. Lines
-are added in one write each, whoever adds them, and need no wait for the disk: a journal is on the disk before
+are added in one write each, by any process, and need no wait for the disk: a journal is on the disk before
 its line is written.
 """
 
@@ -23,7 +23,7 @@ from qdgrasp_protocol.spec import RunSpec
 
 MARKED = (SPEC, JOURNAL, f"{JOURNAL}-wal")
 """The files of a run that its mark depends on."""
-DIGITS = 32  # Of digests and marks
+DIGITS = 32  # Characters of digests and marks
 
 
 class FinishedRun(Struct, frozen=True, kw_only=True):

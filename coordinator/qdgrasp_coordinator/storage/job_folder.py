@@ -7,7 +7,7 @@ A run of its own is a job of one run: its folder is the job's too. A campaign's 
 * `endpoint`      where the coordinator's router listens, while it does
 * `lock`          locked by the recorder; the kernel frees it when that process dies
 * `supervised`    locked by the command that started the job's processes
-* `logs/`         what the job's processes said
+* `logs/`         logs of the job's processes
 """
 
 import fcntl
@@ -37,7 +37,7 @@ from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
 from qdgrasp_protocol.messages import JobId
 
-LOCK_PATIENCE = 1.0  # seconds; whoever only looks whether a folder is in use holds its lock for an instant
+LOCK_PATIENCE = 1.0  # seconds; a process that checks whether a folder is in use holds its lock for an instant
 LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
@@ -53,7 +53,7 @@ def hold_lock(folder: Path, name: str = LOCK, *, is_removed: bool = False) -> It
             while not _try_lock(file):
                 if time.monotonic() > deadline:
                     raise _in_use(folder, file)
-                time.sleep(LOCK_INTERVAL)  # the kernel wakes nobody who only tries
+                time.sleep(LOCK_INTERVAL)  # trying does not wait: sleep between two tries
             if not atomic_files.is_still_at(folder / name, file):
                 continue  # the process that held it removed it
             with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
@@ -105,7 +105,7 @@ class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     job: str
     epoch: int = 0
-    """Of the last coordinator; 0 before the first."""
+    """Epoch of the last coordinator; 0 before the first."""
     identity: JobId = ""
     """Unique id of the job; empty in an earlier version's folder until its next epoch."""
 

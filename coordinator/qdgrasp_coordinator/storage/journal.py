@@ -160,7 +160,7 @@ class Journal:
 
     @property
     def differing(self) -> int:
-        """Those of them that workers answered which were excluded."""
+        """Of these, rows answered by workers that were excluded."""
         return self._number("differing")
 
     def _number(self, name: str) -> int:
@@ -330,7 +330,7 @@ class Journal:
 
 def _connect(file: Path) -> sqlite3.Connection:
     """A connection to read a journal as it is now."""
-    for mode in ("mode=ro", "mode=ro&immutable=1"):  # the second on a disk that nobody can write
+    for mode in ("mode=ro", "mode=ro&immutable=1"):  # the second on a read-only disk
         database = sqlite3.connect(f"{file.absolute().as_uri()}?{mode}", uri=True, isolation_level=None)
         try:
             database.execute("BEGIN")

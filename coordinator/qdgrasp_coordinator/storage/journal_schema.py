@@ -63,7 +63,7 @@ UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY,
 NO_ROOM = {
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_IOERR_WRITE,  # a file at its size limit, a quota
-    sqlite3.SQLITE_IOERR_SHMSIZE,  # also of who only reads
+    sqlite3.SQLITE_IOERR_SHMSIZE,  # also of readers
 }
 """SQLite's error codes for a write that does not fit; the transaction is rolled back."""
 SCHEMA = """

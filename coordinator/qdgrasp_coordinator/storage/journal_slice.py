@@ -24,7 +24,7 @@ class JournalSlice:
     checked: int = 0
     """Rows of the run that a second worker has evaluated, noted with these rows; outside the digest."""
     differing: int = 0
-    """Those of them that workers answered which were excluded."""
+    """Of these, rows answered by workers that were excluded."""
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -1,9 +1,8 @@
 """Files and folders that a command writes, and the names of those that make a run or a job.
 
-One rule for all outputs (docs/decisions/0012-outputs-and-exports.md). Whether they can be written is looked
-at before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is
-part of a run always stays. Folders on the way are made when there is something to write. An output appears
-whole or not at all.
+One rule for all outputs (docs/decisions/0012-outputs-and-exports.md). Whether they can be written is checked
+before the work for them is begun. Existing files stay, unless `--force` replaces them; files of a run always
+stay. Parent folders are made when there is something to write. An output appears whole or not at all.
 """
 
 import os
@@ -18,16 +17,16 @@ from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.text import first_few
 
-PNG_SIGNATURE = {"Software": "qdgrasp"}  # What `savefig` writes beside the pixels of a PNG file
+PNG_SIGNATURE = {"Software": "qdgrasp"}  # Metadata that `savefig` writes into a PNG file
 PNG_HEAD = 4096  # Bytes of a file that are looked at
 
 JOB, ENDPOINT, LOCK, SUPERVISED = "job.json", "endpoint", "lock", "supervised"
 CAMPAIGN, LOGS, RUNS = "campaign.toml", "logs", "runs"
 SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
 SOURCE, RANKING = "source.json", "ranking.csv"  # Of a run that scores the grasps of another one again
-FINISHED = "finished.jsonl"  # Of a campaign: what its finished runs add up to
+FINISHED = "finished.jsonl"  # Of a campaign: the sums of its finished runs
 SKIPPED = "skipped.csv"  # Of a campaign that goes on without objects that cannot be used
-ORIGIN = "warm_start.json"  # Of a run that begins with what others learned
+ORIGIN = "warm_start.json"  # Of a run that begins with weights that others learned
 MARKS = (JOB, CAMPAIGN, SCENE, JOURNAL)
 """Files that each mark the folder of a run or job, also where others are missing."""
 PARTS = frozenset(

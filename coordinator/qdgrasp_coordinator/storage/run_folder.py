@@ -133,7 +133,7 @@ def journal_digest(journal: Journal) -> str:
 
 
 def search_digest(spec: RunSpec, scene: str) -> str:
-    """Name the search that a run is, whatever its budget and goals: 16 hex digits.
+    """Return the digest of a run's search, without budget and goals: 16 hex digits.
 
     `scene` is the sha256 of its bundle, which stands for gripper and object, wherever their files lie.
     """

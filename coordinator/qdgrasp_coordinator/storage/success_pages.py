@@ -36,7 +36,7 @@ class PostureReader:
 
     layout: Layout
     joints: tuple[Joint, ...]
-    """Those of the hand; none if it is not known."""
+    """Joints of the hand; none if it is not known."""
     free: tuple[str, ...]
     """Names of its free joints, whose genes are the last ones."""
 
@@ -67,7 +67,7 @@ class RowContext:
     """Context for reading a journal's rows: its trials, and how to read its genomes."""
 
     plan: TrialPlan = NO_TRIALS
-    """How many trials a success has."""
+    """Numbers of trials of a success."""
     parts: tuple[tuple[int, SynergyReader, PostureReader], ...] = ((0, UNKNOWN_SYNERGIES, UNKNOWN_POSTURES),)
     """Readers of synergies and postures, with the number behind the last row that they hold for.
 

@@ -1,4 +1,4 @@
-"""Compares rows evaluated again with recorded ones, bit for bit, and words what differs."""
+"""Compares rows evaluated again with recorded ones, bit for bit, and describes differences."""
 
 from collections.abc import Mapping
 
@@ -22,7 +22,7 @@ class ComparedValues(Struct, frozen=True, kw_only=True):
 
 
 class DifferentRow(Struct, frozen=True, kw_only=True):
-    """A row whose result is not what was recorded."""
+    """A row whose result differs from the recorded one."""
 
     folder: str
     """Folder of the journal that it is in."""
@@ -72,7 +72,7 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
 
     rows: int
     same: int
-    """Of these, equal in every bit of every result."""
+    """Rows that are equal in every bit of every result."""
     runs: int
     outcomes: dict[str, int]
     """Rows by their recorded outcome."""
@@ -85,7 +85,7 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
 
     @property
     def is_same(self) -> bool:
-        """True if every row is what was recorded."""
+        """True if every row is as recorded."""
         return self.same == self.rows
 
     @property
@@ -139,7 +139,7 @@ def row_differences(recorded: np.void, now: np.void) -> dict[str, ComparedValues
 
 
 def difference_words(columns: Mapping[str, ComparedValues]) -> list[str]:
-    """Describe what differs, column by column."""
+    """Describe the differences, column by column."""
     return [f"{name} {values.now} instead of {values.recorded}" for name, values in columns.items()]
 
 

@@ -48,7 +48,7 @@ def test_check_asks_for_the_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (ALL, [], 0, " silent, 0 wrong; "),
         (ALL | {FORGED}, [], 1, "WRONG: guest to coordinator (put, hear) on @result/*, which is not allowed"),
-        (ALL | {OVERHEARD}, [], 1, "WRONG: by a pattern that nobody may use: worker to monitor"),
+        (ALL | {OVERHEARD}, [], 1, "WRONG: by a pattern that no role may use: worker to monitor"),
         (
             ALL - {Delivery(TrafficKind.PUT, RESULT, "worker", "coordinator")},
             [],

@@ -195,7 +195,7 @@ def test_an_end_by_a_signal_kills_nothing_and_is_gone_on_with(campaign, tmp_path
         patched.setattr(campaign_export.DatasetWriter, "write", write)
         done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 130
-    assert f"stands in {tmp_path / 'out'}.part; the same command goes on" in done.stderr
+    assert f"Complete files are in {tmp_path / 'out'}.part; the same command goes on" in done.stderr
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert campaign_export.is_dataset(tmp_path / "out")
 

@@ -93,7 +93,7 @@ BAD = {
     "no pose": ({"positions": [[]] * 0}, "positions must be numbers of shape"),
     "another keyword": ({"colour": 3}, "Unknown keyword 'colour'"),
     "no object": ({"object": None}, "'object' is missing; say object=... with a name or a file"),
-    "nobody who evaluates": ({"place": qdgrasp.Place(workers=0)}, "has nobody who evaluates"),
+    "nobody who evaluates": ({"place": qdgrasp.Place(workers=0)}, "has no workers"),
 }
 
 

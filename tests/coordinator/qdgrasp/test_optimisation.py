@@ -41,7 +41,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no gripper": ({"gripper": None}, "'gripper' is missing; say gripper=... with a name or a file"),
     "nobody": (
         {"place": qdgrasp.Place(workers=0)},
-        "has nobody who evaluates: start workers, or name a router",
+        "has no workers: start some, or name a router",
     ),
     "a hand that has no jaw": ({"gripper": "allegro", "prior": "antipodal"}, "is for two-finger hands"),
 }

@@ -101,7 +101,7 @@ SEARCH_HELP = "letters search  enter keep the search  escape end it"
 
 @dataclass(frozen=True)
 class ScreenState:
-    """Everything that the screen can show."""
+    """All data that the screen can show."""
 
     views: Sequence[JobView]
     endpoint: str

@@ -173,7 +173,7 @@ def same_tables(some: dict[str, EngineTable], others: dict[str, EngineTable]) ->
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene, and what is made of it once."""
+    """A scene, and values that are made of it once."""
 
     scene: Scene
     hand: HandGeometry
