@@ -1,4 +1,4 @@
-"""`make demo`: the main job on a built-in gripper and object, and a picture of what it found."""
+"""`make demo`: the main job on a built-in gripper and object, and a picture of its grasps."""
 
 import shutil
 from pathlib import Path

@@ -1,7 +1,7 @@
 """A search of one's own: steps from the best genomes so far.
 
 python own_optimiser.py runs/mine                       with workers of this machine
-python own_optimiser.py runs/mine tcp/127.0.0.1:7447    with those at a router, wherever they are
+python own_optimiser.py runs/mine tcp/127.0.0.1:7447    with the workers of a router
 """
 
 import sys

@@ -21,7 +21,7 @@ LONGEST_VALUE = 60
 """Characters of a constant's value that is shown."""
 CODE = re.compile(r"(``[^`]*``|`[^`]*`)")
 MARKUP = re.compile(r"(?<!^)(?<!\n)\*|\*(?! )|\||(?<=\w)_(?!\w)")
-"""What reStructuredText would take for markup and docstrings mean as it stands; bullets stay."""
+"""Markup of reStructuredText that docstrings use as plain characters; bullets stay markup."""
 PAGE = re.compile(r"\bdocs/([\w/-]+)\.md\b")
 TYPED = re.compile(r"\S {3,}\S|^ +\* ", re.MULTILINE)
 """Text that is aligned in columns, or a tree of bullets."""

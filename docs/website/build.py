@@ -1,4 +1,4 @@
-"""Build the documentation site: lay out its pages, run Sphinx, check what came out (`make docs`)."""
+"""Build the documentation site: lay out pages, run Sphinx, check the result (`make docs`)."""
 
 import argparse
 import shutil
@@ -21,7 +21,7 @@ def build(out: Path) -> Path:
         source,
         html,
         out / "doctrees",
-    ):  # pages read earlier would keep their faults to themselves
+    ):  # faults of pages that were read earlier would not be reported
         shutil.rmtree(folder, ignore_errors=True)
     pages = markdown_pages.pages(ROOT) | api_pages.pages(ROOT)
     lay_out(pages, source)

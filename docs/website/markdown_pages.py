@@ -1,6 +1,6 @@
 """The Markdown pages of the repository as pages of the site, with their pictures and the files they link to.
 
-Pages keep their text. What changes is where links lead: `docs/` is the root of the site, files outside it
+Pages keep their text. Only targets of links change: `docs/` is the root of the site, files outside it
 are shown on pages under `files/`, and files within it are copied.
 """
 
@@ -11,7 +11,7 @@ from os.path import normpath, relpath
 from pathlib import Path
 
 Pages = dict[str, str | Path]
-"""What the site is built of, by path: the text of a page, or the file that is copied."""
+"""Parts of the site by path: the text of a page, or the file that is copied."""
 
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)\s]+)\)")

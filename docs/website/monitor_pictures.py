@@ -60,7 +60,7 @@ def main(out: Path) -> None:
 
 
 def say(words: str) -> None:
-    """Say how it goes, at once."""
+    """Print progress at once."""
     print(words, flush=True)
 
 

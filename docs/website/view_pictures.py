@@ -1,4 +1,4 @@
-"""Pictures of `qdgrasp view` for docs/looking.md: a grasp of a run, and what filters leave of another run.
+"""Pictures of `qdgrasp view` for docs/looking.md: a grasp, and another run after filters.
 
 python -m docs.website.view_pictures docs/looking runs/mug runs/mug-allegro
 """
@@ -52,7 +52,7 @@ def grasp(chromium: Any, place: str, out: Path) -> None:
 
 
 def filtered(chromium: Any, place: str, out: Path) -> None:
-    """What grasps from above with one synergy, on a desk and on a phone."""
+    """Grasps from above with one synergy, on a desk and on a phone."""
     for phone, name in ((False, "filters-desktop-dark"), (True, "filters-phone-dark")):
         page = opened(chromium, place, phone=phone, color_scheme="dark")
         page.get_by_label("Synergy").select_option(index=1)

@@ -21,7 +21,7 @@ class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     simplify: Annotated[int, Meta(ge=20, le=500_000)] | None = None
     """Most triangles; None: as many as there are."""
     remesh: bool = False
-    """A new closed surface around whatever the file holds."""
+    """A new closed surface around the shapes in the file."""
     hull: bool = False
     """Its convex hull in place of the mesh."""
     glued: bool = False
@@ -49,7 +49,7 @@ class MeshFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Its path in the folder in which the shape is built."""
     sha256: Digest
     size: Count
-    """[bytes]."""
+    """Size [bytes]."""
 
 
 class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -128,7 +128,7 @@ class Built(Message, frozen=True, kw_only=True):
     pieces: Annotated[tuple[bytes, ...], Meta(max_length=MOST_PIECES)] = ()
     """The packed shape (`split_payload`); none if it was not built."""
     reason: Text = ""
-    """Why it was not built; empty if it was."""
+    """Reason why it was not built; empty if it was."""
     is_final: bool = False
     """No worker can build it: of such files no object can be made."""
     cpu_seconds: Number = 0.0

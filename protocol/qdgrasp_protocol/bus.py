@@ -1,4 +1,4 @@
-"""The interface of the message bus: all that qdgrasp needs of one, and no more.
+"""The interface of the message bus, with the calls that qdgrasp needs.
 
 `zenoh_bus` carries it over Eclipse Zenoh, `memory_bus` is its in-memory twin; one contract test class runs
 over both. Callbacks come from threads of the bus: they put what they got on a queue and return.

@@ -149,7 +149,7 @@ def write_sections(formatter: Any, sections: Sections) -> None:
             formatter.write_dl(lines)
 
 
-BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none
+BOUND_PREFIX = "Input should be "  # Beginning of the words on a number out of bounds, or on no number
 CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
 
 

@@ -82,7 +82,7 @@ class Queryable(Registration):
         with self._lock:
             try:
                 answer.set_result(self.handler(query))
-            except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
+            except Exception as error:  # noqa: BLE001  # any error is sent to the asker, and logged
                 answer.set_exception(reply_error(error, query.key))
 
 

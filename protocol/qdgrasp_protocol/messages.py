@@ -31,7 +31,7 @@ Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
 WorkerKey = Annotated[bytes, Meta(min_length=32, max_length=32)]
-"""Random bytes that a worker's id is made of (`worker_id`); nobody but itself and coordinators sees them."""
+"""Random bytes behind a worker's id (`worker_id`); only it and coordinators see them."""
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 ShownKey = Annotated[bytes, Meta(max_length=32)]
 """The same, in what a worker answers: only its own shows that it is of this worker."""
@@ -226,7 +226,7 @@ class Recordable(Message, frozen=True, kw_only=True):
     checked: Count = 0
     """Rows of the run that a second worker has evaluated, since the last such message."""
     differing: Count = 0
-    """Those of them that workers answered which were excluded."""
+    """Of these, rows answered by workers that were excluded."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):

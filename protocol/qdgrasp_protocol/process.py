@@ -1,6 +1,6 @@
 """Processes: their end, their logs, and groups of them that a command starts and watches.
 
-A process lives until its work is done, a signal comes, or whoever started it is gone. A service waits on an
+A process lives until its work is done, a signal comes, or its parent process is gone. A service waits on an
 inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
 that its present piece of work takes.
 

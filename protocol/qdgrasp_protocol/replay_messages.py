@@ -72,7 +72,7 @@ class ReplayFrame(Struct, frozen=True, kw_only=True):
 
 
 class ReplayCamera(Struct, frozen=True, kw_only=True):
-    """From where it is seen."""
+    """The camera of a frame."""
 
     azimuth: float
     """[deg]"""

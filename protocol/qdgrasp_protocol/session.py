@@ -110,16 +110,16 @@ def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
         return
     if not insecure:
         raise EndpointError(
-            f"Whoever reaches {endpoint.text} could read everything and forge results; listen on "
+            f"Anyone who reaches {endpoint.text} could read everything and forge results; listen on "
             f"tls/{endpoint.host}:{endpoint.port} with --security DIR (`qdgrasp security init` writes one), "
             "or, on a network that you trust, add --insecure."
         )
-    log.warning("not encrypted: whoever gets here can read and forge everything", endpoint=endpoint.text)
+    log.warning("not encrypted: anyone who gets here can read and forge everything", endpoint=endpoint.text)
 
 
 SECURITY_VARIABLE = "QDGRASP_SECURITY"
 """Names the folder for commands that users start; their child processes get a flag instead."""
-OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of everybody but a key's owner
+OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of all but a key's owner
 
 
 class Role(StrEnum):
@@ -226,7 +226,7 @@ A link with a round trip of 0.6 s takes 2.4 s, and some seconds more where it lo
 BASE_SETTINGS: ZenohSettings = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
+    "scouting/delay": 0,  # ms; nothing is scouted, so opening a router need not wait for answers
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
     "transport/unicast/open_timeout": int(1000 * OPEN_SECONDS),  # then another router has its turn

@@ -61,7 +61,7 @@ SEQUENTIAL_STAGES = (10, 30)
 AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
 DiversityName = Literal["position", "orientation", "posture"]
-"""What tells grasps apart: their cell; its orientation bin too; its synergy too."""
+"""Features that tell grasps apart: the cell; its orientation bin too; its synergy too."""
 
 APPROACH_DISTANCE = 0.1
 """Distance from which a hand has to come where there is a table, unless another is said [m].
@@ -169,7 +169,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     aim_for: AimFor | None = None
     """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
     diversity: DiversityName | None = None
-    """What tells grasps apart that a search with an objective looks for; None: position."""
+    """Features that tell grasps apart in a search with an objective; None: position."""
     grasps_per_cell: Annotated[int, Meta(ge=1, le=60)] | None = None
     """Grasps of different kinds after which a cell is filled; None: 1 by position, else no bound."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
@@ -205,7 +205,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     float32 gives back.
     """
     first_weights: FirstWeights | None = None
-    """What other runs learned, for the method `aimed` (`--warm-start`); None: begin from nothing."""
+    """Weights that other runs learned, for the method `aimed` (`--warm-start`); None: none."""
 
     @property
     def nominal_protocol(self) -> str:

@@ -48,7 +48,7 @@ log = structlog.get_logger()
 
 T = TypeVar("T")
 
-PORT_TRIES = 3  # How many free ports are tried where somebody else is quicker
+PORT_TRIES = 3  # Free ports that are tried, as other programs may take one first
 FIRST_TRY = 1.0  # seconds of the first try to connect to one of several routers; the next takes twice that
 ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
@@ -99,7 +99,7 @@ class ZenohBus(Bus):
     def __init__(self, session: zenoh.Session, mode: Mode) -> None:
         self._session = session
         self._mode = mode
-        self._held: set[Declaration] = set()  # zenoh takes back a token that nobody holds
+        self._held: set[Declaration] = set()  # zenoh ends a token without a reference
 
     @classmethod
     def connect(
@@ -186,7 +186,7 @@ class ZenohBus(Bus):
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
-            with suppress(EndpointError):  # somebody else was quicker
+            with suppress(EndpointError):  # another program took the port first
                 chosen = free_endpoint(credentials)
                 return cls.router(chosen, credentials=credentials), chosen
         chosen = free_endpoint(credentials)
@@ -377,7 +377,7 @@ def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
         values = handler(Query(key, str(query.parameters), payload))
-    except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
+    except Exception as error:  # noqa: BLE001  # any error is sent to the asker, and logged
         told = reply_error(error, key)
         for kind, encoding in ERROR_ENCODINGS.items():
             if isinstance(told, kind):

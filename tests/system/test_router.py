@@ -75,7 +75,7 @@ def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> No
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [
-        (["--listen", "tcp/0.0.0.0:0"], "Whoever reaches tcp/0.0.0.0:0 could read everything"),
+        (["--listen", "tcp/0.0.0.0:0"], "Anyone who reaches tcp/0.0.0.0:0 could read everything"),
         (["--listen", "tls/127.0.0.1:0"], "needs certificates: name their folder with --security"),
         (["--security", "nowhere"], "lacks ca.pem and router.pem and router.key and router.json5"),
         (["--listen", "here"], "is not an endpoint"),
