@@ -14,11 +14,11 @@ FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 PATIENCE = 1000 * common.PATIENCE  # ms
 KNOWN = ("net::ERR_CONNECTION", "net::ERR_INCOMPLETE", "status of 401", "status of 503", "GPU stall")
-"""What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
+"""Complaints of a browser without a server, a token, or a graphics card."""
 
 
 def missing() -> str:
-    """Why there is no browser; empty where there is one."""
+    """Reason why there is no browser; empty where there is one."""
     if find_spec("playwright") is None:
         return "needs playwright, which drives the browser"
     return "" if any(map(Path.exists, PLACES)) else "needs Chromium in /usr/bin, as Debian installs it"
@@ -70,5 +70,5 @@ def number(words: str) -> int:
 
 
 def figure(page: Any, name: str) -> Any:
-    """Where the page shows a figure of the chosen job."""
+    """The part of the page that shows a figure of the chosen job."""
     return page.locator("#figures > div", has=page.get_by_text(name, exact=True)).locator("dd").first

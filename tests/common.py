@@ -21,7 +21,7 @@ Found = TypeVar("Found")
 
 
 def wait_for(look: Callable[[], Found], what: str = "something", patience: float = PATIENCE) -> Found:
-    """Look again and again until something is found, and give it; the test fails when it takes too long."""
+    """Look until something is found, and return it; fail after `patience` seconds."""
     deadline = time.monotonic() + patience
     while not (found := look()):
         assert time.monotonic() < deadline, f"waited in vain for {what}"

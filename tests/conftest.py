@@ -11,18 +11,18 @@ from xdist.scheduler import LoadScopeScheduling
 
 settings.register_profile(
     "shared", deadline=None
-)  # machines are shared: how long an example takes says nothing
+)  # machines are shared, so the time of an example means nothing
 settings.load_profile("shared")
 
-os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for stand back behind nobody
+os.environ.setdefault("QDGRASP_NICE", "0")  # tests wait for simulators, which must not have a low priority
 
 TESTS = Path(__file__).resolve().parent
 STARTERS = {"system": "jobs", "chaos": "others", "examples": "others", "golden": "others", "docs": "others"}
-"""Where tests start processes of their own, and in which row: two of one row never run at a time."""
+"""Modules that start processes of their own, by row: two of one row never run at a time."""
 LONG = ("worker", "simulation", "assets")
-"""Where modules take long: they come before the many short ones, with which all processes end together."""
+"""Modules that take long come first, so that all processes end together."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
-"""Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
+"""Folder of the reference data beside a checkout; QDGRASP_ASSET_PATH names another one."""
 HAS_BULLET = find_spec("pybullet") is not None
 SAYS_MISSING = ("PyBullet is not installed", "No module named 'pybullet'", "import of pybullet halted")
 """Words of a test or a module that came to Bullet, where it is not installed."""
@@ -41,7 +41,7 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[Any]:
 
 
 def skip_without_bullet(report: Any) -> Any:
-    """A report, as skipped where what failed was Bullet that is missing."""
+    """A report, as skipped where the test failed because Bullet is missing."""
     said = "".join([report.longreprtext, *(text for _, text in report.sections)]) if report.failed else ""
     if not HAS_BULLET and any(words in said for words in SAYS_MISSING):
         report.outcome, report.longrepr = "skipped", (report.nodeid, 0, "Skipped: PyBullet is not installed")
@@ -77,7 +77,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What takes longest comes first: what starts processes of its own, and then long modules."""
+    """The longest tests come first: those that start processes, and then long modules."""
     items.sort(key=lambda item: 0 if row(item.path) else 1 if folder(item.path) in LONG else 2)
 
 

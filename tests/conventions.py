@@ -219,7 +219,7 @@ def repeated_names(repository: Repository) -> Iterator[Violation]:
 
 
 def riddles(repository: Repository) -> Iterator[Violation]:
-    """Find docstrings whose first line does not plainly say what something is or does."""
+    """Find docstrings whose first line is too long, a question or a riddle."""
     for module in repository.source:
         for node in ast.walk(module.tree):
             if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):

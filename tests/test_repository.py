@@ -1,4 +1,4 @@
-"""What holds of the whole repository: its papers, its silenced checks, and that nothing unpickles."""
+"""Rules of the whole repository: its papers, its silenced checks, and no unpickling."""
 
 import ast
 import re

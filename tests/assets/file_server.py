@@ -117,7 +117,7 @@ def trickle(answer, site):
 
 
 def without_ranges(answer, site):
-    """Send everything, whatever was asked."""
+    """Send the whole file for any request."""
     answer.head(200, len(site.content))
     answer.wfile.write(site.content)
 

@@ -48,7 +48,7 @@ class ShapeBuild:
         return [sys.executable, *program, *self._names]
 
     def ended(self, build: str = "") -> tuple[int, str, str]:
-        """Its exit code, and what it says on standard output and error."""
+        """Its exit code, standard output and standard error."""
         done = subprocess.run(self.command(build), capture_output=True, text=True, check=False)
         return done.returncode, done.stdout, done.stderr
 

@@ -1,4 +1,4 @@
-"""The benchmark's own hands and objects: the same for everybody, and usable."""
+"""The benchmark's own hands and objects: the same on every machine, and usable."""
 
 from pathlib import Path
 

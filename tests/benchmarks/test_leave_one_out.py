@@ -105,7 +105,7 @@ def ran(name: str) -> bytes:
 
 
 OF_WORKERS = [name for name in VARIANTS if name.startswith(("POINT_SIGMA", "MOST_CANDIDATES"))]
-"""Variants that differ in what a worker makes of a genome."""
+"""Variants that change the evaluation of a genome by a worker."""
 OF_SEARCH = [name for name in VARIANTS[1:] if name not in OF_WORKERS]
 
 

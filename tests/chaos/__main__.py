@@ -1,7 +1,7 @@
-"""Runs that are disturbed by seeded blows end as undisturbed ones do: `python -m tests.chaos`.
+"""Runs whose processes are killed end as undisturbed ones do: `python -m tests.chaos`.
 
 Without --seed: one seed of 20 000 evaluations and nine of 5000, some of them at a time, each in a process of
-its own: most of the time they wait for somebody to be started again, or to wake up.
+its own: most of the time they wait for a process to be started again, or to go on.
 """
 
 import argparse
@@ -22,7 +22,7 @@ SEEDS = range(10)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Disturb what is asked for; 1 where a run did not end as it should."""
+    """Disturb the runs that are asked for; 1 where one did not end as it should."""
     parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--evaluations", type=int, help="in a run (default: 20000 of seed 0, 5000 of others)")

@@ -1,4 +1,4 @@
-"""Where runs that nobody disturbs are kept, each of which is carried out once."""
+"""The folder of undisturbed runs, each of which is carried out once."""
 
 from pathlib import Path
 

@@ -1,7 +1,7 @@
-"""What a seed stands for: the run that is disturbed, and who is struck when.
+"""The plan of a seed: the run that is disturbed, and which processes are struck when.
 
-Both are functions of the seed alone. What cannot be repeated is time: how far each process has got when it
-is struck differs from one machine to the next.
+Both are functions of the seed alone. Time cannot be repeated: the progress of each process when
+it is struck differs from one machine to the next.
 """
 
 import random
@@ -25,7 +25,7 @@ SCENE = {"gripper": "panda", "object": "tennis_ball"}
 
 
 class Deed(StrEnum):
-    """What is done to a process."""
+    """A kind of blow to a process."""
 
     KILL = "SIGKILL"
     STOP = "SIGSTOP"
@@ -33,14 +33,14 @@ class Deed(StrEnum):
 
 @dataclass(frozen=True)
 class Blow:
-    """One process is struck."""
+    """A blow to one process."""
 
     after: float
     """Seconds since the blow before, or since the first row was recorded."""
     victim: str
     deed: Deed
     seconds: float
-    """Until it is started again, or goes on."""
+    """Seconds until it is started again, or goes on."""
 
     def __str__(self) -> str:
         then = "started again" if self.deed is Deed.KILL else "SIGCONT"
@@ -56,7 +56,7 @@ class Course:
     population: int | None
     """None: the method's."""
     pace: float
-    """Seconds that an evaluation takes at least: what is over at once cannot be disturbed."""
+    """Seconds that an evaluation takes at least, so that there is time to disturb it."""
 
     def spec(self, seed: int, evaluations: int) -> RunSpec:
         """The run of a seed."""
@@ -72,21 +72,21 @@ COURSES = (
     Course("contact_cma_mae", "paper", None, PACE),
     Course("contact_rand", "robust", 200, PACE),
 )
-"""By the seed: seeds in a row see every kind."""
+"""Kinds of runs; seeds in a row see every kind."""
 
 
 def course(seed: int) -> Course:
-    """What kind of run a seed disturbs."""
+    """The kind of run that a seed disturbs."""
     return COURSES[seed % len(COURSES)]
 
 
 def bad_workers(seed: int, number: int) -> list[str]:
-    """Which kinds of bad workers join the run of a seed: so many."""
+    """The kinds of `number` bad workers that join the run of a seed."""
     return random.Random(seed).sample(sorted(BAD), number)  # noqa: S311
 
 
 def blows(seed: int, workers: int, gaps: tuple[float, float] = GAPS) -> Iterator[Blow]:
-    """Who is struck when, without end.
+    """The blows in their order, without end.
 
     First each kind of process is killed and one process is stopped; then, round by round, every process is
     killed once and stopped once, in any order.
@@ -99,7 +99,7 @@ def blows(seed: int, workers: int, gaps: tuple[float, float] = GAPS) -> Iterator
 
 
 def opening(workers: int) -> int:
-    """How many blows the first round has."""
+    """Number of blows in the first round."""
     return len(_round(random.Random(0), workers, is_first=True))  # noqa: S311
 
 

@@ -1,4 +1,4 @@
-"""A run that is disturbed from its first recorded row to its end, and what an undisturbed one gives."""
+"""A run that is disturbed from its first recorded row to its end, and the undisturbed one."""
 
 import hashlib
 import heapq
@@ -27,7 +27,7 @@ DIGEST, RUN = "digest", "run"
 
 
 def undisturbed_digest(spec: RunSpec, store: Path) -> str:
-    """The digest of `qdgrasp run` with two workers and nobody else; kept in a folder of `store`."""
+    """The digest of `qdgrasp run` with two workers, undisturbed; kept in a folder of `store`."""
     home = store / _key(spec)
     known = home / DIGEST
     if not known.is_file():
@@ -66,12 +66,12 @@ def _key(spec: RunSpec) -> str:
 
 
 def package_files(root: Path) -> list[Path]:
-    """All files of the packages: source, URDF, TOML, meshes, and whatever else; none that Python wrote."""
+    """All files of the packages: source, URDF, TOML, meshes and others; none that Python wrote."""
     found = [file for room in ROOMS for file in (root / room).rglob("*") if file.is_file()]
     return sorted(file for file in found if "__pycache__" not in file.parts)
 
 
-ROUND_TRIP, LOSS = 0.3, 0.02  # Of the link of the worker that is far away [s]
+ROUND_TRIP, LOSS = 0.3, 0.02  # Round trip [s] and loss of the far worker's link
 CUT_EVERY = 15.0  # Seconds between two cuts of it
 LOOK = 0.05  # seconds between two looks at the processes
 COUNT = 1.0  # seconds between two looks at the records
@@ -82,10 +82,10 @@ REST = 1.0  # seconds until a process that ended by itself is started again
 
 @dataclass
 class Story:
-    """What happened in a run."""
+    """The events of a run."""
 
     struck: Counter[tuple[str, Deed]] = field(default_factory=Counter)
-    """By the kind of process."""
+    """Blows by the kind of process."""
     ended: Counter[str] = field(default_factory=Counter)
     """Processes that ended by themselves before the job was done, by their names."""
     seconds: float = 0.0
@@ -93,7 +93,7 @@ class Story:
     is_given_up: bool = False
     """The job was not done when its time was over."""
     troubles: list[str] = field(default_factory=list)
-    """What should not have happened."""
+    """Faults of the run, in words."""
 
     @property
     def words(self) -> str:
@@ -106,7 +106,7 @@ class Play:
     """Strikes the processes of a household by a plan; once that is over, the run is left alone.
 
     The run may take `limit` seconds; `say` hears every event. Where processes start more slowly, as the
-    machine has other work, blows come more slowly: otherwise nobody would live long enough to do anything.
+    machine has other work, blows come more slowly: otherwise no process would live long enough to work.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Play:
         self._tell = say
         self._story = Story()
         self._mends: list[tuple[float, str]] = []
-        """When who is to be started again, or to go on: a heap."""
+        """Processes to be started again or to go on, by time: a heap."""
         self._has_begun = False
         self._slowness = 1.0
         """How many times longer than on a machine with nothing else to do the processes take to start."""
@@ -175,7 +175,7 @@ class Play:
         heapq.heappush(self._mends, (at, name))
 
     def _mend(self, now: float) -> None:
-        """Start again, or let go on, who is due."""
+        """Start the processes that are due again, or let them go on."""
         while self._mends and self._mends[0][0] <= now:
             member = self._household[heapq.heappop(self._mends)[1]]
             if member.is_stopped and member.is_there:
@@ -186,7 +186,7 @@ class Play:
                 self._say(f"{member.name} is started again, pid {member.pid}")
 
     def _count(self, now: float) -> None:
-        """See how far the run is; the first blow falls after the first row."""
+        """Read the progress of the run; the first blow falls after the first row."""
         if now < self._counted_at + COUNT:
             return
         self._counted_at = now
@@ -208,7 +208,7 @@ class Play:
             self._strike_at = now + self._blow.after * self._slowness
 
     def _strike(self, blow: Blow, now: float) -> None:
-        """Strike, unless there is nobody to strike; then comes the next blow of the plan."""
+        """Strike, or where there is no such process, take the next blow of the plan."""
         member = self._household[blow.victim]
         if member.is_there and not (blow.deed is Deed.STOP and member.is_stopped):
             self._say(f"{blow} (pid {member.pid}, {self._rows} rows recorded)")

@@ -27,7 +27,7 @@ _LIBC = ctypes.CDLL(None)
 
 
 class Process:
-    """One process after another with the same command, `python -m module`; what it says is added to `log`."""
+    """Successive processes of one command, `python -m module`; `log` has all their output."""
 
     def __init__(
         self, name: str, module: str, arguments: Sequence[object], log: Path, **environment: str
@@ -47,13 +47,13 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Of the process that is there, or was last."""
+        """Id of the process that is there, or was last."""
         assert self._process is not None
         return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """How it ended; None while it is there. Negative: the signal that killed it."""
+        """Its exit code; None while it is there. Negative: the signal that killed it."""
         assert self._process is not None
         return self._process.poll()
 
@@ -102,7 +102,7 @@ class Process:
 
     @property
     def words(self) -> str:
-        """All that was said under this name."""
+        """The whole log under this name."""
         return self.log.read_text(errors="replace") if self.log.exists() else ""
 
     @property
@@ -121,7 +121,7 @@ JOB = "chaos"
 class JobProcesses:
     """A router, a coordinator, a recorder and workers of one run; a context manager that ends them all.
 
-    The run is in `home/run`, what they say in `home/logs`. An evaluation takes `pace` seconds at least; the
+    The run is in `home/run`, their output in `home/logs`. An evaluation takes `pace` seconds at least; the
     options are those of the workers, the environment is that of all.
     """
 
@@ -173,21 +173,21 @@ class JobProcesses:
 
     @property
     def workers(self) -> list[Process]:
-        """Everybody but the head."""
+        """All processes but the head."""
         return [member for member in self if member.name not in HEAD]
 
     @property
     def rows(self) -> int:
-        """How many rows are recorded."""
+        """Number of recorded rows."""
         return rows_recorded(self.run)
 
     def start(self) -> None:
-        """Start whoever is not there."""
+        """Start the processes that are not there."""
         for member in self:
             member.start()
 
     def end(self) -> list[str]:
-        """Ask everybody to stop, and kill who does not; gives the names of those."""
+        """Ask all to stop, and kill those that do not; gives their names."""
         for member in self:
             member.send(signal.SIGCONT)
             member.send(signal.SIGTERM)

@@ -24,20 +24,20 @@ ONE_IN = 4
 
 
 def hang() -> None:
-    """Never come back; what ends it is the limit on the time of a row."""
+    """Never return; the limit on the time of a row ends it."""
     while True:
         pass
 
 
 def take_all_memory() -> None:
-    """Ask for memory until there is none; what ends it is the limit on memory."""
+    """Ask for memory until there is none; the limit on memory ends it."""
     held = []
     while True:
         held.append(bytearray(b"x" * 50_000_000))
 
 
 def be_killed() -> None:
-    """End as a process does that the kernel picks when memory is short."""
+    """End as a process that the kernel kills when memory is short."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -79,7 +79,7 @@ class Failing(Slow):
 
 
 def fail_once(genome: bytes) -> None:
-    """Fail as a genome wants it, unless somebody has failed that way before."""
+    """Fail as a genome wants it, unless a process has failed that way before."""
     mark = hashlib.sha256(genome).digest()
     if mark[0] % ONE_IN:
         return

@@ -1,4 +1,4 @@
-"""What dies in a way of its own, with real processes: the run gives what it would have given."""
+"""Special failures of real processes: the run ends as it would have without them."""
 
 import resource
 import signal
@@ -52,13 +52,13 @@ def ends_well(household: JobProcesses, coordinator: str = "coordinator") -> str:
 
 
 def cut(wal: Path) -> None:
-    """Lose the end of the last page."""
+    """Cut off the end of the last page."""
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size - 1000)
 
 
 def garble(wal: Path) -> None:
-    """Have something else on the last page."""
+    """Overwrite the last page."""
     with wal.open("r+b") as file:
         file.seek(-1000, 2)
         file.write(bytes(1000))

@@ -21,7 +21,7 @@ def coordinator(network: MemoryNetwork) -> FakeCoordinator:
 
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """While it is not set, journals may not grow."""
+    """An event: until it is set, journals have no room to grow."""
     room, append = threading.Event(), JournalWriter.append
 
     def limited(journal: JournalWriter, stretch: JournalSlice, epoch: int, now: float) -> None:
@@ -36,5 +36,5 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 @pytest.fixture
 def make_scene() -> SceneMaker:
-    """A scene of the jaw, called what is asked for, and an object with these hulls in its mesh frame."""
+    """Makes scenes of the jaw with a given name, and an object with given hulls."""
     return made_scene

@@ -1,4 +1,4 @@
-"""Folders of campaigns over libraries of objects, made by hand: some got much, some little, and why."""
+"""Folders of campaigns over libraries, made by hand: objects with many grasps or few."""
 
 from dataclasses import replace
 from pathlib import Path

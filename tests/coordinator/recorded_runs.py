@@ -1,4 +1,4 @@
-"""Runs made by hand, in folders: what they recorded, and on which scene."""
+"""Runs made by hand, in folders, with their rows and scenes."""
 
 import sqlite3
 from pathlib import Path

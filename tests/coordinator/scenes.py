@@ -1,4 +1,4 @@
-"""Scenes made by hand: a jaw of three boxes and whatever object a test needs."""
+"""Scenes made by hand: a jaw of three boxes and any object that a test needs."""
 
 from collections.abc import Callable
 

@@ -181,7 +181,7 @@ def operation(sign: str, on: Sequence[str] | None, left: Question, right: Questi
 
 
 def over_time(act: Callable[..., float | None], selector: Selector, window: float) -> Question:
-    """A function of what series were lately."""
+    """A function of the recent samples of series."""
 
     def answer(data: Data, now: float) -> Vector:
         found = {labels: act(part, now, window) for labels, part in selector(data, now).items()}

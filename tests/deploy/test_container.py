@@ -155,7 +155,7 @@ EVERY = [
     *PROJECT["project"]["dependencies"],
     *(each for name in EXTRAS if name != "gpu" for each in PROJECT["project"]["optional-dependencies"][name]),
 ]
-"""What the head's image needs: the package with its extra `all`."""
+"""Requirement of the head's image: the package with its extra `all`."""
 LOCKS = ("requirements.txt", "worker.txt", "build.txt")
 ENTRY = re.compile(
     r"^([A-Za-z0-9_.-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", re.MULTILINE

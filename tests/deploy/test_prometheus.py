@@ -1,4 +1,4 @@
-"""Alert rules and dashboard ask for what a monitor tells, and Prometheus can read them."""
+"""Alert rules and dashboard ask for metrics of a monitor, and Prometheus can read them."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def panels() -> list[dict[str, Any]]:
 
 
 def questions() -> Iterator[str]:
-    """All that dashboard and rules ask Prometheus for."""
+    """All queries of dashboard and rules to Prometheus."""
     yield from (rule["expr"] for rule in RULES)
     yield from (target["expr"] for panel in panels() for target in panel["targets"])
     yield from (note["expr"] for note in BOARD["annotations"]["list"])

@@ -26,9 +26,9 @@ class Line:
 
     page: str
     number: int
-    """Of the line in the page."""
+    """Number of the line in the page."""
     text: str
-    """Without the comment behind it; continued lines are joined."""
+    """The line without its comment; continued lines are joined."""
 
     def __str__(self) -> str:
         return f"{self.page}:{self.number}: {self.text}"
@@ -318,7 +318,7 @@ class PageRun:
         self._end(services, standing)
 
     def close(self) -> None:
-        """End whatever is still there."""
+        """End all processes that are still there."""
         for started in self._started:
             started.stop()
         for started in self._started:

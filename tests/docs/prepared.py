@@ -53,7 +53,7 @@ seed = [0]
 
 
 class Prepared:
-    """A folder in which what is assumed is made once; pages get copies."""
+    """A folder in which files that pages assume are made once; pages get copies."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
@@ -240,7 +240,7 @@ MAKERS: dict[str, Maker] = {
     "shelf": shelf,
     "spec.toml": lambda _, path: path.write_text(SPEC) and None,
 }
-"""By the name that the pages give it."""
+"""Makers of files and folders, by their names on the pages."""
 BESIDE = {"my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
 """Files that come with another one."""
 

@@ -88,11 +88,11 @@ def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, 
 
 
 def tell(page: Path, prepared: Prepared, story: PageRun, *, whole: bool) -> None:
-    """Carry a page out, in a folder that has what it assumes."""
+    """Carry a page out, in a folder with the files that it assumes."""
     lines = [line for lines in told(page, whole=whole) for line in lines]
     has_certificates = any("security init" in line.text for line in lines)
     if has_certificates and not any("security add" in line.text for line in lines):
-        story.places["lab"] = "security"  # what the page does not issue is not there
+        story.places["lab"] = "security"  # files that the page does not issue are not there
     texts = [pages.cut(line.text, story.places) for line in lines]
     needed = assumed([*texts, *scripts(page)])
     if "--security" in " ".join(texts) and not has_certificates:

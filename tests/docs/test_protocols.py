@@ -1,4 +1,4 @@
-"""docs/protocols.md: what it says of `paper` is what the code has."""
+"""docs/protocols.md: its numbers of `paper` are those of the code."""
 
 import re
 import tomllib

@@ -98,7 +98,7 @@ class ViserServer:
         return Handle(name)
     def sleep_forever(self): pass
 """
-"""What the example uses of viser, which is not installed with this package."""
+"""Stand-in for the part of viser that the example uses; viser is not installed."""
 
 
 def test_grasps_are_shown_with_viser(scripts: Scripts) -> None:

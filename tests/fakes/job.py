@@ -123,10 +123,10 @@ class SlowSink(MemorySink):
 
 
 class Network(Protocol):
-    """Whatever opens sessions."""
+    """A network of sessions."""
 
     def session(self) -> Bus:
-        """Another one."""
+        """Open a session."""
 
 
 class Job:

@@ -23,7 +23,7 @@ KINDS = sorted(
 )
 """All messages in the order of their encodings."""
 WORDS = ("words", "run", "0123456789abcdef" * 2, "0123456789abcdef" * 4)
-"""What stands in fields that are text: the first that the field's pattern takes."""
+"""Values of text fields: the first that a field's pattern takes."""
 KEYS_BY_ID: dict[str, bytes] = {}
 """The keys of the workers that tests make, by the ids that are made of them."""
 

@@ -26,7 +26,7 @@ from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, Simulat
 
 WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 GRACE = PATIENCE
-"""Long: what is finished within it is not a matter of how busy this machine is."""
+"""Long, so that a busy machine finishes within it too."""
 
 
 class FakeWorker:

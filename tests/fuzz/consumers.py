@@ -1,4 +1,4 @@
-"""What each process does with the bytes that reach it, as far as these decide; and messages to begin with."""
+"""Decoding of received bytes in each process, and messages to begin with."""
 
 from collections.abc import Callable
 from typing import Any
@@ -71,7 +71,7 @@ def shown(kind: Any) -> Consumer:
 
 
 def plain(kind: type[Message]) -> Consumer:
-    """Nothing but the codec."""
+    """The codec alone."""
     return lambda payload: messages.decode(payload, kind)
 
 
@@ -93,7 +93,7 @@ SHOWN = {
     "runentries": RunListings,
     "sign": Heartbeat,
 }
-"""What travels as JSON, by the names of the files in corpus/."""
+"""Kinds that travel as JSON, by the names of the files in corpus/."""
 CONSUMERS: dict[str, Consumer] = {
     **{kind.wire_name: OWN.get(kind, plain(kind)) for kind in KINDS},
     **{name: shown(kind) for name, kind in SHOWN.items()},

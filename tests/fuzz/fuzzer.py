@@ -141,7 +141,7 @@ class Lap:
         return self.taken.total() + self.refused.total() + len(self.escaped)
 
     def give(self, kind: str, payload: bytes) -> None:
-        """Give a message to a consumer, and note what becomes of it."""
+        """Give a message to a consumer, and note the result."""
         began = time.process_time()
         try:
             CONSUMERS[kind](payload)

@@ -1,4 +1,4 @@
-"""Whatever arrives is a message or an error of ours: no crash, no growth, no long thought."""
+"""All bytes that arrive give a message or an error of ours: no crash, no growth, no delay."""
 
 import pytest
 from tests.fuzz.consumers import CONSUMERS, seeds

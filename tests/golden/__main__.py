@@ -1,4 +1,4 @@
-"""Print what differs from the golden files: `python -m tests.golden`; `--write` accepts it.
+"""Print differences from the golden files: `python -m tests.golden`; `--write` accepts them.
 
 Names after that choose golden files; else it is all of them.
 """

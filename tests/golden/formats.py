@@ -1,4 +1,4 @@
-"""Golden texts of what lies in files, and of the metrics for Prometheus."""
+"""Golden texts of files, and of the metrics for Prometheus."""
 
 import sqlite3
 from contextlib import closing

@@ -9,7 +9,7 @@ from tests.golden import formats, interfaces, runs, wire
 
 FILES = Path(__file__).parent / "files"
 DIGESTS = "digests.toml"
-"""That of a platform alone (docs/reproducibility.md)."""
+"""The golden file of one platform alone (docs/reproducibility.md)."""
 MAKERS: dict[str, Callable[[], str]] = {
     "messages.toml": wire.message_text,
     "shown.txt": wire.shown_text,

@@ -25,7 +25,7 @@ def home(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def recorded_digest() -> str:
-    """That of the finished run."""
+    """The digest of the finished run."""
     return str(golden()["runs"]["finished"]["digest"])
 
 

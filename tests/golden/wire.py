@@ -35,7 +35,7 @@ SHOWN = {
     "meta": JobMeta,
     "rec/runs": RunListings,
 }
-"""What is JSON, by the key that it travels on."""
+"""Structs that travel as JSON, by their keys."""
 CHUNK = "0123456789abcdef" * 2
 
 

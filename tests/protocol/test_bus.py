@@ -57,7 +57,7 @@ def far(opener: Opener) -> Bus:
 
 
 class Ear:
-    """A handler that keeps what it hears."""
+    """A handler that keeps the values that it is called with."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Any] = SimpleQueue()
@@ -307,7 +307,7 @@ class TestZenohBus:
         assert caught.value.exit_code == 2
 
     def test_a_router_that_is_not_there_is_named_when_the_deadline_is_over(self) -> None:
-        with socket.socket() as held:  # so that nobody else takes the port; it does not listen
+        with socket.socket() as held:  # so that no other program takes the port; it does not listen
             held.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{held.getsockname()[1]}"
             with pytest.raises(EndpointError, match=f"Nothing answers at {endpoint} after 0.3 s"):

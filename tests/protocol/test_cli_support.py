@@ -36,17 +36,17 @@ def show(
     offset: Annotated[float, typer.Option(min=0)] = 0.0,
     part: Part = Part.ALL,
 ) -> None:
-    """Be there."""
+    """Do nothing."""
 
 
 @inner.command()
 def new(name: str) -> None:
-    """Be there too."""
+    """Do nothing, with another name."""
 
 
 @inner.command()
 def other() -> None:
-    """Be a second one."""
+    """Do nothing, as a second command."""
 
 
 def said(*words: str) -> str:

@@ -1,4 +1,4 @@
-"""Messages survive the trip, and nothing else is taken for one; genomes and their values."""
+"""Messages are the same after decoding, other bytes are refused; genomes and their values."""
 
 import math
 import random

@@ -21,7 +21,7 @@ SLEEP = "import time; time.sleep(600)"
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_that_wakes_another_thread_is_heard_all_the_same(number: signal.Signals) -> None:
-    """As one does that comes between a look for signals and a wait: nothing interrupts the wait."""
+    """A signal between a check for signals and a wait: nothing interrupts the wait."""
     inbox, rest = SimpleQueue[str](), threading.Event()
     before = signal.getsignal(number)
     with lifetime("test") as stop:

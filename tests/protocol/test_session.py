@@ -1,4 +1,4 @@
-"""Endpoints, and who gets to them."""
+"""Endpoints, and the machines that can reach them."""
 
 import json
 import os

@@ -11,7 +11,7 @@ from tests.simulation.play import Verdict, play
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what is asked; 1 where something is violated."""
+    """Run the command line; 1 where an invariant is violated."""
     parser = argparse.ArgumentParser(prog="python -m tests.simulation", description=__doc__)
     parser.add_argument("--histories", type=int, default=5000, help="how many")
     parser.add_argument("--first", type=int, default=0, help="the number of the first")

@@ -8,7 +8,7 @@ from qdgrasp_protocol.rows import Genomes, Rows
 
 
 class InvariantViolated(AssertionError):
-    """An invariant, by its name, does not hold; `words` say what was seen."""
+    """An invariant, by its name, does not hold; `words` describe the case."""
 
     def __init__(self, invariant: str, words: str) -> None:
         super().__init__(f"{invariant}: {words}")

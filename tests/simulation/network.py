@@ -103,7 +103,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Asked:
-    """A question that reached who answers it."""
+    """A question that reached the process that answers it."""
 
     query: Query
     reply: Callable[[bytes | Exception], None]
@@ -188,13 +188,13 @@ class Network:
         self._answerers[pattern].append(session)
 
     def token(self, session: Session, key: str) -> None:
-        """Be alive."""
+        """Declare a token."""
         session.tokens.add(key)
         if session.is_up:
             self._announce({key}, alive=True)
 
     def hand_in(self, session: Session, key: str) -> None:
-        """Be alive no more."""
+        """Take a token back."""
         session.tokens.discard(key)
         if session.is_up and session in self.sessions:
             self._announce({key}, alive=False)
@@ -215,7 +215,7 @@ class Network:
         self._travel(session, "up", channel, lambda: self._route(sample, channel))
 
     def repeat(self, sample: Sample, channel: Channel) -> None:
-        """Deliver an old message once more."""
+        """Deliver an old message again."""
         if self.is_up:
             self._route(sample, channel)
 
@@ -347,7 +347,7 @@ class Network:
             self.notice(session)
 
     def notice(self, session: Session) -> None:
-        """Let a process notice that its link is down."""
+        """Tell a process that its link is down."""
         self._world.note(session.host.name, "link down")
         session.host.hear(LinkChange(False))
         for key in sorted(session.known):

@@ -43,7 +43,7 @@ HARMLESS = (
     *("a worker joins", "the recorder is killed", "the recorder is frozen", "another recorder is started"),
     *("the disk is full", "results are forged", "old messages are repeated"),
 )
-"""Faults that leave other workers than the bad ones there, without whom nobody notices these."""
+"""Faults that leave other workers there, without whom bad ones are not noticed."""
 
 
 @dataclass(frozen=True)

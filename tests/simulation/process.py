@@ -21,7 +21,7 @@ class Listen:
 
 @dataclass(frozen=True)
 class Busy:
-    """Be at work for so many seconds, and hear nothing meanwhile."""
+    """Work for so many seconds, without reading the inbox."""
 
     seconds: float
 
@@ -33,7 +33,7 @@ Life = Generator[Listen | Busy, None, None]
 
 @dataclass
 class SessionBus:
-    """The part of a bus that what runs in a process needs."""
+    """The part of a bus that a process needs."""
 
     host: "Process"
 
@@ -64,7 +64,7 @@ class Process:
         self.session = network.open(self)
         self.bus: Bus = SessionBus(self)  # type: ignore[assignment]
         self._life = self.life()
-        self._waits = 0  # what it waits for has a number: an older one wakes nobody
+        self._waits = 0  # waits are numbered: the end of an older one has no effect
         self._is_listening = False
         self._owed: int | None = None
         self._idle = 0
@@ -105,13 +105,13 @@ class Process:
     # It ends, or is stopped for a while.
 
     def end(self, *, flushed: bool = True) -> None:
-        """Be gone, by its own will or by SIGKILL."""
+        """End, by itself or by SIGKILL."""
         if not self.is_over:
             self._be_over()
             self.network.close(self.session, flushed=flushed)
 
     def lose_power(self) -> None:
-        """Be gone without anybody being told."""
+        """End without a message to other processes."""
         if not self.is_over:
             self._be_over()
             self.session.connection += 1
@@ -159,7 +159,7 @@ class Process:
         self.world.later(0.0, lambda: self._go(wait))
 
     def _go(self, wait: int) -> None:
-        """Go on with what was waited for."""
+        """Go on after a wait."""
         if self.is_over or wait != self._waits:
             return
         if self.is_frozen:

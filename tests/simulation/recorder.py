@@ -78,7 +78,7 @@ class MemoryFile:
         self.spec = from_toml(toml)
 
     def cut(self, count: int) -> None:
-        """Be an older copy of itself."""
+        """Become an older copy of itself."""
         self.slices = [part.part(0, count) for part in self.slices if part.first < count]
         self.epochs = self.epochs[: len(self.slices)]
 
@@ -115,16 +115,16 @@ class MemoryDisk:
         return {run: file.count for run, file in self.files.items()}
 
     def cut(self, counts: dict[str, int]) -> None:
-        """Lose what was committed behind these numbers."""
+        """Lose the rows that were committed behind these numbers."""
         for run, file in self.files.items():
             file.cut(counts.get(run, 0))
 
     def make_room(self) -> None:
-        """Have room again."""
+        """End the lack of room."""
         self.is_full = False
 
     def restore(self, chance: Random) -> None:
-        """Be an older copy of itself, with the epoch of its time."""
+        """Become an older copy of itself, with the epoch of its time."""
         share = chance.random()
         self.cut({run: int(share * count) for run, count in self.counts().items()})
         epochs = [file.epochs[-1] for file in self.files.values() if file.epochs]
@@ -225,7 +225,7 @@ PATIENCE = 60.0
 
 
 class SimulatedRecorder(Process):
-    """A recorder process on a disk, when nobody else writes on it.
+    """A recorder process on a disk, when no other process writes on it.
 
     Its commits take `latency` seconds on average; `opened` is called once it has the lock, `reports` with
     each report.

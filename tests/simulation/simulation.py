@@ -43,12 +43,12 @@ P = TypeVar("P", bound=Process)
 
 @lru_cache(maxsize=256)
 def journal_of(plan: Plan) -> bytes:
-    """The journal of a run that nothing disturbs."""
+    """The journal of an undisturbed run."""
     return reference(plan)
 
 
 class Simulation:
-    """Everything that takes part in a history."""
+    """All processes of a history."""
 
     def __init__(self, history: History) -> None:
         self.history = history
@@ -92,7 +92,7 @@ class Simulation:
             self.world.later(self.world.chance.uniform(4, 8), lambda kind=kind: self._start_bad(kind))
         self.world.later(2.0, self._keep)
 
-    # How far it is.
+    # Progress.
 
     @property
     def is_over(self) -> bool:
@@ -116,7 +116,7 @@ class Simulation:
         repeats = terms.repeat or "old messages are repeated" in self.history.faults
         return bool(terms.loss or repeats or terms.stall or not terms.in_order)
 
-    # Who is there.
+    # The processes that are there.
 
     def of(self, kind: type[P], *, living: bool = True) -> list[P]:
         """The processes of a kind."""
@@ -204,7 +204,7 @@ class Simulation:
         pipeline = Pipeline(search, shape, *budget, plan.goals)
         return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 
-    # What has ended is started again.
+    # Processes that have ended are started again.
 
     def _keep(self) -> None:
         """Look after the processes, as init systems and people do."""
@@ -438,7 +438,7 @@ def _keys(run: str, rows: Generation) -> list[Key]:
 PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
 """Seconds of calm in which a row must be recorded; on lossy links leases must pass first."""
 SETTLED_DOWN = 45.0
-"""Seconds of calm after which only those are remembered who are there."""
+"""Seconds of calm after which only present workers are remembered."""
 
 
 class SimulationChecker:

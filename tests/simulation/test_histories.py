@@ -274,7 +274,7 @@ def test_the_page_names_every_invariant_and_every_mutation() -> None:
 
 
 class Listener:
-    """Hears everything."""
+    """A process that takes all messages."""
 
     def __init__(self, world: World, name: str) -> None:
         self.world = world

@@ -114,7 +114,7 @@ class Formula:
 
     @property
     def stats(self) -> ProcessStats:
-        """What it has taken of the processor and the memory."""
+        """CPU time and memory that it has taken."""
         return ProcessStats(float(self._steps), 0)
 
     def send(self, message: SimulatorMessage) -> None:
@@ -124,11 +124,11 @@ class Formula:
         self._begin()
 
     def end_stalled(self) -> None:
-        """Be ended for having said nothing."""
+        """End because of a stall."""
         self._die(-STALL_SIGNAL)
 
     def close(self) -> None:
-        """Be gone."""
+        """End."""
         self._is_over = True
 
     def _later(self, seconds: float, call: Callable[[], None]) -> None:
@@ -330,7 +330,7 @@ class Worker(Process):
 
     @property
     def session_of_job(self) -> JobSession | None:
-        """What it holds of the job; None while it knows of none."""
+        """Its session of the job; None before it knows the job."""
         return self.service._jobs.get(JOB)
 
     def leave(self) -> None:

@@ -144,11 +144,11 @@ class Commands:
         return digest_of(self.home / folder)
 
     def info(self, folder: str | Path) -> dict:
-        """What `qdgrasp info --json` prints, without a process for it."""
+        """The output of `qdgrasp info --json`, without a process for it."""
         return json.loads(msgspec.json.encode(run_summary(RunFolder.open(self.home / folder))))
 
     def end_all(self) -> None:
-        """End whatever is still there."""
+        """End all processes that are still there."""
         for process in self._started:
             if process.poll() is None:
                 process.terminate()
@@ -156,7 +156,7 @@ class Commands:
 
 
 def digest_of(run: Path) -> str:
-    """What `qdgrasp digest` prints, without a process for it."""
+    """The output of `qdgrasp digest`, without a process for it."""
     with RunFolder.open(run).journal() as journal:
         return journal_digest(journal)
 
@@ -197,7 +197,7 @@ def says(process: subprocess.Popen[str], words: str) -> None:
 
 
 def rows_recorded(folder: Path) -> int:
-    """How many rows of a run or a campaign are on disk; 0 while there is no journal."""
+    """Number of rows of a run or a campaign on disk; 0 while there is no journal."""
     if (folder / "runs").exists():
         return sum(map(rows_recorded, (folder / "runs").glob("[!.]*")))
     if not (folder / "run.sqlite").exists():
@@ -229,7 +229,7 @@ def kill(pid: int) -> None:
 
 @contextmanager
 def held(*stopped: int) -> Iterator[None]:
-    """Processes that stand still meanwhile, so that what waits for them does not come to its end."""
+    """Stop processes for a while, so that others that wait for them do not end."""
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)
     try:
@@ -246,7 +246,7 @@ def is_alive(pid: int) -> bool:
 
 
 def _told(name: str) -> str:
-    """What /proc tells of a process; nothing if it is not there, or goes just now."""
+    """The text of a process in /proc; empty if it is not there, or ends just now."""
     try:
         return Path("/proc", name).read_text()
     except (FileNotFoundError, ProcessLookupError):
@@ -269,7 +269,7 @@ class Watched:
         self.address = _address(self.monitor)
 
     def pauses(self, rows: int) -> None:
-        """Pause the job when so many rows are on disk; nobody works meanwhile, lest it be over before."""
+        """Pause the job when so many rows are on disk; workers are stopped so that it does not end."""
         wait_for(lambda: rows_recorded(self.folder) >= rows, f"{rows} rows")
         with held(*pids(self.run, "worker")):
             self._order("pause")
@@ -282,7 +282,7 @@ class Watched:
         self.qdgrasp.succeed(command, self.job, *self.place[:2])
 
     def kill(self, role: str) -> None:
-        """End one process of a role, without a word."""
+        """Kill one process of a role."""
         kill(pids(self.run, role)[0])
 
     def ends(self) -> None:

@@ -24,5 +24,5 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict
 
 @pytest.fixture(scope="session")
 def long_digest(reference: tuple[Path, str, dict]) -> str:
-    """What a run is to have in the end that was disturbed."""
+    """The result that a disturbed run must have in the end."""
     return reference[1]

@@ -1,4 +1,4 @@
-"""Many runs from one file: each is the run it would be alone, whatever dies on the way."""
+"""Many runs from one file: each is the run it would be alone, also after kills."""
 
 import shutil
 import signal
@@ -59,7 +59,7 @@ def digests(qdgrasp: Commands, folder: str = "out") -> dict[str, str]:
 
 
 def cpu_seconds(qdgrasp: Commands, folder: str = "out") -> dict[str, float]:
-    """What the runs cost: more where any row was evaluated again."""
+    """Cost of the runs: more where any row was evaluated again."""
     return {name: cost(path) for name, path in runs(qdgrasp, folder)}
 
 
@@ -147,7 +147,7 @@ def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgr
     assert qdgrasp.info(Path("out/runs") / extended)["evaluations"] == 200
 
 
-# What is asked for cannot be.
+# Impossible campaigns.
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ def test_a_damaged_journal_is_told_of_at_the_end_and_the_others_are_done(done, q
     assert all(rows_recorded(other) >= 80 for other in others)
 
 
-# Something dies.
+# A process is killed.
 
 
 def start(qdgrasp: Commands, rows: int) -> subprocess.Popen[str]:

@@ -1,4 +1,4 @@
-"""Whatever dies, the run ends with the journal it would have had."""
+"""A run ends with the same journal after the death of any process."""
 
 import os
 import signal

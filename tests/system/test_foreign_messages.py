@@ -1,4 +1,4 @@
-"""A stranger on the bus of a running job sends what is no message: it is dropped, and changes nothing."""
+"""Bytes of a stranger on the bus of a running job that are no message are dropped."""
 
 import re
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ def refused(kind: str) -> Iterator[bytes]:
 
 
 class Stranger:
-    """Somebody on a bus without access list, who knows a worker of the job."""
+    """A client on a bus without access list that knows a worker of the job."""
 
     def __init__(self, bus: Bus, wid: str) -> None:
         self._bus = bus
@@ -51,7 +51,7 @@ class Stranger:
         self._ask_on = {"join": KEYS.join, "order": KEYS.control, "open": KEYS.open, "log": KEYS.log}
 
     def rage(self) -> int:
-        """Send everything everywhere; how many messages that was."""
+        """Send all messages on all keys; returns their number."""
         count = 0
         for kind, key in self._put_on.items():
             for payload in refused(kind):
@@ -81,12 +81,12 @@ class Stranger:
 
 
 def memory(pid: int) -> int:
-    """What a process has in memory [bytes]."""
+    """Memory of a process [bytes]."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
 def dropped(log: Path) -> list[int]:
-    """How many messages a process had dropped, whenever it told."""
+    """Numbers of dropped messages in a process's log."""
     return [int(number) for number in re.findall(r"dropped=(\d+)", log.read_text())]
 
 

@@ -46,12 +46,12 @@ class Running:
         return self.qdgrasp(command, *arguments, "--connect", self.endpoint)
 
     def at_rest(self):
-        """Nobody works meanwhile, so that the job is there however long something takes."""
+        """Stop the workers for a while, so that the job does not end."""
         workers = wait_for(lambda: two(pids(self.process, "worker")), "both workers")
         return held(*workers)
 
     def jobs(self) -> list[dict]:
-        """What is shown of all jobs; none while there is no router."""
+        """The views of all jobs; none while there is no router."""
         done = self("jobs", "--json")
         return done.json["jobs"] if done.code == 0 else []
 
@@ -170,7 +170,7 @@ with bus, bus.token(Keys("job").coordinator_token(1)):
     print("there", flush=True)
     sys.stdin.read()
 """
-"""A router, and a coordinator whose token is there while nobody answers."""
+"""A router, and a coordinator whose token is there, but which does not answer."""
 
 
 @contextmanager

@@ -282,7 +282,7 @@ Counts = dict[str, Any]
 
 
 class CountedRun(Watched):
-    """A run whose counts are read in every way there is."""
+    """A run whose counts are read in every way."""
 
     def __init__(self, qdgrasp: Commands) -> None:
         spec = (*SMALL, "--evaluations", EVALUATIONS, "--batch-size", 10)
@@ -304,7 +304,7 @@ class CountedRun(Watched):
         return _run_in(self.once("--json"))
 
     def once(self, *flags: str) -> str:
-        """What `qdgrasp-monitor --once` prints."""
+        """The output of `qdgrasp-monitor --once`."""
         return self.qdgrasp("--once", *flags, *self.place, entry="monitor").out
 
     def streamed(self) -> Counts:
@@ -337,7 +337,7 @@ def _run_in(text: str) -> Counts:
 
 
 def _counts(told: Counts) -> Counts:
-    """What is compared, of whoever tells more."""
+    """The figures that are compared, where a source has more."""
     found = {name: told[name] for name in ALL_COUNTS}
     return found | told.get("outcomes", {})
 
@@ -354,7 +354,7 @@ def _in_metrics(text: str, subject: str) -> Counts:
 
 
 def _in_journal(folder) -> Counts:
-    """What the rows themselves add up to, of a run without trials."""
+    """The sums of the rows of a run without trials."""
     with RunFolder.open(folder).journal() as journal:
         rows = np.concatenate(list(journal.blocks()))
     how = rows["outcome"]

@@ -1,4 +1,4 @@
-"""Workers build the shapes of a campaign's meshes, each once, whatever is killed on the way."""
+"""Workers build the shapes of a campaign's meshes, each once, also after kills."""
 
 import signal
 from pathlib import Path

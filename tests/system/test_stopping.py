@@ -1,4 +1,4 @@
-"""Every command stops when it is asked to, whatever it is doing."""
+"""Every command stops when it is asked to, in any state."""
 
 import os
 import re
@@ -123,7 +123,7 @@ def coordinating(qdgrasp: Commands) -> subprocess.Popen[str]:
 
 
 def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
-    """A page of a finished run, that somebody looks at."""
+    """A page of a finished run, open in a browser."""
     record(qdgrasp.home / "mug", made_scene(), random_rows(20))
     process = qdgrasp.start("view", "mug", "--no-open")
     assert process.stdout is not None

@@ -26,9 +26,9 @@ IMPORTED = {
     "warp-lang": "warp",
     "mujoco": "",  # the same modules as mujoco-core, which is no extra
 }
-"""What packages with another name are imported as."""
+"""Import names of packages with another name."""
 FOREIGN = {"numba", "pandas", "sklearn"}
-"""What pyribs alone brings."""
+"""Packages that pyribs alone requires."""
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
 CAMPAIGN = '[defaults]\ngripper = "panda"\nevaluations = 20\n[[cross]]\nobject = ["tennis_ball"]\n'
 LEFT_OUT = sorted({*(name for names in EXTRAS.values() for name in names), *FOREIGN})

@@ -1,4 +1,4 @@
-"""Genomes of a scene, and what decoding and evaluating them finds."""
+"""Genomes of a scene, and their decoded poses and rows."""
 
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor

@@ -1,4 +1,4 @@
-"""The screen and its features, and what is simulated of a genome with several candidates."""
+"""The screen and its features, and the simulated candidate of a genome with several."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -16,7 +16,7 @@ from qdgrasp_worker.object_geometry import ObjectSolid
 
 N = 40
 POSE = ("outcome", "fitness", "base_to_object", "joints", "contacts", "penetration")
-"""Columns of a row that describe a pose, whatever the prior."""
+"""Columns of a row that describe a pose, with any prior."""
 
 
 @pytest.fixture(scope="module")

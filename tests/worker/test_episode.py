@@ -31,7 +31,7 @@ END = CLOSING_STEPS + 2 * SHAKE_STEPS
 
 @dataclass
 class WrittenWorld:
-    """Says what touches what after so many steps, and remembers what it was told to do."""
+    """A world with given contacts after each number of steps, which records its commands."""
 
     touching: Callable[[int], list[Contact]]
     left_at: int = 10_000

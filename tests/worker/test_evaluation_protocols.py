@@ -1,4 +1,4 @@
-"""Trials: what they draw, from what, and how an object that is displaced is met."""
+"""Trials: their draws and distributions, and hands that meet a displaced object."""
 
 import json
 from dataclasses import asdict, replace

@@ -1,4 +1,4 @@
-"""Evaluations: what a row says, and that a row that fails disturbs no other."""
+"""Evaluations: the content of a row, and that a row that fails disturbs no other."""
 
 import weakref
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""Episodes of `lift` in each engine: what a hand takes off a table, and that it forgets."""
+"""Episodes of `lift` in each engine: objects lifted off a table, and independent episodes."""
 
 from contextlib import closing
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Episodes of `physical` in each engine: what is held, what the joints do, and that it forgets."""
+"""Episodes of `physical` in each engine: grasps, joints, and independent episodes."""
 
 from contextlib import closing
 from dataclasses import replace

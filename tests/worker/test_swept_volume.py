@@ -1,4 +1,4 @@
-"""Swept volumes: what the fingers of a closing hand pass over, and where they first meet an object."""
+"""Swept volumes: the space that closing fingers pass over, and their first contacts."""
 
 from contextlib import closing
 from functools import partial

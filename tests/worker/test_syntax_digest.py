@@ -1,4 +1,4 @@
-"""The digest of code is of what it does."""
+"""The digest of code depends on its effect."""
 
 import ast
 import builtins
@@ -66,7 +66,7 @@ Digest = Callable[[str, str], str]
 
 @pytest.fixture
 def digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Digest:
-    """The digest of what `evaluate` in the first of two modules does."""
+    """The digest of `evaluate` in the first of two modules."""
     monkeypatch.syspath_prepend(tmp_path)
 
     def found(main: str, shapes: str) -> str:

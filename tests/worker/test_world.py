@@ -1,4 +1,4 @@
-"""The world in Bullet: what is loaded, how it moves, that it forgets, and what it prints."""
+"""The world in Bullet: loading, motion, independent episodes, and output."""
 
 import ctypes
 import os

@@ -1,4 +1,4 @@
-"""Repairs: each changes what it must, and says so."""
+"""Repairs: each changes the mesh as needed, and reports it."""
 
 import numpy as np
 import pytest
@@ -124,7 +124,7 @@ def test_a_large_hole_is_not_guessed_at():
 
 
 def test_bodies_that_share_an_edge_are_a_solid():
-    """Four triangles meet there, and room is inside and outside of each."""
+    """Four triangles meet at one edge; each has inside on one side and outside on the other."""
     low, high = SOLID.bounds
     edge = trimesh.util.concatenate(
         [trimesh.creation.box(BLOCK), trimesh.creation.box(BLOCK).apply_translation((high - low) * (1, 1, 0))]

@@ -77,7 +77,7 @@ def test_surfaces_that_cut_each_other_come_within_anything():
 
 
 def test_what_stays_open_counts_as_near():
-    """Two sheets a micrometre, or a corner a hair, farther from a sheet than what is asked for."""
+    """Two sheets, or a corner and a sheet, farther apart than asked by a micrometre or less."""
     assert come_within(PLATE, PLATE + np.array((0.0, 0.0, 0.001001)), 0.001)
     corner = np.array([[(0.0, 0.0, 0.001), (0.1, 0.0, 0.1), (0.0, 0.1, 0.1)]])
     assert come_within(corner, PLATE, np.nextafter(0.001, 0.0))

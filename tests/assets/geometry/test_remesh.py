@@ -1,4 +1,4 @@
-"""Ways out: a new surface, the hull, fewer triangles; each closed, and about as large as what there was."""
+"""Changed meshes: a new surface, the hull, fewer triangles; each closed and of like size."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is said of thin walls and small objects."""
+"""Warnings about thin walls and small objects."""
 
 import pytest
 import trimesh

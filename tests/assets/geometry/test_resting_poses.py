@@ -1,4 +1,4 @@
-"""Resting poses of shapes of which they are known."""
+"""Resting poses of shapes with known ones."""
 
 import numpy as np
 import pytest

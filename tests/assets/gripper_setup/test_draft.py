@@ -29,7 +29,7 @@ def guessed(urdf, **told):
 
 
 def own_file(urdf):
-    """The path of the file that is written of what is guessed."""
+    """The path of the file with the guesses."""
     target = urdf.parent / "own.toml"
     target.write_text(draft_toml(guessed(urdf), target.name))
     return target
@@ -58,7 +58,7 @@ def test_every_link_that_moves_and_collides_is_guessed_to_be_a_finger(pair):
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_fingers_are_guessed_to_close_as_they_were_told_to(name):
-    """Before they meet: the paper closes some hands through themselves."""
+    """Only before fingers meet: the paper closes some hands through themselves."""
     gripper = find_gripper(name)
     closed = find_closing(read_hand_model(gripper.robot, gripper.file.base_link)).closed
     fingers = [name for name in gripper.file.joints if not name.startswith("THJ")]  # a thumb turns and bends

@@ -16,7 +16,7 @@ from qdgrasp_assets.grippers.urdf import read_urdf
 
 
 class Guess:
-    """A hand as it is guessed, and what the checks say of it."""
+    """A guessed hand, and the faults that checks find in it."""
 
     def __init__(self, urdf: Path, **told):
         robot = read_urdf(urdf)
@@ -33,7 +33,7 @@ class Guess:
 
 @pytest.fixture
 def guess(tmp_path):
-    """What is guessed of the text of a URDF."""
+    """The guesses from the text of a URDF."""
 
     def made(text, **told):
         (tmp_path / "hand.urdf").write_text(text)
@@ -80,7 +80,7 @@ def test_a_half_of_the_palm_is_no_finger(guess):
 
 
 def assert_meets_and_goes_no_farther(found, one, other):
-    """Two links are in each other by no more than is let be, and would be by more 2 % of the way on."""
+    """Two links overlap by no more than the limit, and by more with joints 5 % further."""
     depths = [depth_at(found.postures, one, other, share) for share in (1.0, 1.05)]
     assert depths[0] < 2e-3 <= depths[1]
 

@@ -1,4 +1,4 @@
-"""Many runs from one file: what is asked for, and how the runs are called."""
+"""Many runs from one file: their specs and their names."""
 
 import tomllib
 from pathlib import Path

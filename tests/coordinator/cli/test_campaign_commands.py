@@ -1,4 +1,4 @@
-"""What ends the runs of a campaign, as flags say it."""
+"""Flags that end the runs of a campaign."""
 
 import shlex
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Commands that look at runs: what they print and refuse."""
+"""Commands that look at runs: their output and refusals."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""`qdgrasp security`: what it prints, and how it ends."""
+"""`qdgrasp security`: its output and exit codes."""
 
 from pathlib import Path
 

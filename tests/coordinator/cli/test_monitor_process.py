@@ -1,4 +1,4 @@
-"""`qdgrasp-monitor`: what it prints, and what it makes of its options."""
+"""`qdgrasp-monitor`: its output, and the effect of its options."""
 
 import json
 import os

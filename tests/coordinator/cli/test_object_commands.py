@@ -1,4 +1,4 @@
-"""`qdgrasp object check`: what is said, drawn, written and refused."""
+"""`qdgrasp object check`: its report, pictures, files and refusals."""
 
 import json
 from pathlib import Path

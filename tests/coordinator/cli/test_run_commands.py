@@ -1,4 +1,4 @@
-"""`qdgrasp rerank`, `prune`, `jobs` and orders to a job: what they print and refuse."""
+"""`qdgrasp rerank`, `prune`, `jobs` and orders to a job: their output and refusals."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -135,7 +135,7 @@ EVIL = "\x1b[2J"
 
 @contextmanager
 def session(*_: object) -> Iterator[SimpleNamespace]:
-    """A session at a coordinator whose words are no good ones."""
+    """A session at a coordinator whose answer holds control characters."""
     yield SimpleNamespace(ask=lambda *_, **__: messages.encode(OrderReply(words=f"Done. {EVIL}")))
 
 

@@ -22,7 +22,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
 COM = (0.01, -0.02, 0.03)
-"""Of the object made by hand, in the frame of its mesh [m]."""
+"""Centre of mass of the object made by hand, in the frame of its mesh [m]."""
 SLOTS = 3
 MakeRun = Callable[..., RunFolder]
 
@@ -85,7 +85,7 @@ def make_run(tmp_path: Path, scene: Scene) -> MakeRun:
 
 @pytest.fixture
 def run(make_run: MakeRun) -> RunFolder:
-    """Two of each outcome."""
+    """A run with two rows of each outcome."""
     return make_run(*sorted([*Outcome, *Outcome]))
 
 

@@ -33,7 +33,7 @@ grasps:
 
 
 def matrix(turn: Rotation = TURN * ACROSS) -> np.ndarray:
-    """Of a hand whose axes open along x."""
+    """The pose (4, 4) of a hand whose axes open along x."""
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = turn.as_matrix(), POSITION
     return transform

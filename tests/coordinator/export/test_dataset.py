@@ -1,4 +1,4 @@
-"""`qdgrasp export CAMPAIGN`: one data set, its index and card; what a kill leaves, and the way back."""
+"""`qdgrasp export CAMPAIGN`: one data set, its index and card; going on after a kill."""
 
 import json
 import os

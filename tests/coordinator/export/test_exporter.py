@@ -1,4 +1,4 @@
-"""`qdgrasp export`: what it takes from which folders, what it writes, and what it refuses."""
+"""`qdgrasp export`: the grasps that it takes, the files that it writes, and its refusals."""
 
 import csv
 import os

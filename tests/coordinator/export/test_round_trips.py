@@ -20,7 +20,7 @@ from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 LARGEST = 1e-6
 """Greatest error of a pose [m, rad]."""
 COMPARED = [column.name for column in RESULT if column.name not in ("proposals", "surface_point", "nu")]
-"""All that is found about a pose; how it was aimed, poses that are given do not tell."""
+"""Columns of results without those of the aim, which given poses lack."""
 
 
 def there_and_back(run: RunFolder, name: str, path: Path, **settings: str) -> np.ndarray:

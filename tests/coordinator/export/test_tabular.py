@@ -1,4 +1,4 @@
-"""CSV: what its lines say, as the line of docs/formats.md reads it."""
+"""CSV: its lines, as the command of docs/formats.md reads them."""
 
 from pathlib import Path
 

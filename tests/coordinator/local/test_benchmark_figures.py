@@ -32,7 +32,7 @@ def rows(genomes: np.ndarray, *outcomes: Outcome) -> Rows:
 
 
 def look(search: RegimeSearch, *outcomes: Outcome) -> int:
-    """Look for grasps until it is enough; in how many generations."""
+    """Look for enough grasps; returns the number of generations."""
     generation = 0
     while not search.has_parents:
         search.tell(generation, rows(search.ask(generation), *outcomes))

@@ -67,7 +67,7 @@ def uniform(n: int) -> Floats:
 
 
 def angles(one: Floats, other: Floats) -> Floats:
-    """Between rotations (..., 4) [deg]."""
+    """Angles between rotations (..., 4) [deg]."""
     cosines = np.abs((one * other).sum(axis=-1))
     return np.degrees(2 * np.arccos(np.minimum(cosines, 1.0)))
 

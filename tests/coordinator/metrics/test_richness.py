@@ -92,7 +92,7 @@ CLUMP = 20  # Cells that a run finds together
 
 
 def drawn(runs: int, chances: NDArray[np.float64], seed: int, clump: int = 1) -> Found:
-    """What runs find of cells that each of them finds with these chances, so many together."""
+    """Cells found by runs, each with its probability; `clump` cells are found together."""
     uniform = np.random.default_rng(seed).random((runs, len(chances) // clump))
     return np.repeat(uniform < chances[::clump], clump, axis=1)
 

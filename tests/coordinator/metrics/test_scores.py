@@ -11,7 +11,7 @@ from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
 
 
 class Listener(Chain):
-    """Notes what it is told of successes."""
+    """A search that stores the rows of successes that it is told."""
 
     def __init__(self) -> None:
         super().__init__(population=8, seed=3)

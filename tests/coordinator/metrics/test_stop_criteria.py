@@ -196,7 +196,7 @@ def rows_that_find(new: list[bool]) -> Rows:
 
 
 def evaluations_until_stop(new: list[bool]) -> int | None:
-    """How many of these rows a run has that ends at a saturation of 0.1; None: all."""
+    """Number of these rows in a run that ends at a saturation of 0.1; None: all."""
     counter = RunCounter(10**6, "redraw", goals=StopCriteria(saturation=0.1))
     rows = rows_that_find(new)
     until = counter.rows_until_stop(rows)

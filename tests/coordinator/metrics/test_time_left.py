@@ -1,4 +1,4 @@
-"""The time that a job still takes, over simulated campaigns, and what a job does while no rows come in."""
+"""The time left over simulated campaigns, and a job's work while no rows come in."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -91,7 +91,7 @@ CAMPAIGNS = [
 
 
 def shown(campaign: SimulatedCampaign) -> list[tuple[float, float | None]]:
-    """Return what is shown at each look of a simulated campaign."""
+    """Return the time shown at each look of a simulated campaign."""
     left = TimeLeft()
     return [(now, left.note(counts, now)) for now, counts in campaign.run()]
 

@@ -1,4 +1,4 @@
-"""Who is promoted to more trials, and what few trials are worth."""
+"""Successes that are promoted to more trials, and scores of few trials."""
 
 import numpy as np
 import pytest

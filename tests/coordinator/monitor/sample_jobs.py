@@ -66,7 +66,7 @@ def team(*workers: WorkerStatus) -> list[WorkersPage]:
 def values(
     job: str = "mugs", runs: int = 3, workers: int = 9, epoch: int = 2, **more: object
 ) -> dict[str, bytes]:
-    """All that a coordinator answers."""
+    """All answers of a coordinator."""
     keys = Keys(job)
     shown = {keys.meta: meta(job, runs, epoch), keys.stat("job"): figures(job=job, runs=runs, **more)}
     shown |= {keys.stat(f"run/{name}"): run(name) for name in ("a", "b")}
@@ -86,13 +86,13 @@ START = 1000.0
 
 
 def publish(jobs: JobModels, now: float, **shown: Struct) -> None:
-    """Let jobs hear something of the job mugs: `stat_run_a=...` on stat/run/a."""
+    """Send messages of the job mugs to the models: `stat_run_a=...` on stat/run/a."""
     for place, struct in shown.items():
         jobs.receive(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
 
 
 def watching(now: float = START, answers: Mapping[str, bytes] | None = None) -> JobModels:
-    """A monitor that has asked, and was answered."""
+    """A monitor whose queries were answered."""
     jobs = JobModels()
     jobs.due_queries(now)
     jobs.coordinator_changed(MUGS.coordinator_token(2), True, now)

@@ -29,7 +29,7 @@ MUGS = Keys("mugs")
 def coordinator(
     bus: Bus, job: str = "mugs", epoch: int = 2, asked: list[str] | None = None
 ) -> Iterator[None]:
-    """A coordinator that answers what is asked of its job."""
+    """A coordinator that answers queries about its job."""
     keys = Keys(job)
     shown = values(job, epoch=epoch) | {keys.stat("curve/a"): to_json(curve("a", 3, 7))}
 
@@ -51,7 +51,7 @@ def say(bus: Bus, key: str, struct: object) -> None:
 
 
 def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
-    """Wait for news until the views are so."""
+    """Wait for messages until the views meet a condition."""
     deadline = time.monotonic() + PATIENCE
     while not holds(found := feed.views()):
         assert time.monotonic() < deadline, f"never so: {found}"
@@ -60,7 +60,7 @@ def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
 
 
 def is_whole(views: list[JobView]) -> bool:
-    """Whether all is there that the coordinator answers."""
+    """Whether all answers of the coordinator have come."""
     return bool(views) and "a" in views[0].curves and len(views[0].curves["a"].points) == 3
 
 
@@ -143,7 +143,7 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: Me
 
 def test_waiting_ends_with_news_and_without_them(network: MemoryNetwork) -> None:
     with network.session() as bus, Feed(network.session()) as feed:
-        while feed.wait(0.5):  # its first questions, which nobody answers
+        while feed.wait(0.5):  # its first questions, which no process answers
             pass
         threading.Timer(0.1, say, (bus, MUGS.stat("job"), figures())).start()
         assert feed.wait(PATIENCE)

@@ -1,4 +1,4 @@
-"""What monitors cost a coordinator, however many they are and though one be stopped."""
+"""Cost of monitors to a coordinator, with any number of them, and with one that is stopped."""
 
 import gc
 import multiprocessing
@@ -39,7 +39,7 @@ OWN = tracemalloc.Filter(True, "*/qdgrasp_coordinator/scheduler/*")
 
 
 class Counted(MemoryBus):
-    """A session that notes what is put."""
+    """A session that notes each put."""
 
     def __init__(self, network: MemoryNetwork) -> None:
         super().__init__(network)
@@ -53,7 +53,7 @@ class Counted(MemoryBus):
 
 
 class Coordinator:
-    """What a coordinator shows of three runs and many workers; somebody else says when."""
+    """The status of three runs and many workers; the caller decides when it is published."""
 
     def __init__(self, network: MemoryNetwork) -> None:
         self.bus = Counted(network)
@@ -81,7 +81,7 @@ class Coordinator:
             yield
 
     def show(self) -> None:
-        """Show for twenty seconds how far it is, and that things happen."""
+        """Publish progress and events for twenty seconds."""
         for quarter in range(80):
             self.publisher.publish_due(self.now + quarter / 4)
             if quarter % 20 == 0:
@@ -90,7 +90,7 @@ class Coordinator:
 
 @contextmanager
 def watching(network: MemoryNetwork, monitors: int) -> Iterator[None]:
-    """So many monitors that read, and as many that are stopped: nobody takes what is in their rings."""
+    """Some monitors that read, and as many that are stopped, whose rings are not read."""
     with ExitStack() as stack:
         for _ in range(monitors):
             stopped = network.session()
@@ -152,7 +152,7 @@ MOST_GROWN = PIECE * PIECES // 4
 ASKERS, ANSWERS = 4, 64
 ROWS = 200
 PATIENT = patch.dict(session.BASE_SETTINGS, {"transport/link/tx/lease": 60_000})
-"""However slow this machine is, nobody who stands still meanwhile is taken for dead."""
+"""On a slow machine too, no process that is stopped meanwhile is taken for dead."""
 
 
 class Routed:
@@ -170,7 +170,7 @@ class Routed:
 
 
 def monitor(pipe: Connection, endpoint: str) -> None:
-    """Watch, and ask all the time; say at the end how often the link was lost, and what came of the flood."""
+    """Watch, and query all the time; report lost links and received messages at the end."""
     lost, heard, is_over = [], [], threading.Event()
     with PATIENT, ZenohBus.connect(endpoint, PATIENCE) as bus, ExitStack() as stack:
         bus.on_link(lambda up: None if up else lost.append(up))
@@ -217,7 +217,7 @@ def running(what: Callable[[Connection, str], None], endpoint: str) -> Iterator[
 
 
 def memory() -> int:
-    """What this process has of it [bytes]."""
+    """Memory of this process [bytes]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 

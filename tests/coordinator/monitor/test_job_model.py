@@ -1,4 +1,4 @@
-"""The model of jobs that a monitor builds from what it hears."""
+"""The model of jobs that a monitor builds from messages."""
 
 from datetime import timedelta
 
@@ -141,7 +141,7 @@ def begins(jobs: JobModels, now: float, epoch: int, identity: str = "") -> None:
 
 
 def finds(jobs: JobModels, now: float, count: int) -> JobView:
-    """Return the view of a job whose coordinator says that so much was found."""
+    """Return the view of a job whose coordinator publishes such counts."""
     found = {"evaluations": count, "successes": count, "cells": count, "seconds": 1.0}
     publish(jobs, now, stat_job=figures(**found), stat_run_a=run("a", **found, outcomes={"held": count}))
     return view_of(jobs, now)

@@ -1,4 +1,4 @@
-"""Series: how figures grew, in few points."""
+"""Series: growth of figures, in few points."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Metrics: what a monitor tells Prometheus."""
+"""Metrics of a monitor for Prometheus."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""What `import qdgrasp` gives, and when it is loaded."""
+"""Names of `import qdgrasp`, and the time of their loading."""
 
 import ast
 import subprocess

@@ -1,4 +1,4 @@
-"""Genomes, poses and places of a program are looked at before anything is started."""
+"""Genomes, poses and places of a program are checked before anything is started."""
 
 from pathlib import Path
 from typing import Any

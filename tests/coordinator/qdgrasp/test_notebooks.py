@@ -45,7 +45,7 @@ def run(tmp_path: Path, scene: Scene) -> qdgrasp.Run:
 
 
 class Shown(HTMLParser):
-    """What a notebook shows: tags, words, and pictures."""
+    """The content of a notebook's cell: tags, words, and pictures."""
 
     def __init__(self, html: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What a program searches with is looked at before there is a folder."""
+"""The search of a program is checked before there is a folder."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ SCENE: dict[str, Any] = {"gripper": "panda", "object": "tennis_ball"}
 
 
 class Uniform:
-    """A search of which nothing is asked here."""
+    """A search that is never asked here."""
 
     def __init__(self, layout: qdgrasp.Layout) -> None:
         self.layout = layout

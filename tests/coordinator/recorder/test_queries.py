@@ -1,4 +1,4 @@
-"""The register reads journals that changed, and no others."""
+"""Queries read journals that changed, and no others."""
 
 import os
 import socket
@@ -285,7 +285,7 @@ def test_before_a_run_is_opened_there_is_nothing_to_show(network, coordinator, p
 
 
 def object_index(job: JobFolder, monkeypatch: pytest.MonkeyPatch) -> ObjectIndex:
-    """An index of which every answer is new."""
+    """An index that makes every answer anew."""
     monkeypatch.setattr(queries, "LISTED_SECONDS", 0.0)
     return ObjectIndex(job.path, RunIndex(job.path))
 

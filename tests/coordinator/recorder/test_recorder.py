@@ -67,7 +67,7 @@ def open_files() -> int:
 
 
 def content(folder: Path) -> dict[Path, bytes]:
-    """The content of all files, but for what readers share in memory."""
+    """The content of all files, without the shared memory of readers."""
     files = [file for file in folder.rglob("*") if file.is_file() and not file.name.endswith("-shm")]
     return {file: file.read_bytes() for file in files}
 

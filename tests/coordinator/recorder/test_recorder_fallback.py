@@ -33,7 +33,7 @@ def durable(bus) -> dict[str, int]:
 
 
 def stand_still(bus) -> None:
-    """Pause the job, and wait until all that was found is on the disk."""
+    """Pause the job, and wait until all its rows are on the disk."""
     send_command(bus, "pause")
     wait_for(lambda: not any(worker.batches for worker in job_view(bus).workers))
     wait_for(lambda: all(run.durable == run.rows for run in job_view(bus).runs))

@@ -86,7 +86,7 @@ class TestOpening:
         monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder_service.FETCH_INTERVAL", 100 * PATIENCE)
         with network.session() as bus, recording(network, tmp_path / "new"):
             coordinator.open()
-            coordinator.hears_durable(0)  # nobody showed it when it was first asked for
+            coordinator.hears_durable(0)  # it was not there when it was first asked for
             show_scene(bus)
             coordinator.send(make_rows(30), 0, 30)
             wait_for(RunFolder.open(tmp_path / "new").has_bundle)

@@ -37,7 +37,7 @@ def make_writer(epoch: int, durable: int) -> RunWriter:
 
 
 def commit(writer: RunWriter) -> list[int]:
-    """Commit what waits, and return the numbers of the rows that this adds to the journal."""
+    """Commit the waiting rows, and return the numbers of the rows that are added."""
     before = writer.journal.count
     writer.commit({})
     return writer.journal.slice(before, 10**9).rows["index"].tolist()

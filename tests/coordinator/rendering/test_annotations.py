@@ -1,4 +1,4 @@
-"""Labels stand where they are read: beside what they name, and over nothing."""
+"""Labels stand beside the parts that they name, and cover nothing."""
 
 import numpy as np
 import pytest

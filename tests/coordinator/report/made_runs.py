@@ -1,4 +1,4 @@
-"""Runs made by hand, in memory: what they found."""
+"""Runs made by hand, in memory, by their growth."""
 
 from pathlib import Path
 from typing import Any

@@ -36,7 +36,7 @@ def rows_of(found: Found) -> Rows:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Runs:
-    """Makes runs on an object of one's own, with what they are to have found."""
+    """Makes runs on an object of one's own, with given successes."""
     numbers = itertools.count()
 
     def make(
@@ -99,7 +99,7 @@ DAY, MONTH = 100, 3000  # Evaluations of a short record of a run, and of a longe
 
 
 def incidence(path: Path) -> dict[tuple[int, int, int], list[int]]:
-    """What each run found in each cell, 1 + fitness, sorted."""
+    """1 + fitness of each run in each cell, sorted."""
     known = read_reference(path, "block")
     assert known.by_run is not None
     cells = map(tuple, known.cells.tolist())
@@ -121,7 +121,7 @@ def test_a_set_remembers_in_how_many_runs_each_cell_was_found_and_held(run: Runs
 
 @pytest.mark.parametrize("order", [*itertools.permutations(range(3))])
 def test_a_run_counts_once_however_often_and_however_long_it_is_added(run, tmp_path, order) -> None:
-    """A run that goes on was added before it ended, and after that; its budget is no part of what it is."""
+    """A run is added before its end and after it; the budget is no part of its identity."""
     out, whole = tmp_path / "set.npz", tmp_path / "whole.npz"
     early = run({A: DROPPED}, evaluations=DAY)
     late = run({A: DROPPED, B: HELD, C: DROPPED}, evaluations=MONTH)

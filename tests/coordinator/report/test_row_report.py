@@ -1,4 +1,4 @@
-"""Legends: which synergy closed the hand, and what the trials of a success come to."""
+"""Context of rows: the synergy that closed the hand, and the trials of a success."""
 
 from dataclasses import dataclass
 from pathlib import Path

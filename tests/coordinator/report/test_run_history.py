@@ -23,7 +23,7 @@ from qdgrasp_protocol.rows import TRIALS, Outcome, Rows
 GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
 KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))
 ARCHIVE = ReleasedArchive(np.array([-0.083, -0.081, -0.079]), 0.1512)
-"""Its cells are not those of the rounding, so that two elites may share an entry."""
+"""An archive whose cells differ from the rounding, so that two elites may share an entry."""
 
 
 def told(tmp_path: Path, rows: Rows, **settings: object) -> RunHistory:

@@ -45,7 +45,7 @@ class Dispatch(Dispatcher):
         return self.join(join_message(wid, number, credit, held, rows=rows), now)
 
     def give_up(self, now: float) -> list[LostWorker]:
-        """Queue again what overdue workers hold."""
+        """Queue again the batches of overdue workers."""
         lost = self.workers.overdue(now)
         for one in lost:
             self.requeue(one.worker.wid, one.batches)
@@ -94,7 +94,7 @@ def failures(rows: Sequence[int]) -> list[Failure]:
 
 
 def result(lease: Lease) -> Result:
-    """What the worker answers with, but for columns."""
+    """The worker's answer, without columns."""
     n = len(lease.batch)
     return result_message(
         epoch=EPOCH,

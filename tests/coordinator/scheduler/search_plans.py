@@ -1,4 +1,4 @@
-"""Plans of histories: what is evaluated, what goes wrong, and the journal that comes of it."""
+"""Plans of histories: their runs, failures, and the journal that follows."""
 
 import hashlib
 from collections import deque
@@ -60,7 +60,7 @@ class Task:
 
 
 def evaluate_in_few_cells(rows: Rows) -> Rows:
-    """As others are evaluated, with eight cells."""
+    """The same evaluation, with eight cells."""
     found = evaluate(rows)
     found["descriptor"] = np.sign(found["descriptor"]) * np.float32(0.01)
     return found
@@ -109,7 +109,7 @@ class Plan:
 
     @property
     def goals(self) -> StopCriteria:
-        """What ends it besides its budget."""
+        """Its stop criteria besides the budget."""
         names = ("successes", "no_new_cell", "grasps", "saturation", "window")
         return StopCriteria(**{name: getattr(self, name) for name in names})
 

@@ -1,4 +1,4 @@
-"""Workers that are sick, late or wrong: what becomes of their rows, and of them."""
+"""Workers that are sick, late or wrong, and the treatment of their rows."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Workers that lie among others that do not: what is recorded, and what a job says of it."""
+"""Workers that lie among others that do not: the record, and the job's messages."""
 
 import threading
 from contextlib import ExitStack
@@ -24,7 +24,7 @@ LIAR = made_id(7)
 
 
 class Heard:
-    """What a job says until it is over."""
+    """The messages of a job until it is over."""
 
     def __init__(self, bus: Bus) -> None:
         self.events: list[JobEvent] = []

@@ -215,7 +215,7 @@ def test_a_question_that_was_lost_is_soon_asked_again_and_a_slow_recorder_has_ti
     monkeypatch: pytest.MonkeyPatch, is_lost: bool, waited: list[float]
 ) -> None:
     class Enough(Exception):
-        """The test has seen enough."""
+        """Raised to end the test."""
 
     def look() -> None:
         if len(bus.waited) == len(waited):

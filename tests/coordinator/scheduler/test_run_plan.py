@@ -1,4 +1,4 @@
-"""From what is asked for to a run that can be carried out."""
+"""Plans of runs from specs, and the queue of a job with one run."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ def test_without_a_method_a_run_has_the_default() -> None:
 
 
 def test_more_genomes_in_flight_are_taken_for_granted_where_nothing_is_said_of_them() -> None:
-    """A recorded spec has all keys, and whoever says one of them gets what was there before the others."""
+    """A recorded spec has all keys; where one is given, the others keep their older defaults."""
     assert full_spec(dict(ASKED)).in_flight == METHODS["aimed"].in_flight
     for said in ({"population": 50}, {"generations_in_flight": 2}, {"in_flight": None}):
         assert full_spec(ASKED | said).in_flight is None
@@ -163,7 +163,7 @@ MOST_INSTRUCTIONS = 100
 
 @contextmanager
 def before_instruction(number: int, function: Callable, act: Callable[[], None]) -> Iterator[None]:
-    """Act once before that instruction of a function, as another thread may."""
+    """Call a function once before that instruction of another one, as a thread may."""
     left = number
 
     def traced(frame: FrameType, event: str, _: object) -> object:

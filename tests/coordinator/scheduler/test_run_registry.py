@@ -64,7 +64,7 @@ class Coming:
         self.runs = runs_of(FakeRunQueue({name: Plan(evaluations=40) for name in runs}), self._news.put)
 
     def ask(self):
-        """Have another run opened; gives what comes of it, which the runs have not heard."""
+        """Have another run opened; gives the loader's event, which the runs have not heard."""
         self.runs.load(1, workers=1, is_wanted=True)
         return self._news.get(timeout=PATIENCE)
 

@@ -112,7 +112,7 @@ LONG = Plan(population=40, evaluations=100_000)
 
 
 class Heard:
-    """Everything that a monitor hears of a job."""
+    """All messages of a job that a monitor hears."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus

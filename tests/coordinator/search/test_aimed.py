@@ -42,7 +42,7 @@ OBJECTIVES = {
     "hold": {"aim_for": "hold"},
     "kinds": {"aim_for": "hold", "diversity": "posture", "grasps_per_cell": 2},
 }
-"""What a spec may ask of the search, by a name."""
+"""Settings that a spec may ask of the search, by name."""
 
 
 def spec(**values) -> RunSpec:
@@ -163,7 +163,7 @@ def test_without_a_success_it_scouts_on_and_goes_astray(outcome: Outcome, object
 
 
 def test_dead_ends_are_not_tried_for_ever(objective: dict[str, Any]) -> None:
-    """One cell in three is a dead end, whatever is tried there."""
+    """One cell in three is a dead end for all genomes."""
     (seeking, where), told = build(spec(**objective)), []
     for generation in range(80):
         rows = evaluate(where, generation, seeking.ask(generation))

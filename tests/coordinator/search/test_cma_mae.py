@@ -1,4 +1,4 @@
-"""CMA_MAE: what its emitters are told, and that they are asked the same again."""
+"""CMA_MAE: the rows that its emitters are told, and replay of its asks."""
 
 import hashlib
 import warnings

@@ -13,7 +13,7 @@ HOSTS = ("localhost", "127.0.0.1")
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `qdgrasp security init` writes."""
+    """A folder that `qdgrasp security init` wrote."""
     return SecurityFolder.create(tmp_path_factory.mktemp("home") / "security", hosts=HOSTS, days=2).path
 
 

@@ -1,4 +1,4 @@
-"""The access list says what the table of traffic and docs/security.md mean."""
+"""The access list agrees with the table of traffic and docs/security.md."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Who knocks at a router, and when it cannot be said that nobody got in."""
+"""Clients without rights at a router, and probes that cannot decide."""
 
 import json
 import socket

@@ -1,4 +1,4 @@
-"""Sessions over mutual TLS: who gets one, and what is said where there is none."""
+"""Sessions over mutual TLS: clients that get one, and messages to those that do not."""
 
 import shutil
 import threading
@@ -67,7 +67,7 @@ def test_a_router_that_is_reached_by_a_name_not_its_own_is_not_trusted(folder: P
 
 
 def test_a_workers_certificate_does_not_make_a_router(folder: Path, tmp_path: Path) -> None:
-    """Somebody with a stolen worker's key cannot stand in the router's place."""
+    """A client with a stolen worker's key cannot take the router's place."""
     forged = Path(shutil.copytree(folder, tmp_path / "forged"))
     for kind in ("pem", "key"):
         shutil.copy(folder / f"worker.{kind}", forged / f"router.{kind}")

@@ -1,4 +1,4 @@
-"""Tables of another engine's verdicts: what is written is read, and what is of other rows is not known."""
+"""Tables of another engine's verdicts: written, read, and unknown for other rows."""
 
 import numpy as np
 import pytest

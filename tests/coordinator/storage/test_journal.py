@@ -267,7 +267,7 @@ def test_the_journal_of_a_run_that_has_not_begun_is_empty() -> None:
 
 
 def check_refused(folder: Path, words: str) -> None:
-    """Check that neither a reader nor a writer takes what is in a folder."""
+    """Check that neither a reader nor a writer takes the journal in a folder."""
     for opener in (Journal.open, JournalWriter.open):
         with pytest.raises(FolderError, match=words):
             opener(folder)

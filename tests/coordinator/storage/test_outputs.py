@@ -1,4 +1,4 @@
-"""Outputs: what may be written where, and that it appears whole or not at all."""
+"""Outputs: paths that may be written, and that they appear whole or not at all."""
 
 import os
 from collections.abc import Callable
@@ -33,7 +33,7 @@ def there(folder: Path) -> list[str]:
 
 
 def fill(made: Path, kind: Callable[[Path], Output]) -> None:
-    """Write what is to be written: a file, or a folder with one."""
+    """Write the output: a file, or a folder with one."""
     if kind is OutFolder:
         made.mkdir()
         made /= "inside"

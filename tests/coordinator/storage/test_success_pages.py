@@ -1,4 +1,4 @@
-"""Finds in a journal, page by page, with what their trials come to."""
+"""Finds in a journal, page by page, with the etas of their trials."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def with_trials(nominal: Rows, seed: int = 1) -> Rows:
 
 
 def etas(rows: Rows) -> dict[int, float]:
-    """The eta of each success with all its trials by its number, by the plainest means."""
+    """The eta of each success with all its trials by its number, by a plain loop."""
     found = {}
     for number in np.flatnonzero(success_mask(rows)).tolist():
         same = (rows["generation"] == rows["generation"][number]) & (rows["index"] == rows["index"][number])

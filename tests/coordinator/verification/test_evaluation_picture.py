@@ -1,4 +1,4 @@
-"""Pictures: marks stand where the camera sees what they mark, and words are there and fit."""
+"""Pictures: marks stand where the camera sees their points, and words are there and fit."""
 
 from pathlib import Path
 
@@ -186,7 +186,7 @@ def test_a_frame_says_what_happens_in_it(held: ReplayTarget, phase: Phase, step:
 
 
 def test_no_word_covers_hand_or_object(held: ReplayTarget) -> None:
-    """What words change of a body are thin lines that lead to what they name."""
+    """Words change a body only by thin lines that lead to the named parts."""
     shots = [shot(), shot("shake z")]
     width, height = LAYOUT.scene
     rows, columns = np.indices((height, width))

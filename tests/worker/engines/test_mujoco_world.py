@@ -28,7 +28,7 @@ from qdgrasp_worker.physical_episode import PhysicalEpisode
 PHYSICS = PHYSICAL.physics or Physics()
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
 PRELOAD = 35.0
-"""Of each finger of the Panda [N]."""
+"""Force of each finger of the Panda [N]."""
 UPWARD = [0.0, 0.0, 0.0, 1.0]
 
 

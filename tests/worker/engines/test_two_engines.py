@@ -1,4 +1,4 @@
-"""Scenes of two engines: what holds in the first is tried in the second."""
+"""Scenes of two engines: grasps that hold in the first are tried in the second."""
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ from qdgrasp_worker.episode import outcome_of
 ORDERS = ("bullet,mujoco", "mujoco,bullet")
 HAND = {"gripper": "panda", "object": "rubiks_cube", "protocol": "physical"}
 SLIPPERY = 0.05
-"""Friction at which MuJoCo holds what Bullet throws out of the jaw."""
+"""Friction at which MuJoCo holds an object that Bullet throws out of the jaw."""
 POSES = 20
 
 

@@ -1,4 +1,4 @@
-"""The overlap filter: what it rejects, Bullet rejects too; and no result depends on it."""
+"""The overlap filter: Bullet rejects all poses that it rejects; no result depends on it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Laws of mechanics that verdicts obey, whatever the numbers of a simulator."""
+"""Laws of mechanics that verdicts obey in any simulator."""
 
 from collections.abc import Iterator
 from itertools import repeat

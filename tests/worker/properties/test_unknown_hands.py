@@ -97,7 +97,7 @@ def test_a_hand_that_mimics_grasps(mimicking: Scene) -> None:
 
 @pytest.mark.parametrize(("mass", "moved"), [("0.1", 0.04), ("0", 0.0)])
 def test_a_joint_that_carries_no_mass_stands_still(tmp_path: Path, mass: str, moved: float) -> None:
-    """Such hands are refused for it (gripper_setup)."""
+    """For this reason such hands are refused (gripper_setup)."""
     urdf = example_hands.JAW_URDF.replace('mass value="0.1"', f'mass value="{mass}"')
     (tmp_path / "jaw.urdf").write_text(urdf)
     (tmp_path / "jaw.toml").write_text(example_hands.JAW_TOML)

@@ -13,7 +13,7 @@ ASKED: list[Hands] = []
 
 
 class Height:
-    """Holds what it comes to from above."""
+    """Holds objects that it comes to from above."""
 
     def __init__(self, scene: Scene) -> None:
         self.top = scene.object_high[2]

@@ -32,7 +32,7 @@ def hang() -> None:
 
 
 def dawdle() -> None:
-    """Take longer than the interval after which a simulator tells what it knows."""
+    """Take longer than the interval after which a simulator reports its results."""
     began = time.monotonic()
     while time.monotonic() < began + 2 * REPORT_INTERVAL:
         pass

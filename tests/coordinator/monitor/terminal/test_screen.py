@@ -1,4 +1,4 @@
-"""The screen on a terminal, in the room that it has, and what keys change of it."""
+"""The screen on a terminal, in the room that it has, and the effect of keys."""
 
 import io
 import re
@@ -289,7 +289,7 @@ WILD_TEXT = st.text(max_size=40)
 
 
 def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
-    """Whatever a message of a kind may hold."""
+    """Any message of a kind."""
     of_type = {
         int: WILD,
         float: WILD_FLOAT,

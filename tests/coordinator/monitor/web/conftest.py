@@ -91,7 +91,7 @@ class FakeFeed:
         return self
 
     def happen(self, words: str, kind: str = "worker") -> None:
-        """Have something happen in the job `mug`."""
+        """Publish an event of the job `mug`."""
         event = JobEvent(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
         with self.lock:
             self.now = time.time()
@@ -274,7 +274,7 @@ def engine_table(found: SuccessTable, now: list[Outcome]) -> EngineTable:
 
 @dataclass
 class HandMadeRecords:
-    """A single run, of whose finds each page has a few, and a clock; counts what it was asked."""
+    """A single run, of whose finds each page has a few, and a clock; counts the queries."""
 
     a_scene: Scene
     found: SuccessTable = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
@@ -288,7 +288,7 @@ class HandMadeRecords:
     now: float = 100.0
 
     def record(self, found: SuccessTable) -> None:
-        """Have found these too."""
+        """Add these finds."""
         self.found = np.concatenate([self.found, found])
         self.rows = int(self.found["number"][-1]) + 1
 
@@ -344,7 +344,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def look(chromium: Any) -> Iterator[Callable[..., Any]]:
-    """Opens a page; whatever it complains of fails the test."""
+    """Opens a page; any complaint of it fails the test."""
     visits: list[browser.Visit] = []
 
     def opened(address: str, **looks: Any) -> Any:

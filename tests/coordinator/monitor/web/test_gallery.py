@@ -22,7 +22,7 @@ from qdgrasp_protocol.rows import Outcome
 
 Page = Any
 records = test_scene.records
-"""Of four grasps, best first 8, 9, 4, 3."""
+"""Records of four grasps: 8, 9, 4, 3, best first."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The table of objects: what the server answers, and what a browser shows of it."""
+"""The table of objects: the server's answers, and the page in a browser."""
 
 import io
 from collections.abc import Callable, Iterator

@@ -403,6 +403,6 @@ def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: An
 
 
 def under(page: Any, legend: Any, x: float) -> str:
-    """What the legend says of the cells where the cursor is."""
+    """The legend's words on the cells at the cursor."""
     page.mouse.move(x, page.locator("#cells .u-over").bounding_box()["y"] + 9)
     return str(legend.inner_text())

@@ -588,7 +588,7 @@ FRAMES = """() => [...document.querySelectorAll(".scene-frames > g")].map((frame
   const length = (line) => Math.hypot(along(line, "x"), along(line, "y"));
   return [x, x + width, lines[0].x1.baseVal.value, Math.max(...lines.map(length))];
 })"""
-"""Of each frame: from where to where its name goes, where its origin is, and its longest axis [px]."""
+"""Of each frame: both ends of its name, its origin, and its longest axis [px]."""
 
 
 def test_names_of_frames_stand_beside_them_and_axes_are_seen_from_afar(filtered: Page) -> None:

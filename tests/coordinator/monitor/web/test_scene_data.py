@@ -212,7 +212,7 @@ def pages(kept: VoxelPages, first: int = 0) -> Iterator[Shown]:
 
 
 def every(found: SuccessTable) -> Shown:
-    """The same by the plainest means."""
+    """The same by a plain loop."""
     return {
         int(one["number"]): (
             tuple(cells(one["descriptor"]).tolist()),

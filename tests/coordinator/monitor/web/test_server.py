@@ -212,7 +212,7 @@ def test_the_state_is_one_line_so_that_it_can_be_an_event(feed: FakeFeed) -> Non
 
 
 def ended(connection: socket.socket) -> bool:
-    """True where the server ends a connection; False where it says something."""
+    """True where the server ends a connection; False where it answers."""
     connection.settimeout(PATIENCE)
     try:
         return connection.recv(1) == b""
@@ -260,7 +260,7 @@ def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest
     looked, leave = threading.Event(), server.LimitedConnection.close_if_idle
 
     def leave_later(self: server.LimitedConnection) -> None:
-        """Look whether something was asked when it was: on a busy machine a question may be late."""
+        """Check that a request came in time: on a busy machine it may be late."""
         if self.cycle is None:
             self.loop.call_later(0.01, self.close_if_idle)
         else:
