@@ -340,7 +340,7 @@ class Heartbeat(Struct, frozen=True, kw_only=True):
         bool, Meta(description="Whether its simulator did anything since the last sign.")
     ] = True
     memory: Annotated[
-        Count, Meta(description="What it and its simulator have of the memory [bytes]; 0: unknown.")
+        Count, Meta(description="Memory of the worker and its simulator [bytes]; 0: unknown.")
     ] = 0
     restarts: Annotated[Count, Meta(description="How often it has started its simulator again.")] = 0
 

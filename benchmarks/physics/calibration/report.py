@@ -60,7 +60,7 @@ NO_ROBOT = """
 0.95 with the Panda gripper and 0.72 with the Allegro hand (6DoF), and 0.84 with the Panda in reach and
 grasp. Those are figures of the authors' own grasps, ranked in their simulator. This page stands in the
 place of that table: for the same hands and the same four objects it asks, in simulation, whether grasps
-that are ranked as [a user would rank them](../trust.md#what-to-take-away-to-a-robot) still hold when
+that are ranked as [a user would rank them](../trust.md#grasps-for-a-robot) still hold when
 something changes that had no part in the ranking. It cannot say how they would fare with a robot.
 """
 GRASPS = """

@@ -108,7 +108,7 @@ class ObjectListing(RunTotals, frozen=True, kw_only=True):
         str, "Why it got no grasp, or few beside the median object, in words; empty where it did not."
     ] = ""
     warnings: Annotated[
-        list[str], "What makes its results worse, or why it failed or was left out, in words."
+        list[str], "Reasons why its results are worse, or why it failed or was left out, in words."
     ] = field(default_factory=list)
 
     @property
@@ -188,9 +188,7 @@ class WorkerStatus(Struct, frozen=True, kw_only=True):
     ]
     seconds: Annotated[float, "Since it joined [s]."]
     seen: Annotated[float, "Since it was heard of last, by a sign, a result or a join [s]."]
-    memory: Annotated[
-        int, "What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."
-    ]
+    memory: Annotated[int, "Memory of the worker and its simulator, by its last report [bytes]; 0: none yet."]
     restarts: Annotated[int, "How often it has started its simulator again."]
 
 
@@ -277,7 +275,7 @@ class RunStatus(RunListing, TimedProgress, frozen=True, kw_only=True):
     durable: Annotated[int, "Rows that the recorder reports to be on disk."]
     seconds: Annotated[float, "Since the coordinator opened the run [s]."]
     rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
-    trouble: Annotated[str, "What keeps the run from going on, in words; empty when nothing does."] = ""
+    trouble: Annotated[str, "The reason why the run does not go on, in words; empty while it does."] = ""
 
     @property
     def remaining(self) -> int:
@@ -322,7 +320,7 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     ] = 0
     seconds: Annotated[float, "Since the coordinator started [s]."]
     rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
-    trouble: Annotated[str, "What keeps the job from going on, in words; empty when nothing does."] = ""
+    trouble: Annotated[str, "The reason why the job does not go on, in words; empty while it does."] = ""
     state: Annotated[
         str,
         ('"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled".'),
@@ -338,7 +336,7 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     seconds_left: Annotated[
         float | None, "About how long the rest takes, rows and shapes [s]; None: not known."
     ] = None
-    doing: Annotated[str, "What the job does while no rows come in, in words; empty while they do."] = ""
+    doing: Annotated[str, "The job's present work while no rows come in, in words; empty while they do."] = ""
 
     @property
     def words(self) -> str:
@@ -386,7 +384,9 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     version: Annotated[str, "Of qdgrasp."]
     runs: Annotated[int, "Of the job, begun or not."]
     budget: Annotated[int, "Counted evaluations after which all runs are over."]
-    identity: Annotated[str, "What tells the job from another one of its name; empty: it is not known."] = ""
+    identity: Annotated[
+        str, "Identity that tells the job from another one of its name; empty: not known."
+    ] = ""
 
 
 Kind = TypeVar("Kind", bound=Struct)
