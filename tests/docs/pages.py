@@ -125,6 +125,7 @@ LONG = re.compile(
     r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
+    r"|qdgrasp export .*--holds-in"  # of what verify found
     r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
     r"|python examples/(own_|in_mujoco)"
     r"|curl "
