@@ -42,7 +42,7 @@ from qdgrasp_protocol.text import join_numbers
 
 @dataclass(frozen=True)
 class KnownHand:
-    """What a right guess of a public hand is."""
+    """The right guess of a public hand."""
 
     urdf: str
     """Path below one of the folders."""
@@ -130,13 +130,13 @@ def found_urdf(hand: KnownHand, folders: Sequence[Path]) -> Path | None:
 
 @dataclass(frozen=True)
 class Guess:
-    """What was guessed of a hand, beside what is right."""
+    """The guess of a hand, beside the right one."""
 
     hand: KnownHand
     robot: Urdf
     draft: GripperDraft
     faults: tuple[str, ...]
-    """Why the URDF cannot be used as it is."""
+    """Reasons why the URDF cannot be used as it is."""
 
     @property
     def postures(self) -> HandPostures:
@@ -153,7 +153,7 @@ class Guess:
         }
 
     def row(self) -> list[str]:
-        """Flags, base, axis, fingers, what closes, and the notes in words."""
+        """Flags, base, axis, fingers, closing joints, and the notes in words."""
         postures, file = self.postures, self.draft.file
         found = examine_draft(self.robot, self.draft, "") if not self.faults else None
         notes = [*self.draft.warnings, *(found.notes + found.faults if found else ())]
@@ -168,7 +168,7 @@ class Guess:
 
 
 def mark(is_right: bool, words: str) -> str:
-    """The words, or that they are wrong."""
+    """The words, marked if they are wrong."""
     return words if is_right else f"WRONG: {words}"
 
 
@@ -180,14 +180,14 @@ def guessed(hand: KnownHand, urdf: Path) -> Guess:
 
 
 def draw(guess: Guess, name: str, folder: Path) -> None:
-    """Draw the hand as it is guessed, open and closed."""
+    """Draw the guessed hand, open and closed."""
     folder.mkdir(parents=True, exist_ok=True)
     gripper = Gripper(name, guess.robot.path.name, guess.draft.file, guess.robot)
     draw_gripper(gripper.on_carrier("paper"), folder / f"{file_name(name)}.png")
 
 
 def file_name(hand: str) -> str:
-    """A hand's name as one of files."""
+    """A hand's name in the form of a file's name."""
     return re.sub(r"\W+", "-", hand.lower()).strip("-")
 
 
@@ -205,9 +205,9 @@ def write_usable(guess: Guess, target: Path) -> None:
 
 
 def tried(guess: Guess, name: str, folder: Path, number: int, stop: Stop) -> list[str]:
-    """How many grasps survive all six pushes, of so many evaluations on each object.
+    """The numbers of grasps that survive all six pushes, of `number` evaluations on each object.
 
-    The runs are those of `qdgrasp run` as it is by default; a folder that has them is gone on with.
+    The runs are those of `qdgrasp run` with its defaults; a folder that has them is resumed.
     """
     own = folder / file_name(name)
     own.mkdir(parents=True, exist_ok=True)

@@ -98,8 +98,8 @@ def _hulls_in_words(parts: tuple[Mesh, ...] | None) -> str:
 def examine_gripper(name: str) -> GripperReport:
     """Examine a gripper of the catalog, or a gripper's file; `UnknownName` if it is neither.
 
-    A reference hand is as its authors published it, with limits that have a meaning of their own: what would
-    be wrong with another hand is only noted.
+    A reference hand is as its authors published it, with limits that have a meaning of their own: faults of
+    other hands are only notes for it.
     """
     found = examine(catalog.gripper_path(name), name)
     if not found.faults or not name.startswith(catalog.REFERENCE):

@@ -1,7 +1,7 @@
 """Reports on grippers and objects of one's own: all that is known before a run.
 
 An object's report comes from its mesh file, a gripper's from its TOML file and URDF, or from a URDF and the
-file that would be guessed of it. Whatever is wrong is listed in the report, in words.
+file that would be guessed for it. All faults are listed in the report, in words.
 """
 
 from collections.abc import Iterator
@@ -106,17 +106,17 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
     volume: float | None = None
     """[m3]; None, as in the fields below, for a mesh that cannot be used."""
     mass: float | None = None
-    """[kg]; None: unknown."""
+    """Mass [kg]; None: unknown."""
     density: float | None = None
-    """[kg/m3]; None without a mass."""
+    """Density [kg/m3]; None without a mass."""
     centre_of_mass: Vector | None = None
-    """At uniform density, in the mesh file's frame [m]."""
+    """Centre of mass at uniform density, in the mesh file's frame [m]."""
     inertia: tuple[Vector, Vector, Vector] | None = None
-    """About the centre of mass, uniform density, mesh axes [kg m2]; None without a mass."""
+    """Inertia about the centre of mass, uniform density, mesh axes [kg m2]; None without a mass."""
     surface_points: int | None = None
     """Number of surface points of an evaluation under `paper`."""
     convex: ConvexPartsReport | None = None
-    """None also if they were not asked for."""
+    """Its convex parts; None also if they were not asked for."""
     repairs: tuple[str, ...] = ()
 
     @property
@@ -259,13 +259,13 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
     ratings_source: str = ""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
     mass: float | None = None
-    """[kg]"""
+    """Mass [kg]."""
     extents: tuple[float, float, float] | None = None
     """Sides of the box around the open hand, base link's frame [m]."""
     parts: int = 0
     """Convex parts that the simulator makes of the collision shapes."""
     warnings: tuple[str, ...] = ()
-    """Signs that what was guessed of it is wrong, each with the flag that mends it."""
+    """Signs of wrong guesses, each with the flag that corrects it."""
 
     @property
     def facts(self) -> tuple[str, ...]:
@@ -324,7 +324,7 @@ def examine_urdf(
         overrides, shown = replace(overrides, base_link=base), with_visual_shapes(robot)
         if faults := hand_faults(robot, base):
             drawn = None
-            with suppress(QdgraspError, ValueError):  # of what was told already
+            with suppress(QdgraspError, ValueError):  # already reported
                 drawn, _ = _drafted(shown, urdf, name, overrides)
             return msgspec.structs.replace(report, faults=faults), drawn
         gripper, draft = _drafted(shown, urdf, name, overrides)
@@ -347,7 +347,7 @@ def examine_draft(robot: Urdf, drafted: GripperDraft, name: str) -> GripperRepor
 def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]]:
     """Return the robot of a URDF or MJCF file, its faults, and how an MJCF file was translated.
 
-    Errors as of `read_robot`, and of `read_mjcf`.
+    Errors as in `read_robot` and `read_mjcf`.
     """
     if not is_mjcf(path):
         return *read_robot(path), ()

@@ -27,7 +27,7 @@ ABSENT = "absent"
 REFERENCE = "ref_"  # Prefix of the names of the reference hands
 ROLLING_FRICTION = 0.01
 SPINNING_FRICTION = 0.1
-CONTACTS_PER_FINGER_LINK = 4  # What two convex shapes have in Bullet at most
+CONTACTS_PER_FINGER_LINK = 4  # Most contacts of two convex shapes in Bullet
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     sentence before each slow step. Raises `UnknownName` for a gripper or object that is neither known nor a
     file, and `AssetError` where one of its files cannot be used.
     """
-    gripper_path(spec.gripper)  # an unknown hand is said first
+    gripper_path(spec.gripper)  # an unknown hand is reported first
     if not is_in_catalog(spec.object):  # before the hand is read, which takes longer
         check_object(spec.object)
         check_header(named_path(spec.object), spec.mesh)
@@ -73,11 +73,11 @@ Stamp = tuple[int, int, int, int] | None
 
 
 _hands: dict[tuple[str, str, bool, str | None], tuple[dict[Path, Stamp], SceneGripper]] = {}
-"""Hands that were read in this process, with the state of their files, those too that would be taken first.
+"""Hands read in this process, with the state of their files and of files that would have precedence.
 
-By name, protocol, whether they have to be convex, and asset path.
+Keys are name, protocol, whether a hand has to be convex, and asset path.
 """
-SETTLED = 2_000_000_000  # A file that was changed less than so long ago may change again unseen [ns]
+SETTLED = 2_000_000_000  # A file that was changed more recently may change again unseen [ns]
 
 
 def carried_hand(spec: RunSpec) -> SceneGripper:
@@ -148,7 +148,7 @@ def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectS
 
 
 def object_shape(spec: RunSpec) -> ObjectShape:
-    """Return the shape of a spec's object, whatever its gripper is; errors of `build_scene`."""
+    """Return the shape of a spec's object, for any gripper; errors of `build_scene`."""
     if is_in_catalog(spec.object):
         return shape_of(find_object(spec), spec.protocol, spec.surface_seed)
     check_object(spec.object)

@@ -1,7 +1,7 @@
 """Versions of the code that checks meshes and builds shapes.
 
-It is made of digests of modules and versions of packages. Nothing is imported for it, so that a process
-without arrays can say what its machine would build with.
+A version is made of digests of modules and versions of packages. Nothing is imported for it, so that a
+process without arrays can state the version of its machine.
 """
 
 import hashlib

@@ -16,7 +16,7 @@ Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
 ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
 AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates by a linear score
-VALUED = "valued"  # The same prior with candidates chosen by what a grasp is worth
+VALUED = "valued"  # The same prior with candidates chosen by the value of a grasp
 FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
 """Features by which `AIMED` ranks candidates, also reported with a pose (docs/methods.md)."""
 GRIP_FEATURES = ("fingers", "squareness", "opposition", "alignment", "lever", "depth", "stroke")
@@ -28,7 +28,7 @@ RANKING_GENES = {AIMED: len(FEATURES), VALUED: 2 * len(VALUE_FEATURES) + 1}
 """Number of genes that rank candidates: weights of a score, or of two models with the value wanted."""
 MOST_CANDIDATES = 32
 STEEPEST = 8.0  # Largest absolute weight of a feature in the score of `AIMED`
-TOUCH_VALUE = 0.2  # Value of a grasp that touches and is worth nothing else, relative to the best
+TOUCH_VALUE = 0.2  # Value of a grasp that only touches, relative to the best
 STEEPEST_VALUE = 64.0  # Largest absolute weight of a feature in the models of `VALUED`
 
 

@@ -20,13 +20,13 @@ PROBE_SECONDS = 60.0  # CPU seconds that the probes may take; they take one or t
 CPU_LIMIT_SIGNAL, STALL_SIGNAL = signal.SIGPROF, signal.SIGALRM
 """Signals that end a simulator past its limit: of CPU, by the kernel; of silence, by us."""
 AUTOGROUP = Path("/proc/self/autogroup")
-AUTOGROUP_TRIES, AUTOGROUP_INTERVAL = 100, 0.13  # how often a wish is repeated, and after how many seconds
+AUTOGROUP_TRIES, AUTOGROUP_INTERVAL = 100, 0.13  # how often a request is repeated, and its interval [s]
 _PR_SET_PDEATHSIG = 1
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """End this process if the block takes more than so many CPU seconds."""
+    """End this process if the block takes more than `seconds` of CPU time."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
@@ -35,17 +35,17 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process have at most `size` bytes of memory of its own; what asks for more fails."""
+    """Let this process have at most `size` bytes of memory of its own; requests for more fail."""
     with suppress(ValueError, OSError):  # a lower limit stands already
         resource.setrlimit(resource.RLIMIT_DATA, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def lower_priority(nice: int) -> None:
-    """Leave the processor to others that want it, 0 (not at all) to 19.
+    """Lower this process's priority by a niceness of 0 (not at all) to 19.
 
     This process has a session of its own, and where the kernel shares the processor among sessions, niceness
-    counts within each only (sched(7), autogroup): so the session stands back too.
+    counts within each only (sched(7), autogroup): so the session's is set too.
     """
     os.nice(nice)
     if nice:
@@ -82,12 +82,12 @@ class ProcessStats:
 
     cpu_seconds: float
     memory: int
-    """[bytes]."""
+    """Memory [bytes]."""
     is_stopped: bool = False
-    """It stands still: by SIGSTOP, or because it is traced."""
+    """True if it is stopped, by SIGSTOP or because it is traced."""
 
 
-NO_STATS = ProcessStats(0.0, 0)  # Of a process that is not there
+NO_STATS = ProcessStats(0.0, 0)  # For a process that does not exist
 
 
 def process_stats(pid: int) -> ProcessStats:

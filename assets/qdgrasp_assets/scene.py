@@ -18,12 +18,12 @@ from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
 
-FORMAT = 3  # Version of the bundle, raised whenever a field comes, goes or changes its meaning
+FORMAT = 3  # Version of the bundle, raised when a field comes, goes or changes its meaning
 NEWER_FORMAT = (
-    4  # That of scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
+    4  # For scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
 )
-REACHED_FORMAT = 5  # That of scenes with an approach or a table
-OLD_FORMAT = 2  # That of version 0.1.0; the fields that it lacks have their defaults
+REACHED_FORMAT = 5  # Version for scenes with an approach or a table
+OLD_FORMAT = 2  # Version of scenes of 0.1.0; the fields that they lack have their defaults
 FORMATS = (OLD_FORMAT, FORMAT, NEWER_FORMAT, REACHED_FORMAT)
 
 
@@ -107,7 +107,7 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     approach_axis: Vector
     """Unit vector in the base frame that points from the palm to the object (a_g)."""
     palm_offset: float
-    """From the base frame to the palm along the approach axis (w) [m]."""
+    """Distance from the base frame to the palm along the approach axis (w) [m]."""
     standoff: tuple[float, float]
     """The range of the gene d: from the palm to the surface point [m]."""
     jaw: Jaw | None = None
@@ -171,7 +171,7 @@ class RestingPose(Struct, frozen=True, kw_only=True):
     height: float
     """Component along `up` of the table's points [m], six decimals; negative."""
     probability: float
-    """With which an object that is dropped, turned in any way, comes to rest so."""
+    """Probability that an object that is dropped, turned in any way, comes to rest so."""
 
 
 class Scene(Struct, frozen=True, kw_only=True):
@@ -196,11 +196,11 @@ class Scene(Struct, frozen=True, kw_only=True):
     """The object's own axis-aligned bounding box, CoM frame."""
     object_high: Vector
     contact_slots: int = 0
-    """Contacts that a row has room for; 0: rows hold nothing of what closing did, as those of 0.1.0."""
+    """Contacts that a row has room for; 0: rows have no columns of the closed hand, as those of 0.1.0."""
     approach_distance: float = 0.0
     """Distance from which the open hand has to come along its approach axis, clear of the object [m]."""
     resting_poses: tuple[RestingPose, ...] = ()
-    """Those in one of which the hand has to come above the table; none: there is no table."""
+    """Resting poses, in one of which the hand has to come above the table; none: there is no table."""
 
     @property
     def surface_points(self) -> NDArray[np.float32]:

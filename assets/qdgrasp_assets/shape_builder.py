@@ -30,12 +30,12 @@ UNUSABLE = 2  # Exit code where no object can be made of the files
 
 
 class ShapeReport(Struct, frozen=True, kw_only=True):
-    """A shape, and the means that building it took."""
+    """A shape, and the resources that building it took."""
 
     shape: bytes
     """As `pack_shape` returns it."""
     cpu_seconds: Number
-    """Of this process and those that it started."""
+    """CPU time of this process and those that it started."""
     memory: Count
     """Most memory that one of these processes had [bytes]."""
 
@@ -90,7 +90,7 @@ def main() -> int:
 
 
 def _end_out_of_time(_number: int, _frame: FrameType | None) -> None:
-    """End this process with a sentence, whatever it is at."""
+    """End this process with a sentence, at any point."""
     sys.stderr.write(f"{_too_large(f'{PREPARING_SECONDS} s')}\n")
     sys.stderr.flush()
     os._exit(UNUSABLE)

@@ -359,7 +359,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 CRACKER_BOX = (-0.014543, -0.013973, 0.102630)
 RUBIKS_CUBE = (-0.016184, -0.000449, 0.028548)
 TENNIS_BALL = (0.008233, -0.044192, 0.032887)
-"""Centres of the convex ones: their origins, and centres of mass."""
+"""Centres of the convex objects: their origins, and centres of mass."""
 STAND_INS = {
     "banana": StandIn(0.066, (0.008573, -0.002315, 0.017070), banana, (0.075, -0.085, 0.0)),
     "bleach_cleanser": StandIn(1.131, (-0.017801, 0.011582, 0.100397), bleach_cleanser, ORIGIN),

@@ -1,6 +1,6 @@
 """The scanned YCB objects: those on the asset path, or downloaded ones.
 
-`scans.toml` says what each downloaded mesh must measure; `lock.toml`, and a lock file of the user's, hold
+`scans.toml` has the dimensions of each downloaded mesh; `lock.toml`, and a lock file of the user's, hold
 sizes and hashes of the archives.
 """
 
@@ -112,7 +112,7 @@ class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """Size and hashes of one archive; None where unknown."""
 
     size: int | None = None
-    """[bytes]."""
+    """Size of the archive [bytes]."""
     sha256: str | None = None
     mesh_sha256: str | None = None
     """sha256 of the mesh file in the archive."""

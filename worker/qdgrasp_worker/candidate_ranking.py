@@ -1,8 +1,8 @@
 """Screening: choose the candidate of each genome to simulate, as far as geometry can tell.
 
 Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md), and those
-that promise too little are refused. A genome's own numbers say how features make a score, so that what is
-simulated depends on the genome alone.
+whose score is too low are refused. A genome's own numbers turn features into a score, so that the choice
+depends on the genome alone.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
 
 DEFAULT_WEIGHTS = np.array([0.25, 1.0])
-"""Weights of swept and opposed for a genome whose own are zero: the share above all from opposite sides."""
-VALUE_DECIMALS = 6  # Decimals of a value: rounded so, the last bits of an exponential decide no order
+"""Weights of the features swept and opposed for a genome whose own are zero; opposed counts most."""
+VALUE_DECIMALS = 6  # Decimals of a value; rounded, the last bits of an exponential decide no order
 
 
 class Ranking(Protocol):
@@ -36,13 +36,13 @@ class Ranking(Protocol):
         """Scores (p,) of poses, of their features (p, f) and the weights (p, w) of their genomes."""
 
     def thresholds(self, weights: Floats) -> Floats:
-        """The least score (n,) of a pose that genomes, by weights (n, w), want simulated; -inf: any."""
+        """The least score (n,) of a pose to simulate, by genomes' weights (n, w); -inf: any."""
 
 
 class ScoreRanking:
     """Weights times features.
 
-    A weight of the constant, which changes no order, sets a threshold at 0.
+    A weight of the constant feature, which changes no order, sets a threshold at 0.
     """
 
     def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
@@ -76,7 +76,7 @@ class ValueRanking:
 
 
 RANKINGS: dict[str, Ranking] = {AIMED: ScoreRanking(), VALUED: ValueRanking()}
-"""Of priors whose genomes have several candidates."""
+"""Rankings of the priors whose genomes have several candidates."""
 
 
 def weighted_sums(features: NDArray[np.float32], weights: Floats) -> Floats:
@@ -88,7 +88,7 @@ def weighted_sums(features: NDArray[np.float32], weights: Floats) -> Floats:
 
 
 def default_scores(features: NDArray[np.float32]) -> Floats:
-    """Scores (p,) of poses as long as nothing is learned."""
+    """Scores (p,) of poses while no weights are learned."""
     return weighted_sums(features[:, : len(DEFAULT_WEIGHTS)], np.tile(DEFAULT_WEIGHTS, (len(features), 1)))
 
 
@@ -108,7 +108,7 @@ class PoseFeatures:
         self._points = solid.points.astype(np.float32)
 
     def features(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The features (p, f) of those of a batch of grasps that are at `places` (p,).
+        """The features (p, f) of the grasps of a batch at `places` (p,).
 
         All but height, lever and depth are between 0 and 1, or -1 and 1.
         """
@@ -186,11 +186,11 @@ class Shortlist:
     """The candidates of one genome, by their places in the batch."""
 
     first: int
-    """The pose that stands for a genome of which none is simulated: a finite one, or the first."""
+    """The pose of the genome's row if none is simulated: a finite one, or the first."""
     poses: int
     """Number of poses; 0: a dead end."""
     ranked: list[int]
-    """Poses that do not surely overlap and promise enough, in the order in which they are tried."""
+    """Poses that do not surely overlap and score high enough, in the order in which they are tried."""
     fallback: Outcome
     """The outcome if none of them is simulated."""
 
@@ -203,9 +203,9 @@ class Shortlist:
 class CandidateScreen:
     """Screens a scene's poses before they are simulated.
 
-    `closing` closes the hand on nothing. The test for overlap has the free joints where the grasp has them
-    (`follows_free_joints`), or open. It `filters` poses that surely overlap, or does not, with the same
-    results. Hands that come below the table are refused in any case.
+    `closing` closes the hand on nothing. In the test for overlap the free joints are as in the grasp
+    (`follows_free_joints`), or open. `filters` says whether poses that surely overlap are left out, with the
+    same results. Hands that come below the table are refused in any case.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ class CandidateScreen:
     def __call__(
         self, grasps: DecodedGrasps, trials: NDArray[np.uint16], wanted: NDArray[np.bool_]
     ) -> tuple[list[Shortlist], NDArray[np.float32]]:
-        """The shortlist of each genome of a batch, and the features (poses, f) of what is ranked.
+        """The shortlist of each genome of a batch, and the features (poses, f) of ranked poses.
 
         Beyond trial 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
         Genomes that are not `wanted` (n,) have empty lists.
@@ -246,7 +246,7 @@ class CandidateScreen:
     def _rank(
         self, grasps: DecodedGrasps, left: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        """The features (poses, f), and those of `left` that promise enough, best first per genome."""
+        """The features (poses, f), and those of `left` with enough score, best first per genome."""
         features = np.zeros((len(grasps), len(PRIOR_FEATURES.get(grasps.prior, ()))), dtype=np.float32)
         if grasps.prior not in RANKINGS:
             return features, left

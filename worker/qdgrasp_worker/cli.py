@@ -23,7 +23,7 @@ log = structlog.get_logger()
 
 MEGABYTE = 1_000_000
 MEMORY, DEVICE_MEMORY = 2000, 32000
-"""Megabytes; a device's kernels are compiled in the simulator, and what is on it is mapped there too."""
+"""Megabytes; a device's kernels are compiled in the simulator, and its memory is mapped there too."""
 ROW_SECONDS, DEVICE_SECONDS = 30.0, 900.0
 
 

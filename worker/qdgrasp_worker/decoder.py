@@ -1,6 +1,6 @@
 """Decoding of genomes to hand poses with initial postures, a batch at a time.
 
-It ends by rounding to float32. Trigonometry in float64 differs in the last bits between processors; rounded
+The last step rounds to float32. Trigonometry in float64 differs in its last bits between processors; rounded
 it does not, and exactly the rounded pose is simulated, stored and exported (docs/reproducibility.md).
 """
 
@@ -20,7 +20,7 @@ from qdgrasp_worker.priors import PRIORS
 
 @dataclass(frozen=True)
 class HandPose:
-    """One pose and posture, in the plain Python numbers that Bullet takes quickest."""
+    """One pose and posture, as plain Python numbers, which Bullet reads fastest."""
 
     position: list[float]
     quaternion: list[float]
@@ -56,11 +56,11 @@ class DecodedGrasps:
     surface_points: NDArray[np.float32]
     """(n, 3) [m], CoM frame; zeros where the prior aims at none."""
     nu: NDArray[np.float32]
-    """(n,) [rad], from the normal there to the direction to the hand; 0 without such a point."""
+    """(n,) [rad], from the normal at that point to the direction to the hand; 0 without a point."""
     dead_ends: NDArray[np.bool_]
-    """(n,): which of them are no pose; zeros are in its place."""
+    """(n,): True where there is no pose; its values are zeros."""
     genome_of: NDArray[np.intp]
-    """(n,): the genome of the batch that each belongs to, ascending."""
+    """(n,): the genome of the batch that each pose belongs to, ascending."""
     weights: NDArray[np.float64]
     """(genomes, f): numbers by which a genome's candidates are ranked; f is 0 without a choice."""
     prior: str
@@ -122,7 +122,7 @@ class Decoder:
         )
 
     def _synergies(self, values: Floats) -> NDArray[np.int64]:
-        """The labels (n,) that stand behind the prior's own genes."""
+        """The synergy labels (n,) in the genes behind the prior's own."""
         if not self._hand.synergies:
             return np.full(len(values), NO_SYNERGY)
         return np.rint(np.nan_to_num(values[:, self._own])).astype(np.int64)

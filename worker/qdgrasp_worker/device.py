@@ -5,7 +5,7 @@ from typing import NamedTuple, Self
 from qdgrasp_protocol.extras import EXTRAS, check_packages
 
 DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
-MOST_WORLDS = 4096  # As many as a generation has genomes at most
+MOST_WORLDS = 4096  # Most genomes of a generation
 CPU_WORLDS = 64  # On warp's CPU device, which is for tests
 
 
@@ -13,7 +13,7 @@ class Device(NamedTuple):
     """A device that evaluates many rows together."""
 
     name: str
-    """As warp names it: cpu, cuda, cuda:1."""
+    """Its name in warp: cpu, cuda, cuda:1."""
     worlds: int
     """Rows that it evaluates at once."""
 

@@ -23,7 +23,7 @@ from qdgrasp_worker.evaluation_protocols import (
 from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
-LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left
+LOST_CHECK_EVERY = 5  # Steps of closing between two checks whether the object has left
 
 
 class EpisodeResult(NamedTuple):
@@ -31,7 +31,7 @@ class EpisodeResult(NamedTuple):
 
     outcome: Outcome
     joints: list[float]
-    """Finger joints [rad or m] after closing if that was a success, else as they were at first."""
+    """Finger joints [rad or m] after closing if that was a success, else those at the start."""
     finger_links: int = 0
     """Number of finger links that touch the object after closing."""
     penetration: float = 0.0
@@ -45,7 +45,7 @@ class EpisodeResult(NamedTuple):
 
 
 def outcome_of(survived: int, disturbances: int) -> Outcome:
-    """The outcome of a success that survived so many of the disturbances of its protocol."""
+    """The outcome of a success that survived `survived` of its protocol's `disturbances`."""
     if not survived:
         return Outcome.DROPPED
     return Outcome.HELD if survived == disturbances else Outcome.SHAKEN
@@ -54,7 +54,7 @@ def outcome_of(survived: int, disturbances: int) -> Outcome:
 def settled_pose(now: HandFrame, commanded: HandPose) -> list[float]:
     """The hand's base link in the object's frame as it is now: x y z [m], qx qy qz qw.
 
-    Of the two quaternions that mean it, the one nearer to the commanded pose's.
+    Of the two quaternions of the rotation, the one nearer to the commanded pose's.
     """
     position, quaternion = now
     sign = -1.0 if quaternion @ np.array(commanded.quaternion) < 0.0 else 1.0
@@ -110,18 +110,18 @@ class Episode(ABC, Generic[AnyWorld]):
 
     @abstractmethod
     def _close(self, pose: HandPose) -> bool:
-        """Close the hand; whether a finger touched the object before the last step."""
+        """Close the hand; return whether a finger touched the object before the last step."""
 
     @abstractmethod
     def _survived(self) -> int:
-        """Disturb the grasp; how many of the disturbances the hand holds the object through."""
+        """Disturb the grasp; return the number of disturbances that it survives."""
 
     def is_blocked(self, trial: TrialSetup) -> bool:
-        """Place the open hand; whether a link of it is inside the object there, or on its way there."""
+        """Place the open hand; return whether a link is inside the object there or on the way."""
         return (trial.clear_way > 0.0 and self.meets_on_way(trial)) or self.overlaps(trial)
 
     def meets_on_way(self, trial: TrialSetup) -> bool:
-        """Move the open hand to its pose; whether a link is inside the object on the way."""
+        """Move the open hand to its pose; return whether a link is inside the object on the way."""
         *way, _ = approach_path(trial.pose, self.world.approach_axis, trial.clear_way)
         self.world.reset(trial, trial.pose.joints)
         for pose in reversed(way):  # most contacts are near the end
@@ -131,7 +131,7 @@ class Episode(ABC, Generic[AnyWorld]):
         return False
 
     def overlaps(self, trial: TrialSetup) -> bool:
-        """Place the open hand; whether any link of it is inside the object."""
+        """Place the open hand; return whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
         self.world.reset(trial, first)
@@ -143,7 +143,7 @@ class Episode(ABC, Generic[AnyWorld]):
     def _approached(self, trial: TrialSetup) -> TrialSetup:
         """A trial with the open hand where it stops on its way from outside to its pose.
 
-        Where it is inside the object from the first it stays there, and overlaps.
+        A hand that is inside the object at the start stays there, and overlaps.
         """
         world, path = self.world, approach_path(trial.pose, self.world.approach_axis, self.world.reach)
         stop = path[0]
@@ -190,7 +190,7 @@ class ShakenEpisode(Episode[ShakenWorld]):
         return len(self.protocol.shakes)
 
     def _close(self, pose: HandPose) -> bool:
-        """Close the hand; whether a finger touched the object before the last step."""
+        """Close the hand; return whether a finger touched the object before the last step."""
         self.world.close_fingers(pose.synergy)
         touched = False
         for step in range(CLOSING_STEPS):
@@ -201,7 +201,7 @@ class ShakenEpisode(Episode[ShakenWorld]):
         return touched
 
     def _survived(self) -> int:
-        """Shake the hand; how many of the shakes the object stays in touch with it."""
+        """Shake the hand; return the number of shakes in which the object stays in touch."""
         survived = 0
         for shake in self.protocol.shakes:
             if self._holds_through(shake):

@@ -4,11 +4,11 @@ Common to all protocols is that there is no gravity. `paper`, `released` and `ro
 steps a second, 100 steps of closing, then two shakes with three targets of 68 steps each; figures are those
 of the public code of Huber et al. 2024 (commit 0b8f8da). `physical` closes with bounded torques on a fixed
 object, lets it go, and pushes it along six directions (`Physics`, docs/protocols.md); `lift` does the same on
-a table, and lifts the object in the place of pushes (`Lift`).
+a table, and lifts the object instead of pushing it (`Lift`).
 
-In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). What
-a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
-again meets the same trials, and no other grasp does. It is rounded for the reason that poses are
+In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). The
+draws of a trial depend on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
+again has the same trials, and no other grasp has them. They are rounded for the same reason as poses
 (`decoder`).
 """
 
@@ -33,7 +33,7 @@ class TrialSetup:
     """A grasp as it is simulated in one trial."""
 
     pose: HandPose
-    """In the CoM frame of the object as it lies in this trial."""
+    """Pose in the CoM frame of the object as it lies in this trial."""
     frictions: tuple[float, float] | None = None
     """The object's coefficients of rolling and spinning friction; None: its own."""
     grip: float = 1.0
@@ -49,15 +49,15 @@ class Mixture:
     """Distributions that trials from 1 on are drawn from; trial 0 is the nominal one."""
 
     position_sigma: float
-    """Of the object's displacement along each axis [m]."""
+    """Standard deviation of the object's displacement along each axis [m]."""
     angle_sigma: float
-    """Of each angle by which the object turns about the fixed axes x, then y, then z [rad]."""
+    """Standard deviation of each angle of the object's turn about the fixed axes x, then y, then z [rad]."""
     rolling: tuple[float, float] | None = None
-    """The interval of its coefficient of rolling friction; None: rolling and spinning keep theirs."""
+    """The interval of the object's coefficient of rolling friction; None: rolling and spinning stay."""
     spinning: tuple[float, float] | None = None
-    """The interval of its coefficient of spinning friction."""
+    """The interval of the object's coefficient of spinning friction."""
     grip: tuple[float, float] | None = None
-    """The interval of the factor of its lateral friction; None: that stays."""
+    """The interval of the factor of the object's lateral friction; None: no change."""
     approaches: bool = False
     """The hand comes to its pose along its approach axis; False: it is set there."""
     seed: int = 0
@@ -85,9 +85,8 @@ def pose_seed(pose: HandPose) -> list[int]:
 def pose_seen_from(position: Floats, quaternion: Floats, pose: HandPose) -> HandPose:
     """A pose in the frame of an object at `position` (3,) [m], turned by `quaternion` (4,).
 
-    Only hand and object are in the world, so that it is the same to displace the one or the other. The
-    object stays at the origin: there Bullet keeps it to the bit, whereas it rounds other rotations anew at
-    every step.
+    Only hand and object are in the world, so that displacing either is the same. The object stays at the
+    origin: there Bullet keeps its pose to the bit, while it rounds other rotations at every step.
     """
     back = conjugate(quaternion)
     offset = rotate(back, np.array(pose.position) - position)
@@ -99,7 +98,7 @@ def pose_seen_from(position: Floats, quaternion: Floats, pose: HandPose) -> Hand
 
 
 def round_to_float32(values: Floats) -> list[float]:
-    """Values as float32 has them."""
+    """Values rounded to float32."""
     single: list[float] = values.astype(np.float32).tolist()
     return single
 
@@ -110,17 +109,17 @@ def draw_friction(random: Generator, interval: tuple[float, float]) -> float:
 
 
 CLOSING_STEPS = 100
-TARGET_STEPS = 68  # How long each target of a shake is pursued
+TARGET_STEPS = 68  # Duration of each target of a shake
 
 
 @dataclass(frozen=True)
 class Shake:
-    """A joint of the carrier is sent to +amplitude, to -amplitude and back to zero."""
+    """A motion of one carrier joint: to +amplitude, to -amplitude and back to zero."""
 
     joint: str
     """"z" or "x": the carrier joint that is marked with it."""
     amplitude: float
-    """[m or rad]. The translation is limited by its force: from 0 to 0.206 m and back to 0."""
+    """Amplitude [m or rad]. The translation is limited by its force: from 0 to 0.206 m and back to 0."""
     position_gain: float
     """Bullet's kp."""
     velocity_gain: float
@@ -141,13 +140,13 @@ class DriveGains:
     """
 
     lag: float
-    """Distance of a joint from its target at which its drive gives all it can [m or rad]."""
+    """Distance of a joint from its target at which its drive gives its limit [m or rad]."""
     frequency: float
-    """Of the drive's own motion, without friction [rad/s]."""
+    """Frequency of the drive's own motion, without friction [rad/s]."""
     speed: float
-    """Closing speed of drives of which none is known [m/s or rad/s]."""
+    """Closing speed of drives for which none is known [m/s or rad/s]."""
     rest_speed: float
-    """Below it a joint rests [m/s or rad/s]."""
+    """Speed below which a joint rests [m/s or rad/s]."""
 
 
 DAMPING_RATIO = 0.7
@@ -162,19 +161,19 @@ class Physics:
     time_step: float = 1 / 480
     """Length of a step [s]."""
     iterations: int = 50
-    """Of the solver in each step."""
+    """Iterations of the solver in each step."""
     jaw_iterations: int = 300
-    """Of a jaw's: with fewer what it grips turns slowly between two fingers that press hard."""
+    """Iterations for a jaw: with fewer its object turns slowly between two fingers that press hard."""
     recovery: float = 0.2
-    """Share of a penetration that the solver makes good in a step."""
+    """Share of a penetration that the solver corrects in a step."""
     breaking_threshold: float = 0.002
-    """Share of a shape's size at which contacts are seen; a tenth of Bullet's, and cheaper."""
+    """Distance at which contacts begin, as a share of a shape's size; a tenth of Bullet's, and cheaper."""
     rolling: float = 1e-4
     """The pair's coefficient of rolling friction [m]."""
     spinning: float = 0.005
     """The pair's coefficient of spinning friction [m]: the radius of a fingertip's patch."""
     haste: float = 2.0
-    """Factor of all closing speeds; on an object that stands still it saves steps and changes little."""
+    """Factor of all closing speeds; with a fixed object it saves steps and changes little."""
     slack: float = 0.3
     """Time to close beyond what the joints' ranges take at closing speed [s]."""
     settling: float = 0.3
@@ -184,13 +183,13 @@ class Physics:
     weight: float = 9.81
     """Force of a push for each kilogram of the object [m/s2]: its own weight."""
     push_time: float = 0.15
-    """How long each push lasts [s]; an object that nothing holds moves 11 cm."""
+    """Duration of each push [s]; an object that is not held moves 11 cm."""
     lost_distance: float = 0.05
-    """An object that moves farther under a push is lost [m]."""
+    """Distance beyond which an object that is pushed is lost [m]."""
     lost_angle: float = radians(15.0)
-    """An object that turns farther under a push is lost [rad]."""
+    """Angle beyond which an object that is pushed is lost [rad]."""
     look_every: int = 8
-    """Steps between two looks whether all rests, or the object is lost."""
+    """Steps between two checks whether all rests, or the object is lost."""
 
     def steps(self, seconds: float) -> int:
         """The number of steps in a time [s]."""
@@ -202,26 +201,26 @@ class Lift:
     """The settings of `lift`, which takes an object off a table."""
 
     height: float = 0.1
-    """How far the hand goes up [m]; an object that stays behind is lost by then (`Physics.lost_distance`)."""
+    """Height of the lift [m]; an object that stays behind is lost by then (`Physics.lost_distance`)."""
     speed: float = 0.2
-    """At which it goes [m/s]: that of an arm with something in its hand."""
+    """Speed of the lift [m/s]: that of an arm with a load in its hand."""
     acceleration: float = 2.0
-    """Until it goes so fast [m/s2]; a fifth is added to the object's weight meanwhile."""
+    """Acceleration up to that speed [m/s2]; it adds a fifth to the object's weight meanwhile."""
     hold: float = 0.5
-    """How long it holds the object at that height [s]."""
+    """Time for which it holds the object at that height [s]."""
 
     @property
     def rise(self) -> float:
-        """Time in which it becomes faster [s]."""
+        """Time of acceleration [s]."""
         return self.speed / self.acceleration
 
     @property
     def seconds(self) -> float:
-        """Time that the whole takes [s]."""
+        """Time of the whole lift [s]."""
         return self.rise / 2 + self.height / self.speed + self.hold
 
     def way(self, seconds: float) -> float:
-        """Height of the hand above its place at first, after some time [m]."""
+        """Height of the hand above its first place, after `seconds` [m]."""
         if seconds < self.rise:
             return self.acceleration * seconds**2 / 2
         return min(self.height, self.speed * (seconds - self.rise / 2))
@@ -236,7 +235,7 @@ class EvaluationProtocol:
     contact_check_steps: int
     """Steps of a shake between two checks of contact with the object; divides TARGET_STEPS."""
     ends_when_lost: bool
-    """An object that one shake lost is spared the next."""
+    """The shakes end when one of them loses the object."""
     free_joints_first: bool
     """Free joints take their places before the test for overlap, not after it."""
     mixture: Mixture | None = None
@@ -244,7 +243,7 @@ class EvaluationProtocol:
     physics: Physics | None = None
     """The settings of `physical`, in which nothing is shaken; None: the hand closes and shakes as above."""
     lift: Lift | None = None
-    """How the object is lifted off a table, in the place of all other disturbances; None: there is none."""
+    """Lift of the object off a table, instead of all other disturbances; None: there is none."""
     approach_distance: float = 0.0
     """Distance from which the open hand must come to its nominal pose clear of the object [m]."""
 

@@ -1,6 +1,6 @@
 """Evaluators: a batch of genomes in, rows out. Decode, place, close, shake, report.
 
-A worker keeps one evaluator for each scene that it lately served.
+A worker keeps one evaluator for each scene that it served lately.
 """
 
 import gc
@@ -40,7 +40,7 @@ class GenomeResult(NamedTuple):
     """Result of a genome."""
 
     pose_index: int
-    """Its pose, in the batch of grasps."""
+    """Index of its pose in the batch of grasps."""
     verdict: EpisodeResult
     proposals: int
     """Number of poses that were screened for it."""
@@ -75,7 +75,7 @@ class BatchEvaluator(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Free what it holds; closing twice is allowed."""
+        """Free its resources; closing twice is allowed."""
 
     @abstractmethod
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
@@ -95,7 +95,7 @@ class BatchEvaluator(ABC):
 class Evaluator(BatchEvaluator):
     """A world for one scene in each of its engines; a context manager that leaves them.
 
-    `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
+    `shortcuts` says whether poses that surely overlap, or surely miss, are left unsimulated, and whether
     closing ends when the object has left; they change no result
     (docs/decisions/0007-evaluation-shortcuts.md).
 
@@ -179,7 +179,7 @@ class Evaluator(BatchEvaluator):
             )
         try:
             place, verdict = self._try(grasps, shortlist, trial)
-        except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
+        except Exception as error:  # noqa: BLE001  # any failure is this row's result and no other's
             self.close()
             self._worlds = self._make_worlds()
             return f"{type(error).__name__}: {error}"
@@ -213,10 +213,10 @@ def verdict_in_all(
     *,
     stops_early: bool,
 ) -> EpisodeResult:
-    """The result of a trial in all engines, whose verdict in the first one is known.
+    """The result of a trial in all engines, given that of the first one.
 
-    What holds is tried in the next world; outcome and fitness are those of the last one that it was tried in,
-    where an overlap or a miss counts as no disturbance survived. All else is of the first engine.
+    A grasp that holds is tried in the next world; outcome and fitness are those of its last world, where an
+    overlap or a miss counts as no disturbance survived. All other values are those of the first engine.
     """
     for world in others:
         if verdict.outcome is Outcome.HELD:
@@ -257,7 +257,7 @@ def row_refusals(
 def fill_rows(
     rows: Rows, grasps: DecodedGrasps, features: NDArray[np.float32], findings: dict[int, GenomeResult]
 ) -> None:
-    """Write the result columns of those rows that have a finding, by their place in the batch.
+    """Write the result columns of the rows that have a result, by their place in the batch.
 
     The `features` (poses, f) of a pose follow its position in the descriptor, where it was simulated.
     """
@@ -301,7 +301,7 @@ def contact_columns(contacts: Sequence[GraspContact], slots: int) -> tuple[list[
 
 
 def spread_contacts(contacts: Sequence[GraspContact], most: int) -> list[GraspContact]:
-    """At most so many of the contacts, far from each other, that bear the forces of all.
+    """At most `most` of the contacts, far from each other, that bear the forces of all.
 
     The first is the one with the greatest force, each next one the one farthest from all before it. The force
     of one that is left out goes to the nearest contact of its own link, or of any where its link has none.
@@ -375,7 +375,7 @@ class EvaluatorCache:
         while sum(each.weight for each in self._evaluators.values()) > weight:
             self._evaluators.popitem(last=False)[1].close()
         if len(self) < before:
-            gc.collect()  # worlds hold one another: dozens would lie in memory until Python looks for them
+            gc.collect()  # worlds refer to one another: dozens would stay until Python collects them
 
     def close(self) -> None:
         """Close all evaluators; closing twice is allowed."""

@@ -1,4 +1,4 @@
-"""Drives of finger joints: PD laws whose torque is bounded by what the real drive gives."""
+"""Drives of finger joints: PD laws whose torque is bounded by the real drive's limit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,13 +50,13 @@ class FingerDrive:
     ) -> "FingerDrive":
         """The drive of a joint that reaches `reach` [m] to the farthest point that it moves.
 
-        `limits` are the lower and the upper one that the URDF has; there are none where they are reversed.
+        `limits` are the lower and upper limits of the URDF; reversed ones mean that there are none.
         """
         gains = SLIDING if slides else TURNING
         known = SLIDING_EFFORT if slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
         stiffness = limit / gains.lag
-        # Bullet stops joints at limits in order, against any preload, and knows none that are reversed.
+        # Bullet stops joints at limits in order, against any preload, and ignores reversed limits.
         lower, upper = sorted(limits)
         is_reversed = limits[0] > limits[1]
         return cls(
@@ -95,11 +95,11 @@ class FingerControl:
         self.drives = drives
         self.is_coupled = is_coupled
         self.targets = [drive.opened for drive in drives]
-        """Where each joint is to be [m or rad]."""
+        """Target of each joint [m or rad]."""
         self._ways = [TargetMotion(0, drive.opened) for drive in drives]
 
     def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
-        """Let the targets of the joints `closing` walk from `posture`; the others hold theirs."""
+        """Let the targets of the joints `closing` move from `posture`; the others stay there."""
         self.targets = list(posture)
         self._ways = [
             target_motion(drive, place) if drive.name in closing else TargetMotion(0, place)
@@ -107,11 +107,11 @@ class FingerControl:
         ]
 
     def stop(self) -> None:
-        """Let all targets stay where they are."""
+        """Stop all targets."""
         self._ways = [TargetMotion(0, target) for target in self.targets]
 
     def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
-        """Walk on; the force or torque of each joint by its position and velocity."""
+        """Advance the targets; return each joint's force or torque by its position and velocity."""
         targets = self.walk([position for position, _ in states], time_step)
         torques = []
         for drive, target, (position, velocity) in zip(self.drives, targets, states, strict=True):
@@ -120,7 +120,7 @@ class FingerControl:
         return torques
 
     def walk(self, positions: Sequence[float], seconds: float) -> list[float]:
-        """Move the targets on by the joints' positions; the target of each joint."""
+        """Advance the targets by the joints' positions; return the target of each joint."""
         share = self._mean_share(positions) if self.is_coupled else None
         for i, (drive, way, position) in enumerate(zip(self.drives, self._ways, positions, strict=True)):
             sense, end = way
@@ -135,7 +135,7 @@ class FingerControl:
         return self.targets
 
     def _mean_share(self, positions: Sequence[float]) -> float:
-        """Share of their way that the moving joints have gone in the mean."""
+        """Mean share of their way that the moving joints have gone."""
         shares = [
             (position - drive.opened) / (drive.closed - drive.opened)
             for drive, way, position in zip(self.drives, self._ways, positions, strict=True)

@@ -18,7 +18,7 @@ Closing = Callable[[Sequence[float], int], list[list[float]]]
 
 
 def free_posture(gripper: SceneGripper, share: float) -> list[float]:
-    """The open posture with the free joints at this share of their ranges, all at once."""
+    """The open posture with all free joints at this share of their ranges."""
     free = {joint.name: joint for joint in gripper.free_joints}
     return [
         free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
@@ -34,9 +34,9 @@ class FreeJointLink:
 
     link: str
     on: str
-    """The mount before it."""
+    """The mount that it is mounted on."""
     frame: Floats
-    """(4, 4): of the joint, in that one's."""
+    """(4, 4): frame of the joint in that mount's."""
     joint: UrdfJoint
     place: int
     """The joint's place in a posture."""
@@ -76,9 +76,9 @@ class FreeJointLinks:
 
 
 def neighbours(robot: Urdf) -> set[tuple[str, str]]:
-    """Pairs of links between which there is no joint that moves, or one."""
-    heads = {robot.root: robot.root}  # of each link the first one that is fixed to it
-    carriers = {robot.root: robot.root}  # of each of these the one that carries it
+    """Pairs of links with at most one moving joint between them."""
+    heads = {robot.root: robot.root}  # the first link of each link's rigid piece
+    carriers = {robot.root: robot.root}  # the first link of the piece that carries each
     for joint in robot.joints_beyond(robot.root):
         heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
         carriers.setdefault(heads[joint.child], heads[joint.parent])

@@ -1,9 +1,9 @@
 """Geometry of the object: surface points as decoding uses them, and the solid of Bullet.
 
-The surface S_c is its points with their normals, the nearest, and the opposite ones. Those are found where
-rays leave the mesh, for every ray and triangle, in float64 (Möller and Trumbore 1997). Only products, sums
-and quotients of columns, whose bits are the same on every processor: rays of a library in float32 could take
-another triangle elsewhere. It is done once for each surface point of a scene.
+The surface S_c is its points with their normals, the nearest, and the opposite ones. Opposite points are
+where rays leave the mesh, tested for every ray and triangle in float64 (Möller and Trumbore 1997) by
+products, sums and quotients of columns alone, whose bits are the same on every processor: rays of a library
+in float32 could take another triangle elsewhere. The test runs once for each surface point of a scene.
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import Scene
 
 MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
-EDGE_TOLERANCE = 1e-9  # how far beyond an edge still counts, so that no ray slips between two triangles
-PAIRS_AT_ONCE = 1 << 17  # pairs of ray and triangle that are looked at at once: they fit in the cache
+EDGE_TOLERANCE = 1e-9  # distance beyond an edge that still counts, so that no ray passes between triangles
+PAIRS_AT_ONCE = 1 << 17  # pairs of ray and triangle that are tested at once: they fit in the cache
 
 
 class RayExits(NamedTuple):

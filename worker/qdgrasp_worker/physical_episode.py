@@ -3,15 +3,15 @@
 The constants, and where they are from: `evaluation_protocols.Physics`, docs/protocols.md.
 
 1. The object is fixed while the fingers close. Each joint has an explicit PD law whose torque is bounded by
-   what the real drive gives; its target walks at closing speed, never farther ahead of the joint than its
+   the real drive's limit; its target moves at closing speed, never farther ahead of the joint than its
    preload needs. The reflected inertia of the drive is added to the finger's link: without it the law is
    unstable, and the solver, not the drive, would set the force of the grip.
-2. The object is released, and its velocity damped until it rests. The targets of a jaw go on walking, since
-   a jaw centres what it holds; those of other hands stay.
+2. The object is released, and its velocity damped until it rests. The targets of a jaw move on, since
+   a jaw centres its object; those of other hands stay.
 3. The grasp is read. Then the object is pushed with its own weight along both ways of each axis of the hand,
    one after the other, until one of the pushes makes the hand lose it.
 
-In `lift` the object rests on a table. What moves is the table: in the frame of a hand that is lifted it goes
+In `lift` the object rests on a table, and the table moves: in the frame of a hand that is lifted it goes
 down, and the object bears its weight and the inertia of the lift (`LiftEpisode`).
 """
 
@@ -30,7 +30,7 @@ from qdgrasp_worker.finger_drive import FingerControl
 from qdgrasp_worker.world import GraspWorld, Quaternion
 
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
-REST_SPEED, REST_SPIN = 2e-3, 0.04  # Below them a released object rests [m/s, rad/s]
+REST_SPEED, REST_SPIN = 2e-3, 0.04  # Speeds below which a released object rests [m/s, rad/s]
 PUSHES = (
     (1.0, 0.0, 0.0),
     (-1.0, 0.0, 0.0),
@@ -41,7 +41,7 @@ PUSHES = (
 )
 """Directions of the pushes, hand frame."""
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
-HULL_MARGIN = 1e-3  # So far outside its surface both engines meet a hull, and a box at it [m]
+HULL_MARGIN = 1e-3  # Distance from a hull's surface at which both engines meet it; 0 for a box [m]
 
 
 def table_middle(pose: RestingPose, way: float) -> Vector:
@@ -64,22 +64,22 @@ class PhysicalWorld(GraspWorld):
 
     physics: Physics
     table: RestingPose | None = None
-    """How the object rests on a table at first; None: there is no table."""
+    """Resting pose of the object on a table at first; None: there is no table."""
     steps_at_once = 1
-    """Steps that `step` moves on by; divides `Physics.look_every`."""
+    """Number of steps that `step` simulates; divides `Physics.look_every`."""
     _control: FingerControl
 
     @property
     def step_seconds(self) -> float:
-        """The time that `step` moves on by [s]."""
+        """The time that `step` simulates [s]."""
         return self.steps_at_once * self.physics.time_step
 
     @abstractmethod
     def release(self) -> None:
-        """Let the object go, damped; the targets of a jaw go on, others stay."""
+        """Release the object, damped; the targets of a jaw move on, others stay."""
 
     def begin_pushes(self) -> None:
-        """Let all targets stay, and take the damping off the object."""
+        """Stop all targets, and remove the damping of the object."""
         self._let_stay()
 
     @abstractmethod
@@ -87,20 +87,20 @@ class PhysicalWorld(GraspWorld):
         """Push the object with its weight, during the next step, along a direction in hand frame."""
 
     def begin_lift(self) -> None:
-        """Do the same before the object is lifted."""
+        """Stop all targets and remove the damping before the object is lifted."""
         self._let_stay()
 
     @abstractmethod
     def _let_stay(self) -> None:
-        """Let all targets stay, and take the damping off the object."""
+        """Stop all targets, and remove the damping of the object."""
 
     @abstractmethod
     def weigh(self, factor: float) -> None:
-        """Let so many times its weight pull the object towards the table, during the next step."""
+        """Pull the object towards the table with `factor` times its weight, during the next step."""
 
     @abstractmethod
     def lower_table(self, way: float) -> None:
-        """Put the table so far below the place where the object rests on it [m]."""
+        """Put the table `way` [m] below the place where the object rests on it."""
 
     @abstractmethod
     def is_on_table(self) -> bool:
@@ -111,13 +111,13 @@ class PhysicalWorld(GraspWorld):
         """The object's position and quaternion; the hand does not move."""
 
     def look(self) -> PosesNow:
-        """The places of all that can move, as they are now."""
+        """The present places of all that can move."""
         return PosesNow(self.finger_positions(), *self.object_pose())
 
     def rests(self, before: PosesNow, after: PosesNow) -> bool:
         """Return whether neither fingers nor object have moved from one look to the next.
 
-        Places tell, not velocities: those of what is pressed together change sign at every step.
+        Places are compared, not velocities: those of bodies pressed together change sign at every step.
         """
         seconds = self.physics.look_every * self.physics.time_step
         return (
@@ -169,7 +169,7 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
         return len(PUSHES)
 
     def _close(self, pose: HandPose) -> bool:
-        """Close on the fixed object, then let it go and come to rest."""
+        """Close on the fixed object, then release it and let it come to rest."""
         world = self.world
         touched = False
         for _ in world.steps_of_closing(pose.synergy):
@@ -182,11 +182,11 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
         return touched
 
     def _settle(self) -> None:
-        """Make a step of the object's coming to rest."""
+        """Simulate one step in which the object comes to rest."""
         self.world.step()
 
     def _survived(self) -> int:
-        """Push the object along the axes of the hand; how many pushes the hand holds it through."""
+        """Push the object along the axes of the hand; return the number of pushes survived."""
         self.world.begin_pushes()
         start = self.world.object_pose()
         for survived, direction in enumerate(PUSHES):
@@ -219,7 +219,7 @@ class LiftEpisode(PhysicalEpisode):
     """Simulates poses in a world of `lift`.
 
     The hand closes as in `physical`. The object then comes to rest with its weight, between hand and table,
-    and is lifted: the table goes down. It ends before its time when the object is off the table and rests in
+    and is lifted: the table goes down. The episode ends early when the object is off the table and rests in
     the hand, which by then goes up with constant speed: nothing changes any more.
     """
 
@@ -235,7 +235,7 @@ class LiftEpisode(PhysicalEpisode):
         self.world.step()
 
     def _survived(self) -> int:
-        """Lift the object; whether it is in the hand in the end, and off the table."""
+        """Lift the object; return whether it ends in the hand, off the table."""
         world, physics, lift = self.world, self.world.physics, self.lift
         world.begin_lift()
         start, before, resting = world.object_pose(), world.look(), 0
@@ -256,7 +256,7 @@ class LiftEpisode(PhysicalEpisode):
         return int(not world.is_on_table())
 
     def _ends_early(self, resting: int) -> bool:
-        """Return whether the object has been at rest for so many looks, and off the table."""
+        """Return whether the object has been at rest for enough looks, and is off the table."""
         return resting >= RESTING_LOOKS and not self.world.is_on_table()
 
 

@@ -39,8 +39,8 @@ VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde2
 FIRST_RECORDED_AS = {"ec629a62bd41020a6ea4718a93ee6bdfa7ffbaff910c416c23932158670aaa51": VERSION_0_1_0}
 """Digest of code, and of the first code that evaluated the same bit for bit.
 
-A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
-made where the probes and the runs of tests/golden have the digests that they had.
+A platform names the first one, so that its recorded runs can be verified and resumed. An entry is made where
+the probes and the runs of tests/golden have the same digests as before.
 """
 PROBES = 16
 LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least
@@ -48,7 +48,7 @@ PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
 """Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
 PHYSICAL_PROBES = slice(4, None)
-"""The probes that engines beside Bullet simulate under `physical`; two of the first ones tell no more."""
+"""The probes that engines beside Bullet simulate under `physical`; two of the first six suffice."""
 
 
 def platform(device: Device | None = None) -> dict[str, str]:
@@ -72,7 +72,7 @@ def platform(device: Device | None = None) -> dict[str, str]:
 
 
 class DeviceDiffers(QdgraspError):
-    """A device on which the probes fare otherwise than in MuJoCo."""
+    """A device on which the probes have other outcomes than in MuJoCo."""
 
     def __init__(self, device: Device, same: int) -> None:
         super().__init__(
@@ -105,7 +105,7 @@ def code_digest() -> str:
 
 
 def evaluation_digest() -> str:
-    """The digest of all code that an evaluation goes through, as it is now (`syntax_digest`)."""
+    """The digest of all present code of an evaluation (`syntax_digest`)."""
     return syntax_digest(*EVALUATION)
 
 
@@ -119,7 +119,7 @@ def probe_digest() -> str:
 def physical_probe_digest(engine: str) -> str:
     """sha256 over the result bytes of probes under `physical` in an engine; some grasps hold.
 
-    Nothing is spared the engine: the filters that do that take longer to make than it takes.
+    All are simulated: the filters take longer to build than the simulation.
     """
     asked = {"gripper": "panda", "object": "tennis_ball", "protocol": "physical", "engine": engine}
     genomes = probes()[PHYSICAL_PROBES]

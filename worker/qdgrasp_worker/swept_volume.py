@@ -1,9 +1,9 @@
 """Swept volumes: the ways of closing fingers, and their first contacts with an object.
 
 A hand closes on nothing, once for each synergy and place of its free joints, and its fingers are marked in
-voxels with the time at which the first one comes there. An object in the hand is looked up in them: how much
-of its inside is swept, and from which sides; and which of its surface points each finger would meet first.
-They rank poses, and decide nothing else. Scenes in which a hand closes alike share its volumes.
+voxels with the time at which the first one comes there. An object in the hand is looked up in them: the share
+of its inside that is swept, and from which sides; and the surface points that each finger would meet first.
+They rank poses, and decide nothing else. Scenes in which a hand closes the same way share its volumes.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,14 +31,14 @@ from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import SurfaceSample
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
-STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks where its fingers are
+STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks at its fingers
 FREE_JOINT_PLACES = 5
 """Places of each free joint at which a swept volume is measured; the nearest one is used."""
 POSES_AT_ONCE = 64  # Poses that are looked up at once: their points fit in the cache
-MIN_MOTION = 1e-5  # What a finger moves at least from one look to the next to have a direction [m]
+MIN_MOTION = 1e-5  # Least motion of a finger between two looks that has a direction [m]
 DIRECTION_UNIT = 1 << 12
 """The length of a direction: in whole numbers, whose sums do not depend on their order."""
-PATCH_DEPTH = 0.004  # Points that a finger meets within such a way of its first one are its contact [m]
+PATCH_DEPTH = 0.004  # A finger's contact: the points that it meets this far after the first [m]
 NO_FINGER = 255
 
 
@@ -55,19 +55,19 @@ class FirstContacts:
     ways: Floats
     """(n, f, 3): the direction in which the finger comes, see `motion_directions`; at most of length 1."""
     strokes: Floats
-    """(n, f): the share of its closing that the finger has left there."""
+    """(n, f): the share of its closing that is left to the finger there."""
 
 
 @dataclass(frozen=True)
 class SweptVolume:
-    """One way of closing, hand frame."""
+    """The volume that one way of closing sweeps, hand frame."""
 
     voxels: VoxelGrid
-    """The level tells the first finger there, and its time: greater is earlier; 0: none."""
+    """The level gives the first finger there, and its time: greater is earlier; 0: none."""
     ways: NDArray[np.int32]
-    """(levels, 3): in which direction across the approach axis it comes, see `motion_directions`."""
+    """(levels, 3): its direction of motion across the approach axis, see `motion_directions`."""
     fingers: NDArray[np.uint8]
-    """(levels,): the finger that each level is of; `NO_FINGER` for level 0."""
+    """(levels,): the finger of each level; `NO_FINGER` for level 0."""
     levels_per_look: int
     """Number of levels of one look."""
 
@@ -107,7 +107,7 @@ class SweptVolume:
     ) -> tuple[NDArray[np.uint16], Floats, Floats]:
         """The first level (n,) among levels (n, p), and number (n, 1) and sums (n, 6) of its points.
 
-        Of the points that are met within one look, those that lie foremost against the finger's way.
+        Of the points that are met within one look, those count that lie foremost against the finger's way.
         """
         first: NDArray[np.uint16] = levels.max(axis=1)
         looks = (levels.astype(np.int32) - 1) // self.levels_per_look
@@ -121,7 +121,7 @@ class SweptVolume:
 
 
 class SweptVolumes:
-    """The volumes of a scene's hand, each measured when it is first asked for."""
+    """The volumes of a scene's hand, each measured when it is first needed."""
 
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
         self._hand = SharedHand.of(gripper)
@@ -192,7 +192,7 @@ class SweptVolumes:
         return self._found[key]
 
     def _measure(self, synergy: int, stops: NDArray[np.int64]) -> SweptVolume:
-        """Close the hand on nothing and look where its fingers are on the way."""
+        """Close the hand on nothing and mark its fingers on the way."""
         posture = np.array(self._opened)
         posture[self._free] = self._low + stops / (FREE_JOINT_PLACES - 1) * (self._high - self._low)
         course = np.array(self._closing(posture.tolist(), synergy), dtype=np.float64)[::STEPS_BETWEEN_LOOKS]
@@ -244,10 +244,10 @@ def finger_branches(robot: Urdf, base: str, fingers: set[str]) -> dict[str, str]
 
 
 def motion_directions(course: Floats, hull: Hull, axis: Floats) -> NDArray[np.int32]:
-    """In which directions across `axis` (3,) a hull is carried through frames (n, 4, 4): (n, 3).
+    """The directions (n, 3) across `axis` (3,) in which frames (n, 4, 4) carry a hull.
 
-    Their length is `DIRECTION_UNIT`, or less where it goes along the axis: what is drawn that way, the palm
-    stops.
+    Their length is `DIRECTION_UNIT`, or less where it goes along the axis: the palm stops an object that is
+    drawn that way.
     """
     centre = hull.triangles.reshape(-1, 3).mean(axis=0)
     moves = np.gradient(course[:, :3, :3] @ centre + course[:, :3, 3], axis=0)

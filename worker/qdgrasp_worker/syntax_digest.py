@@ -1,14 +1,13 @@
-"""The digest of code by its syntax: of its effect, not of its place or its name.
+"""The digest of code by its syntax tree, independent of the places and names of definitions.
 
-1. Counted are the functions, classes and constants of this package that the entries reach by name, in
-   whatever modules they stand.
+1. The functions, classes and constants of this package count that the entries reach by name, in any module.
 2. Each counts as its syntax tree without docstrings, without the types of arguments, results and variables,
-   and without what errors say. In the place of a name that this package defines stands the digest of its
-   definition; in the place of any other imported name stands what it names, such as `numpy.sin`.
+   and without the errors that are raised. A name that this package defines is replaced by the digest of its
+   definition, any other imported name by its full name, such as `numpy.sin`.
 3. The digest is the sha256 over all of them, sorted.
 
-So definitions may move between modules and be called otherwise, while each change of what they compute
-counts. Names of fields, methods, arguments and variables count too: what they refer to is not known.
+So definitions may move between modules and be renamed, while each change of their computation counts. Names
+of fields, methods, arguments and variables count too: the things that they refer to are not known.
 """
 
 import ast
@@ -21,8 +20,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-OURS = "qdgrasp"  # How the names of this package's modules begin
-REFERENCE = re.compile(r"<([\w.]+):(\w+)>")  # How a definition refers to another one until that has a digest
+OURS = "qdgrasp"  # Prefix of the names of this package's modules
+REFERENCE = re.compile(r"<([\w.]+):(\w+)>")  # Reference to another definition until that has a digest
 
 
 class Key(NamedTuple):
@@ -33,7 +32,7 @@ class Key(NamedTuple):
 
 
 class Module(NamedTuple):
-    """A module as it is written."""
+    """The definitions and imports of a module."""
 
     definitions: Mapping[str, list[tuple[int, ast.stmt]]]
     """Statements that define each of its names, with the name's place among several."""
@@ -44,12 +43,12 @@ class Module(NamedTuple):
 
 
 class Definition(NamedTuple):
-    """A definition without what does not count."""
+    """The counted part of a definition."""
 
     text: str
-    """Its tree, in which others stand as in `REFERENCE`."""
+    """Its tree, with references to others as in `REFERENCE`."""
     unknown: frozenset[str]
-    """Names in it that are neither defined nor imported: those that Python itself has."""
+    """Names in it that are neither defined nor imported: Python's own."""
 
     @property
     def references(self) -> Iterator[Key]:
@@ -80,10 +79,10 @@ def reached(*entries: Callable[..., object] | Key) -> dict[Key, Definition]:
 
 
 def digests(definitions: Mapping[Key, Definition]) -> dict[Key, str]:
-    """A digest of each definition, in which those of all that it refers to are contained.
+    """A digest of each definition, which includes those of all definitions that it refers to.
 
-    Definitions may refer to each other in a circle. So all begin alike, and those of one round are made of
-    those of the round before, until a further round tells no more of them apart.
+    Definitions may refer to each other in a circle. So all digests begin equal, and those of one round are
+    made of those of the round before, until a further round distinguishes no more of them.
     """
     found, kinds = dict.fromkeys(definitions, ""), 0
     while len(set(found.values())) > kinds:
@@ -143,7 +142,7 @@ def _stored(tree: ast.AST) -> Iterator[str]:
 
 
 def _imported(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """The names that a module imports, wherever it does, and what they stand for."""
+    """The names that a module imports, anywhere in it, with their full names."""
     for node in ast.walk(tree):
         match node:
             case ast.Import(names=names):
@@ -165,7 +164,7 @@ def _meant(module: str, name: str) -> Key | str | None:
     home, _, there = full.rpartition(".")
     if not home.startswith(OURS):
         return full
-    return _meant(home, there) or full  # a module of ours where it is no name in one
+    return _meant(home, there) or full  # else it is a module of ours
 
 
 def _definition(key: Key) -> Definition:
@@ -179,7 +178,7 @@ def _definition(key: Key) -> Definition:
 
 @cache
 def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
-    """The counted part of a statement, which is taken to pieces, and its unknown names."""
+    """The counted part of a statement, which is changed in place, and its unknown names."""
     reader = _Reader(module)
     tree = reader.visit(statement)
     if isinstance(tree, ast.FunctionDef | ast.ClassDef):
@@ -206,7 +205,7 @@ class _Reader(ast.NodeTransformer):
         self._in_class = False
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
-        """The types of a class's fields count: they say what is read into them."""
+        """The types of a class's fields count: they decide which values are read into them."""
         outside, self._in_class = self._in_class, True
         self.generic_visit(node)
         self._in_class = outside
@@ -225,25 +224,25 @@ class _Reader(ast.NodeTransformer):
         return node
 
     def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
-        """As with a function."""
+        """Names of a lambda's own hide those of the module."""
         self._local.append(set(_stored(node)))
         self.generic_visit(node)
         self._local.pop()
         return node
 
     def visit_arg(self, node: ast.arg) -> ast.AST:
-        """Its type does not count."""
+        """The type of an argument does not count."""
         node.annotation = None
         return node
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
-        """A type counts where it is that of a field."""
+        """The type of a field counts; that of a variable does not."""
         if not self._in_class:
             node.annotation = ast.Constant(None)
         return self.generic_visit(node)
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
-        """Text that stands alone describes something."""
+        """Leave out docstrings, which are expressions of text alone."""
         is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         return None if is_text else self.generic_visit(node)
 
@@ -252,13 +251,13 @@ class _Reader(ast.NodeTransformer):
         return ast.Raise()
 
     def visit_Import(self, node: ast.Import) -> None:
-        """It counts where it is used."""
+        """Leave out imports: a name counts where it is used."""
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
-        """It counts where it is used."""
+        """Leave out imports: a name counts where it is used."""
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
-        """A name in a module of ours is a definition."""
+        """Replace a name in a module of ours by its definition."""
         if isinstance(node.value, ast.Name) and not self._is_local(node.value.id):
             module = _meant(self._module, node.value.id)
             if isinstance(module, str) and module.startswith(OURS):
@@ -266,7 +265,7 @@ class _Reader(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
-        """Put the definition in a name's place, unless a function or class has its own of it."""
+        """Replace a name by its definition, unless a function or class has its own of it."""
         is_field = self._in_class and isinstance(node.ctx, ast.Store)
         if is_field or self._is_local(node.id):
             return node

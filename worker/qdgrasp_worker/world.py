@@ -1,4 +1,4 @@
-"""A world: a hand and an object in a physics engine, and all that an episode asks of it.
+"""A world: a hand and an object in a physics engine, as an episode uses them.
 
 `GraspWorld` is common to the protocols. `ShakenWorld` adds the carrier that shakes the hand (`paper`,
 `released`, `robust`); `physical_episode.PhysicalWorld` adds drives and pushes. Worlds of each engine are in
@@ -26,7 +26,7 @@ HandFrame = tuple[Floats, Floats]
 """Position (3,) [m] and quaternion (4,) of a hand's base link."""
 STILL = [0.0, 0.0, 0.0]
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
-AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
+AWAY_POSITION = [0.0, 0.0, 5.0]  # Place of the hand away from all bodies [m]
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links, Bullet's own; it multiplies it with the object's
 NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
 FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
@@ -38,7 +38,7 @@ class Contact(NamedTuple):
     link: int
     """The first body's link."""
     distance: float
-    """Negative where they penetrate [m]."""
+    """Distance of the bodies [m]; negative where they penetrate."""
 
 
 class GraspContact(NamedTuple):
@@ -49,9 +49,9 @@ class GraspContact(NamedTuple):
     point: list[float]
     """x, y, z on the object [m], CoM frame."""
     normal: list[float]
-    """Unit, into the object, CoM frame."""
+    """Unit normal into the object, CoM frame."""
     force: float
-    """Along the normal [N]."""
+    """Force along the normal [N]."""
 
 
 class Touch(NamedTuple):
@@ -62,9 +62,9 @@ class Touch(NamedTuple):
     point: Sequence[float]
     """x, y, z on the object [m]."""
     normal: Sequence[float]
-    """Unit, into the object."""
+    """Unit normal into the object."""
     distance: float
-    """Negative where they penetrate [m]."""
+    """Distance of the bodies [m]; negative where they penetrate."""
 
 
 class WorldState(NamedTuple):
@@ -77,7 +77,7 @@ class WorldState(NamedTuple):
     object: tuple[Sequence[float], Sequence[float]]
     """Position [m] and quaternion xyzw of the object, by its centre of mass."""
     touches: list[Touch]
-    """Those of the last collision detection."""
+    """The contacts of the last collision detection."""
 
 
 def seen_from(
@@ -85,7 +85,7 @@ def seen_from(
 ) -> list[GraspContact]:
     """Contacts in the frame of an object at `position` (3,) [m], turned by `quaternion` (4,).
 
-    Of each the number of its link, point [m] and normal in the world's frame, and its force [N].
+    Each is given by its link's number, point [m] and normal in the world's frame, and force [N].
     """
     if not found:
         return []
@@ -96,10 +96,10 @@ def seen_from(
 
 
 class GraspWorld(ABC):
-    """A hand and an object in a physics engine, until `close`: what every episode asks of it."""
+    """A hand and an object in a physics engine, until `close`, as every episode uses them."""
 
     sight = 0.0
-    """Distance from which its engine sees contacts, where that is the same for all shapes [m]."""
+    """Distance at which its engine detects contacts, if it is the same for all shapes [m]."""
     finger_links: frozenset[int]
     """The links, as `contacts` names them, whose contact after closing makes a success."""
 
@@ -109,7 +109,7 @@ class GraspWorld(ABC):
         self.approach_axis = gripper.approach_axis
         """Unit vector from the palm to the object, hand's base frame."""
         self.reach = gripper.reach
-        """Distance from which the hand comes along it [m]."""
+        """Distance from which the hand comes along that axis [m]."""
         self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
         self._names = {label: list(joints) for label, joints in closing_joints(gripper).items()}
 
@@ -125,7 +125,7 @@ class GraspWorld(ABC):
 
     @abstractmethod
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Put hand and object in place, at rest, with nothing left of what happened before.
+        """Put hand and object in place, at rest, without any state of earlier evaluations.
 
         The finger joints are at `posture` [rad or m].
         """
@@ -149,11 +149,11 @@ class GraspWorld(ABC):
     @property
     @abstractmethod
     def step_seconds(self) -> float:
-        """The time that `step` moves on by [s]."""
+        """The time that `step` simulates [s]."""
 
     @abstractmethod
     def step(self) -> None:
-        """Move on."""
+        """Simulate the next `step_seconds`."""
 
     @abstractmethod
     def is_touching(self) -> bool:
@@ -177,7 +177,7 @@ class GraspWorld(ABC):
 
     @abstractmethod
     def state(self) -> WorldState:
-        """The places of all that can move, and the contacts, as they are now."""
+        """The present places of all that can move, and the contacts."""
 
 
 class ShakenWorld(GraspWorld):
@@ -185,7 +185,7 @@ class ShakenWorld(GraspWorld):
 
     @property
     def step_seconds(self) -> float:
-        """The time that `step` moves on by [s]."""
+        """The time that `step` simulates [s]."""
         return 1 / 240
 
     @abstractmethod
@@ -194,7 +194,7 @@ class ShakenWorld(GraspWorld):
 
     @abstractmethod
     def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the hand at `pose`, while it closes, can touch the object no more."""
+        """Return whether the closing hand at `pose` can no longer touch the object."""
 
     @abstractmethod
     def link_boxes(self) -> list[Box]:
@@ -213,7 +213,7 @@ class ShakenWorld(GraspWorld):
     def measure_sweep(self, gripper: SceneGripper, root: Sequence[float], radius: float) -> SweptBox:
         """Close the hand far from the object, with its free joints all along their ranges.
 
-        `root` is the place of the hand's root then, `radius` that of the object about its centre of mass [m].
+        `root` is the position of the hand's root then, `radius` the object's about its centre of mass [m].
         """
         boxes = []
         for i in range(FREE_POSTURES if gripper.free_joints else 1):

@@ -2,8 +2,8 @@
 
 Goldberg et al. 1999, "Part pose statistics: estimators and experiments": an object that is dropped, turned
 in any way, lands on a face of its convex hull with a probability that is the face's solid angle about the
-centre of mass. Where that is not above the face, it topples over the edge behind which it is, on to the next
-face, until it rests. `trimesh.poses` computes the same, with networkx and in an order that rounding decides.
+centre of mass. If its centre of mass is not above that face, it topples over the edge beyond which that lies,
+to the next face, until it rests. `trimesh.poses` computes the same, in an order that depends on rounding.
 """
 
 from functools import lru_cache
@@ -17,23 +17,23 @@ from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.spec import ANY_RESTING_POSE
 
 LEAST_PROBABILITY = 0.01
-"""Resting poses that are less likely are left out, but for the likeliest of all."""
+"""Resting poses that are less likely are left out, except the likeliest of all."""
 SAME_FACE = np.cos(np.radians(2.0))
 """Cosine of the angle up to which two faces are one: parts of a decomposition meet at small angles."""
-ON_EDGE = 1e-7  # So far behind an edge a centre of mass is still above its face [m]
+ON_EDGE = 1e-7  # Distance beyond an edge at which a centre of mass is still above its face [m]
 DECIMALS = 6  # Of directions, heights [m] and probabilities: rounded so, they are the same on every processor
 TIED = 3  # Decimals in which probabilities and directions are compared to be put in order
 
 
 @lru_cache(maxsize=16)
 def resting_poses(collision: bytes) -> tuple[RestingPose, ...]:
-    """Return the resting poses of an object, the likeliest first, ties by what is up.
+    """Return the resting poses of an object, the likeliest first, ties by upward direction.
 
     `collision` are its convex parts as one OBJ text, CoM frame, as they lie on a table in the simulator. Of
     equally likely ones the first is that in which the mesh stands as it was modelled, z up. Raises AssetError
     if the centre of mass is not inside their hull.
     """
-    from scipy.spatial import ConvexHull, QhullError  # takes its time, and few commands need it
+    from scipy.spatial import ConvexHull, QhullError  # slow to import, and few commands need it
 
     corners = np.concatenate(list(obj_group_corners(collision.decode())))
     try:
@@ -110,7 +110,7 @@ def topples(triangles: Floats, normals: Floats, distances: Floats) -> list[int]:
 
 
 def merged(normals: Floats, shares: Floats) -> list[tuple[Vector, float]]:
-    """Return what is up when an object rests on its faces, with the probability of each.
+    """Return the upward directions of an object at rest on its faces, with probabilities.
 
     Faces of nearly the same normal are one, which has the normal of the likeliest of them.
     """

@@ -1,7 +1,7 @@
 """Rotations of many grasps at once, as unit quaternions (x, y, z, w), Bullet's order.
 
-Everything is written out in products and sums of float64 columns: no matrix library, whose order of
-summation differs between machines, stands between a genome and its pose.
+Everything is written out in products and sums of float64 columns: with a matrix library, whose order of
+summation differs between machines, a genome would give different poses.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,7 +24,7 @@ def dot(a: Floats, b: Floats) -> Floats:
 def running_sum(values: Iterable[float]) -> float:
     """Return the sum of numbers, added from left to right.
 
-    `sum` does the same up to Python 3.11; later ones carry what rounding took away, which gives other bits.
+    `sum` does the same up to Python 3.11; later ones compensate rounding, which gives other bits.
     """
     return reduce(add, values, 0.0)
 
@@ -41,7 +41,7 @@ def unit(vectors: Floats) -> Floats:
 def tangents(normals: Floats) -> tuple[Floats, Floats]:
     """Return unit vectors t and b (n, 3), so that t, b, normal is right-handed.
 
-    Defined for every direction, without a singularity, and continuous but for a jump where z changes its
+    Defined for every direction, without a singularity, and continuous except where z changes its
     sign; no field of tangents is continuous all over the sphere. Duff et al. 2017, "Building an
     Orthonormal Basis, Revisited", listing 3.
     """
@@ -63,8 +63,8 @@ def turned(first: Floats, second: Floats, angles: Floats) -> tuple[Floats, Float
 def rolls(asides: Floats, directions: Floats) -> Floats:
     """Return the roll (n,) [rad], in [0, 2 pi), of hands that look along `directions` (n, 3).
 
-    `asides` (n, 3) are where each hand's zero of the roll points, which is the first tangent of its approach
-    axis; it need not be at right angles to the direction.
+    `asides` (n, 3) are the directions of each hand's zero of the roll, the first tangent of its approach
+    axis; they need not be at right angles to `directions`.
     """
     first, second = tangents(directions)
     angles: Floats = np.arctan2(dot(asides, second), dot(asides, first)) % (2 * np.pi)

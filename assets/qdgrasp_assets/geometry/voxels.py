@@ -30,7 +30,7 @@ class Hull:
 
     @property
     def normals(self) -> Floats:
-        """(p, 3)."""
+        """(p, 3): the outward unit normals of its planes."""
         return self.planes[:, :3]
 
     @property
@@ -85,7 +85,7 @@ def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
 Singles = NDArray[np.float32]
 Kind = np.uint8 | np.uint16
 
-RIM = 1  # Cubes around the box that nothing is marked in: whatever is outside is looked up in them
+RIM = 1  # Cubes around the box that nothing is marked in: points outside are looked up in them
 UPRIGHT_NORMAL = 1e-9  # The z of a normal below which a plane is taken for upright
 
 
@@ -152,7 +152,7 @@ def solid_voxels(hulls: Sequence[Hull], low: Floats, high: Floats) -> VoxelGrid:
 def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Heights (a, b) [m] at which columns at `x` (a, 1) and `y` (1, b) enter and leave a hull.
 
-    A column that misses it leaves below where it enters.
+    For a column that misses it, the leaving height is below the entering one.
     """
     slopes = planes[:, 2]
     a, b, c, offsets = (column[:, None, None] for column in planes.T)
@@ -180,7 +180,7 @@ def transform_points(
 ) -> tuple[Singles, Singles, Singles]:
     """x, y and z (n, p) of points (n or 1, p, 3), turned by (n, 3, 3) and moved by (n, 3).
 
-    In products and sums of single numbers, whose bits do not depend on how many poses there are.
+    Computed in products and sums of single numbers, whose bits do not depend on how many poses there are.
     """
     x, y, z = (points[:, :, axis] for axis in range(3))
     rows = [

@@ -1,4 +1,4 @@
-"""The motion of a hand that closes: its fingers, and where their joints are open and closed."""
+"""The motion of a hand that closes: fingers, and open and closed positions of joints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ class ClosingMotion:
     fixed_joints: Mapping[str, str]
     """Joints that do not close, with the reason for their position."""
     stopped: Mapping[str, str] = field(default_factory=dict)
-    """Joints that close less far than they could, with what stops them."""
+    """Joints that close less far than they could, with the obstacle."""
 
     def posture(self, share: float) -> Posture:
         """Return the positions of all joints, followers too, between open (0) and closed (1)."""
@@ -55,7 +55,7 @@ class ClosingMotion:
         return axis
 
     def rows(self) -> tuple[frozenset[int], ...]:
-        """Return the sets of fingers, by number, that turn the same way; one alone is a set too."""
+        """Return the sets of fingers, by number, that turn the same way; a single one is a set too."""
         rows: list[frozenset[int]] = []
         turns = [self.turning_axis(finger) for finger in self.fingers]
         for number, turn in enumerate(turns):

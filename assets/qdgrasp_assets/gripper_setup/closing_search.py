@@ -3,8 +3,8 @@
 A hand closes well where little is left of the distances between its fingertips. So each way of closing is
 judged by the share of the open hand's distances that is left on the way from open to closed. Outer joints
 bend a finger and inner ones turn or spread it: the outermost joints of a finger close it, unless others bring
-it much nearer. Of a hand with a thumb, the thumb is turned to face the other fingers. How far fingers close
-before they meet is the matter of `finger_contact`.
+it much nearer. In a hand with a thumb, the thumb is turned to face the other fingers. `finger_contact`
+decides how far fingers close before they meet.
 """
 
 from collections.abc import Iterable, Mapping
@@ -75,7 +75,7 @@ class FingerChoice(NamedTuple):
 
     choice: Choice
     badness: float
-    """0 is best: what is left of the distances, or how badly a thumb opposes."""
+    """0 is best: share of the distances that is left, or how badly a thumb opposes."""
     resting: Posture
 
 
@@ -130,8 +130,8 @@ class ClosingSearch:
     def left(self, choices: Mapping[int, Choice], resting: Mapping[str, float | Floats]) -> Floats:
         """Return the share of the open distances that is left on the way: (k,).
 
-        The mean of the least and of that in the first half of the way, which a hand that closes the wrong way
-        round, and comes together behind itself, begins by opening.
+        It is the mean of the least share and of the least in the first half of the way, in which a hand that
+        closes the wrong way round, behind itself, opens first.
 
         `resting` has positions [rad or m], or k of them, of joints that do not close.
         """
@@ -182,8 +182,8 @@ class ClosingSearch:
     ) -> Floats:
         """Return how badly a thumb opposes the other fingers: (k,), 0 where it meets them.
 
-        The mean over the others of the least distance of the two tips, each anywhere on its way, as a share
-        of the thumb's length; and by how much the thumb turns another way than against them.
+        It is the mean over the others of the least distance of the two tips, each anywhere on its way, as a
+        share of the thumb's length, plus a term for a thumb that does not turn against them.
         """
         frames = self._course(choices, resting)
         tips = self._tips(frames)
@@ -249,7 +249,7 @@ class ClosingSearch:
         return [group for group, way in zip(groups, moved, strict=True) if way > SHARE * max(moved)]
 
     def _choose_ends(self) -> None:
-        """Choose the closing directions of all fingers together, where ranges do not tell."""
+        """Choose the closing directions of all fingers together, where ranges do not decide."""
         ends = {number: self._possible_ends(group) for number, (group, _) in self.choices.items()}
         if np.prod([len(each) for each in ends.values()]) > MOST_COMBINATIONS:
             return
@@ -272,7 +272,7 @@ class ClosingSearch:
     def _curls(self, group: JointGroup) -> dict[float, float]:
         """Return the turn of the fingertip from zero to both ends [rad]; empty if it does not curl.
 
-        One joint alone curls nothing, nor do the joints of a linkage, of which one turns back.
+        A single joint does not curl a finger, nor do the joints of a linkage, of which one turns back.
         """
         chain = [name for name in _chain(self.body, group.finger.tips[0][0]) if name in group.finger.joints]
         axes = _joint_axes(self.body, {*chain, *group.joints})
@@ -323,8 +323,8 @@ class ClosingSearch:
     def _rested(self, choices: dict[int, Choice], number: int) -> "FingerChoice":
         """Return a finger's choice with the best place of those of its joints that do not close.
 
-        A thumb's is where it passes nearest by the other fingertips, any other's where least is left of the
-        distances.
+        The best place of a thumb brings it nearest to the other fingertips; that of another finger leaves
+        least of the distances.
         """
         finger, (group, _) = self.fingers[number], choices[number]
         rest = [name for name in finger.joints if name in self.resting and name not in group.joints]
@@ -367,7 +367,7 @@ class ClosingSearch:
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
         """Return whether an open finger is in neither palm nor other fingers.
 
-        The link that it hangs on is left out. Nor may it be in the palm on the first half of its way.
+        The link that it hangs on is left out. It may not be in the palm on the first half of its way either.
         """
         motion = self.motion(choices, {**self.resting, **resting})
         links, pieces = self.fingers[number].links, self.body.rigid_piece

@@ -70,7 +70,7 @@ class GripperDraft:
     """Reasons by key; those of a joint by `joints.NAME`."""
     closing: ClosingMotion
     warnings: tuple[str, ...] = ()
-    """Signs that the guess is wrong, each with the flag that mends it."""
+    """Signs that the guess is wrong, each with the flag that corrects it."""
 
 
 def draft_gripper(
@@ -78,9 +78,9 @@ def draft_gripper(
 ) -> GripperDraft:
     """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
 
-    An `earlier` draft of it, from the same base link and with the same joints and fingers told, spares the
-    search for how it closes. Raises `UnknownName` if `overrides` name a link or joint that the hand does not
-    have, `ImpossibleValue` for a joint beyond its limits or an approach axis that is no direction, and
+    An `earlier` draft of it, from the same base link and with the same joints and fingers stated, replaces
+    the search for its closing. Raises `UnknownName` if `overrides` name a link or joint that the hand does
+    not have, `ImpossibleValue` for a joint beyond its limits or an approach axis that is no direction, and
     `AssetError` if a mesh cannot be read, or no finger can be found and none is named.
     """
     base, base_reason = overrides.base_link, overrides.base_reason
@@ -285,7 +285,7 @@ WARNING_COURSE = np.linspace(0.0, 1.0, 9)  # Shares of the way at which fingerti
 
 
 def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> Iterator[str]:
-    """Yield signs that a guess is wrong, each with the flag that mends it.
+    """Yield signs that a guess is wrong, each with the flag that corrects it.
 
     `axis` (3,) is the approach axis, `told` has the keys that are not guessed.
     """

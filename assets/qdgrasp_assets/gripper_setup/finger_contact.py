@@ -19,7 +19,7 @@ STEPS = np.linspace(0.0, 1.0, 21)[1:]
 """Shares of the way at which contacts are looked for: 1 cm of a finger of 0.15 m, which is as thick."""
 HALVINGS = 6  # Times that the step in which fingers meet is halved
 UNITS = {True: 1e-3, False: 1e-4}
-"""What positions at which fingers stop are rounded to: revolute joints (True) [rad], prismatic ones [m]."""
+"""Unit to which stop positions of fingers are rounded: revolute joints (True) [rad], prismatic ones [m]."""
 
 
 def stop_at_contact(
@@ -27,7 +27,7 @@ def stop_at_contact(
 ) -> ClosingMotion:
     """Return the motion whose fingers stop where they meet.
 
-    Joints that are `told` close as they are told. Links that are in each other in the open hand are left out.
+    Joints in `told` close as stated. Links that are in each other in the open hand are left out.
     Two fingers that turn the same way may be `CROSSED` deep in each other at their sides, all others
     `DEEP_OVERLAP`.
     """
@@ -51,7 +51,7 @@ def _toward(closing: ClosingMotion, name: str, share: float) -> float:
 
 
 class _Contacts:
-    """Fingers that close, and how far they came."""
+    """Fingers that close, with the shares of their ways."""
 
     def __init__(self, closing: ClosingMotion, told: frozenset[str]) -> None:
         self.closing, self.body = closing, closing.body
@@ -112,7 +112,7 @@ def closing_leaders(body: HandModel, finger: Finger, closed: Mapping[str, float]
 
 
 def _pairs(closing: ClosingMotion) -> Iterator[tuple[str, str, float]]:
-    """Yield the pairs of links that may meet, with the depth that is let be [m]."""
+    """Yield the pairs of links that may meet, with the allowed depth [m]."""
     body, pieces = closing.body, closing.body.rigid_piece
     arms = {pieces[joint.child]: pieces[joint.parent] for joint in body.robot.joints if joint.moves}
     numbers = {link: number for number, finger in enumerate(closing.fingers) for link in finger.links}

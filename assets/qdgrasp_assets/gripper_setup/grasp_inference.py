@@ -1,4 +1,4 @@
-"""Inference of what a hand that closes is like: pinches, motors, palm and jaw."""
+"""Inference from the closing motion of a hand: pinches, motors, palm and jaw."""
 
 import numpy as np
 
@@ -88,10 +88,9 @@ def approach_direction(closing: ClosingMotion) -> Floats:
 def closing_way(closing: ClosingMotion) -> tuple[Floats, str]:
     """Return the vector (3,) [m] along which objects come between the fingers, and its origin.
 
-    Of a hand with a thumb, to the side to which its other fingers bend. Of others from the fingers' roots to
-    the tips of the half closed hand. Where this is too short, because joints
-    lie in the middle of the fingers, or one finger is fixed: from the middle of the palm to that of the
-    fingers.
+    For a hand with a thumb, it points to the side to which its other fingers bend; for others, from the
+    fingers' roots to the tips of the half closed hand. Where this is too short, because joints lie in the
+    middle of the fingers, or one finger is fixed: from the middle of the palm to that of the fingers.
     """
     normal = palm_normal(closing)
     if normal is not None:

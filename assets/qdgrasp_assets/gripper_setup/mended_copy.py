@@ -1,7 +1,7 @@
 """Mended copies of hands that the simulator can take: a URDF and a folder of meshes.
 
-They lie beside the gripper's file and hold the hand alone. What can be used stays as it is; each change is
-described in words. Links without a mass get that of solids of water, which hollow ones of metal are near. A
+They lie beside the gripper's file and hold the hand alone. Usable parts stay as they are; each change is
+described in words. Links without a mass get that of solids of water, which is near that of hollow metal. A
 base link in the middle is added where the fingers close beside the line on which the palm looks at objects.
 """
 
@@ -241,12 +241,12 @@ def mended_copy(
 
     With `as_it_is` nothing is mended: a hand whose file is no URDF becomes one.
 
-    It replaces an older copy at once. Where the with-block fails, what was there before is there again.
+    It replaces an older copy at once. Where the with-block fails, the older files are restored.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
     fingers close beside its line of approach, with the `overrides` that the draft of its file will have. A
     hollow mesh stays a hull where CoACD takes more than `time_limit` [s] by the clock at one concavity.
     Raises `AssetError` if a mesh is missing or cannot be read, CoACD failed, or the copy cannot be written;
-    or something else than an older copy is there; and what `draft_gripper` raises.
+    or another file is in its place; and the errors of `draft_gripper`.
     """
     check_replaceable(robot, toml)
     urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)

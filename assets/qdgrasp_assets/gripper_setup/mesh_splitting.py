@@ -56,7 +56,7 @@ def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
     content, kind = mesh_bytes(robot, name), PurePosixPath(name).suffix.removeprefix(".").lower()
     try:
         read = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise errors of any kind
         raise AssetError(
             f"The mesh '{name}' cannot be read ({type(error).__name__}: {error}); save it as an STL or "
             "OBJ file."
@@ -113,7 +113,7 @@ class MeshSplitter:
                 yield f"the mesh '{key[0]}' of the link '{link}' {words}"
 
     def copy_visuals(self, hand: Urdf) -> Iterator[str]:
-        """Copy the meshes of visual shapes as they are, for pictures; yields what is left out."""
+        """Copy the meshes of visual shapes as they are, for pictures; yields those left out."""
         missing = 0
         for link in hand.element.findall("link"):
             for visual in link.findall("visual"):
@@ -213,7 +213,7 @@ class MeshSplitter:
 
 
 def thin_mesh(mesh: Mesh) -> Mesh:
-    """Merge vertices nearer than a finger can tell, in a mesh of many triangles."""
+    """Merge vertices nearer than `NEAR_VERTICES` in a mesh of many triangles."""
     if len(mesh.faces) <= FEW_TRIANGLES:
         return mesh
     _, which = np.unique(np.round(mesh.vertices / NEAR_VERTICES), axis=0, return_inverse=True)

@@ -292,10 +292,10 @@ def _impossible(rating: str, would: str, values: dict[str, float], most: float) 
 
 
 def fingertip_arm(hand: HandPostures, name: str) -> float:
-    """Return the largest distance from a joint's axis of what it turns, hand open [m].
+    """Return the largest distance from a joint's axis of the shapes it turns, hand open [m].
 
-    An effort over it is a force at the fingertip, a velocity times it a speed. 1 for a prismatic joint; 0
-    where it moves no shape.
+    An effort over it is a force at the fingertip, a velocity times it a speed. It is 1 for a prismatic joint,
+    and 0 where no shape is moved.
     """
     body, posture = hand.body, hand.posture(0.0)
     joint = body.joint(name)
@@ -308,9 +308,9 @@ def fingertip_arm(hand: HandPostures, name: str) -> float:
 
 
 TOUCHING = 3e-3
-"""Distance below which links count as overlapping [m]: Bullet adds 1 mm to each hull, and looks ahead."""
+"""Distance below which links count as overlapping [m]: Bullet adds 1 mm to each hull, and more."""
 SAMPLED_POSTURES = 40
-MOST_CLEAR = 2  # Largest number of them in which links that overlap in nearly every posture are apart
+MOST_CLEAR = 2  # Largest number of postures in which links that overlap in nearly every one are apart
 LinkPair = tuple[str, str]
 
 

@@ -1,8 +1,8 @@
 """Collision shapes of a robot, as triangles and as the simulator's convex parts.
 
 The simulator wraps an STL in one hull, and each group of an OBJ in one of its own; the parts are never more
-than it takes. Round shapes are given by corners on them, so that their hull lies within. What is not known
-here has no corners.
+than it takes. Round shapes are given by corners on them, so that their hull lies within. Unknown shapes have
+no corners.
 """
 
 import io
@@ -32,7 +32,7 @@ class CollisionShape:
     vertices: Floats
     """(v, 3) [m], link frame."""
     faces: NDArray[np.int64]
-    """(f, 3)."""
+    """(f, 3): the vertices of each triangle."""
 
 
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:

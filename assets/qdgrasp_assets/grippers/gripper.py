@@ -2,7 +2,7 @@
 
 The carrier is made of virtual joints between the world and the hand, which shakes move. `released` has the
 six joints of the authors' URDFs; `paper` only the two that are used, so that the empty hand follows the
-Panda's tabled motion whatever it weighs (docs/grippers.md). `physical` shakes nothing: there the hand is
+Panda's tabled motion at any weight (docs/grippers.md). `physical` shakes nothing: there the hand is
 fixed.
 """
 
@@ -66,7 +66,7 @@ CarriedHand = tuple[Urdf, tuple[CarrierJoint, ...]]
 def released_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
     """Mount the hand on the six joints of the authors' code.
 
-    The robot's own joints are taken where it brings them, else the same are composed. Each intermediate
+    The robot's own joints are taken where it has them, else the same are composed. Each intermediate
     link weighs 1 kg. All are held with `hold_force` (100; the authors' Shadow 1000); shakes act on
     translationZ with 20 N and on rotationX with 100 Nm.
     """
@@ -168,7 +168,7 @@ class Gripper:
     """The whole URDF; the hand is its sub-tree from `base_link`."""
 
     def check_hand(self) -> None:
-        """Check the hand's meshes, and masses made up, refused or holding still; `AssetError`."""
+        """Check the hand's masses, and that its meshes are there; `AssetError`."""
         hand = self.robot.subtree(self.file.base_link)
         if found := (*weight_faults(hand.element), *missing_meshes(hand)):
             raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
@@ -208,7 +208,7 @@ class Gripper:
             return round(largest_side(hand, meshes), 6)
         except AssetError:
             raise
-        except Exception as error:  # noqa: BLE001  # readers of meshes raise whatever they stumble over
+        except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
             raise AssetError(
                 f"The URDF '{self.robot.path}' has a collision shape that cannot be read: "
                 f"{type(error).__name__}: {error}."

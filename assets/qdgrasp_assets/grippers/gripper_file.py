@@ -130,17 +130,17 @@ class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class OriginalBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[original_base]`: the link from which a hand goes out in its maker's URDF.
+    """`[original_base]`: the base link of a hand in its maker's URDF.
 
-    Its pose in the frame of `base_link`, which was added to the hand. A pose of that link is one of the base
-    link times this.
+    Its pose is in the frame of `base_link`, which was added to the hand. A pose of that link is a pose of the
+    base link times this one.
     """
 
     link: str
     position: tuple[float, float, float]
-    """[m]"""
+    """Position [m]."""
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """x, y, z, w."""
+    """Quaternion x, y, z, w."""
 
 
 class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -225,7 +225,7 @@ def read_gripper_file(path: Path) -> GripperFile:
 def _non_finite(value: Any, name: str = "") -> Iterator[str]:
     """Yield a sentence for each number in `value` that is not finite.
 
-    Those of a table have its key before theirs, those of a list the list's name.
+    Numbers of a table have its key before theirs, those of a list the list's name.
     """
     match value:
         case float() if not math.isfinite(value):

@@ -1,9 +1,9 @@
 """Geometric model of a hand: joints, placed convex parts, base link and fingers.
 
 The simulator does not know URDF's <mimic>. So each joint that follows another is driven by a motor of its
-own, to where its leader is sent, and they move together as long as nothing is in their way.
+own, to its leader's target, and they move together as long as nothing is in their way.
 
-The base is the link from which several moving limbs go out, and is no arm's. Fingers are the limbs that
+The base is the link with several moving limbs, and not an arm's. Fingers are the limbs that
 move, with the tip of each; limbs of one linkage are one finger. Opposite to a single limb that moves, those
 that are fixed to the palm are fingers too.
 """
@@ -63,7 +63,7 @@ def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, flo
 
 
 MOST_LEFT_OUT = 0.5
-"""Share of the way of a joint that follows another above which its own limits cannot be meant."""
+"""Share of the way of a joint that follows another above which its own limits must be wrong."""
 
 
 def contradicted_limits(robot: Urdf) -> dict[str, tuple[float, float]]:
@@ -128,7 +128,7 @@ class ConvexSolid:
     def is_deep(self, other: "ConvexSolid", limit: float) -> bool:
         """Return whether the largest ball in both has a diameter of at least `limit` [m].
 
-        Most pairs are told apart without the linear programme of `depth`: where all corners of one are within
+        Most pairs are decided without the linear programme of `depth`: where all corners of one are within
         `limit` of a plane of the other, or before it, no such ball fits between.
         """
         if (np.minimum(self.high, other.high) - np.maximum(self.low, other.low) < limit).any():
@@ -251,7 +251,7 @@ class HandModel:
 
 
 def read_hand_model(robot: Urdf, base: str) -> HandModel:
-    """Read the hand that begins with link `base`; errors as of `collision_corners`."""
+    """Read the hand that begins with link `base`; errors as in `collision_corners`."""
     hand = robot.subtree(base)
     parts: dict[str, tuple[ConvexSolid, ...]] = {}
     for link, collision in collision_elements(hand):
@@ -282,7 +282,7 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
         return found or tuple(each.vertices for each in shapes(shape, files))
     except AssetError:
         raise
-    except Exception as error:  # noqa: BLE001  # readers of meshes raise whatever they stumble over
+    except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
         raise AssetError(
             f"a collision shape of the link '{link}' cannot be read ({type(error).__name__}: {error}); "
             "save its mesh as a binary STL or an OBJ file"

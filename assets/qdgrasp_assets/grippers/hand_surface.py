@@ -1,6 +1,6 @@
 """The surface of a scene's hand: frames and convex parts of its links, and points on them.
 
-All of it is the hand's alone, so that scenes with the same hand share it.
+All of it depends on the hand alone, so that scenes with the same hand share it.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
 
 @dataclass(frozen=True)
 class SharedHand:
-    """A hand that equals those of other scenes with the same content: a key of what it does."""
+    """A hand as a key: it equals the hands of other scenes with the same content."""
 
     digest: bytes
     gripper: SceneGripper = field(compare=False, repr=False)
@@ -48,7 +48,7 @@ class SharedHand:
         return _samples(self)
 
     def postures(self, course: bytes) -> Floats:
-        """The postures (n, j) [rad or m] that a course is, whose bytes can be a part of a key."""
+        """The postures (n, j) [rad or m] in the bytes of a course, which can be a part of a key."""
         return np.frombuffer(course).reshape(-1, len(self.gripper.joints))
 
 
@@ -102,8 +102,8 @@ class HandKinematics:
 SAMPLE_POINTS = 1024
 STAGES = (slice(0, 64), slice(64, 256), slice(256, 1024))  # Points that are looked up one after the other
 POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the cache
-DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart
-DEEP_SHARE = 0.4  # The share of points that are drawn from within a part, and not from under its surface
+DRAWN_POINTS = 4096  # Number of points that are drawn; those farthest apart are kept
+DEEP_SHARE = 0.4  # Share of points that are drawn from inside a part, and not from under its surface
 SURFACE_SCALE = 0.98  # Scale of a part's surface about its centre: points of the edge would be on either side
 
 

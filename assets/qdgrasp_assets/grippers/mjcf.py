@@ -1,9 +1,9 @@
 """Reader of hands in MuJoCo's format (MJCF), such as those of MuJoCo Menagerie, as URDF.
 
-MuJoCo itself reads the file, so that defaults, classes, includes, frames, meshes and masses are as it has
-them; the compiled model is then written as a `<robot>`. A link's frame is its body's, moved to the anchor of
-the body's last joint, and positions of joints are the file's. Joints that equalities, linkages and tendons
-couple become mimics (`mjcf_couplings`). Damping, friction, gains and sites are not kept.
+MuJoCo itself reads the file, with its defaults, classes, includes, frames, meshes and masses; the compiled
+model is then written as a `<robot>`. A link's frame is its body's, moved to the anchor of the body's last
+joint, and positions of joints are the file's. Joints that equalities, linkages and tendons couple become
+mimics (`mjcf_couplings`). Damping, friction, gains and sites are not kept.
 """
 
 import re
@@ -32,7 +32,7 @@ NUMBERS = (
     "tendon_range", "tendon_stiffness", "tendon_lengthspring", "wrap_prm",
 )  # fmt: skip
 """Arrays of a model whose numbers are to be finite: MuJoCo reads nan and inf."""
-CHAIN_MASS, CHAIN_INERTIA = 1e-3, 1e-7  # Of the links between two joints of a body [kg, kg m2]
+CHAIN_MASS, CHAIN_INERTIA = 1e-3, 1e-7  # For links between two joints of a body [kg, kg m2]
 ROUND_FREQUENCY = 4  # of the geodesic spheres that capsules and ellipsoids are made of: 162 corners
 SMALL_TURN = np.radians(2 * np.pi)  # Hinges that turn by less were written in radians, and read as degrees
 MOST_NAMED = 4  # Most names in a sentence
@@ -40,7 +40,7 @@ UPRIGHT = 1e-9  # Cosine of a pitch that is taken for a right angle
 
 
 def is_mjcf(path: Path) -> bool:
-    """Return whether the root of an XML file is `<mujoco>`; False for what is no XML or no file."""
+    """Return whether the root of an XML file is `<mujoco>`; False for other files or none."""
     if path_problem(path):
         return False
     try:
@@ -56,7 +56,7 @@ def read_mjcf(path: Path) -> tuple[Urdf, tuple[str, ...]]:
 
     The root is the world, on which the bodies hang. Raises `AssetError` for a file that MuJoCo cannot read,
     with its reason; for soft bodies, and more than `MOST_LINKS` bodies. Ball joints, and slides without
-    limits, are for the checks of a URDF.
+    limits, are left to the checks of a URDF.
     """
     model = _compiled(path)
     translation = _Translation(path, model)
@@ -89,7 +89,7 @@ def _compiled(path: Path) -> Any:
 
 
 def _check_source(path: Path) -> None:
-    """Check what MuJoCo would take long for; AssetError."""
+    """Check for content that MuJoCo would take long to read; AssetError."""
     if (size := path.stat().st_size) > LARGEST_FILE:
         raise AssetError(f"'{path}' has {size / 1e6:.0f} MB, and at most {LARGEST_FILE / 1e6:.0f} are read.")
     try:
@@ -125,7 +125,7 @@ def _leave_out_looks(spec: Any, mujoco: Any) -> None:
 
 
 class _Translation:
-    """A compiled model as `<robot>`; AssetError as of `read_mjcf`."""
+    """A compiled model as `<robot>`; AssetError as in `read_mjcf`."""
 
     def __init__(self, path: Path, model: Any) -> None:
         import mujoco
@@ -248,7 +248,7 @@ class _Translation:
             ET.SubElement(element, "mimic", factors, joint=mimic.leader)
 
     def _limits(self, number: int) -> tuple[float, ...] | None:
-        """Return a joint's limits [rad, m], or those of what is commanded; None without either."""
+        """Return a joint's limits [rad, m], or those of its commands; None without either."""
         if self._model.jnt_limited[number]:
             return tuple(self._model.jnt_range[number].tolist())
         return self._commands.get(number)

@@ -1,8 +1,8 @@
-"""Joints of a MuJoCo model that follow others, and what drives them.
+"""Joints of a MuJoCo model that follow others, and the actuators that drive them.
 
 Equalities, linkages that close loops, tendons and springs couple joints. A leader, which is a joint with a
-motor, is moved through its range; the joints that hang together with it go where MuJoCo's equalities are met
-and springs are least strained. That is then written as linear functions of the leader.
+motor, is moved through its range; the joints that are coupled with it go where MuJoCo's equalities are met
+and springs are least strained. Their positions are then written as linear functions of the leader.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,7 +16,7 @@ from qdgrasp_assets.grippers.hand_model import MimicJoint
 from qdgrasp_protocol.text import first_few, quoted
 
 TENDON_WEIGHT, SHARE_WEIGHT, SPRING_WEIGHT, REST_WEIGHT = 0.1, 1e-2, 1e-4, 1e-6
-"""Weights beside 1 of an equality: each is met as far as those before it let it."""
+"""Weights beside 1 of an equality: each term is met as far as those before it allow."""
 SLACK_SHARE = 0.25
 """A tendon couples joints if its limits leave one of them at most this share of its range."""
 POSITIONS = 11  # Positions of a leader at which its followers are found
@@ -24,13 +24,13 @@ OPEN_LOOP = (
     1e-3  # Equalities that are left open by more are not met [rad, m of the joint that moves them most]
 )
 LEAST_FITTED = 3  # Positions of a follower between its limits that are enough for a fit to these alone
-LEAST_CLOSED = 0.5  # Share of the leader's positions at which they are to be met
+LEAST_CLOSED = 0.5  # Share of the leader's positions at which equalities are to be met
 COUPLED = 1e-3  # Least change with a joint, beside the greatest one, that counts
 STEP = 1e-6  # Change of a joint over which lengths are differentiated [m, rad]
 SEED, JITTER = 0, 0.1
-"""Of the posture in which it is seen what hangs together: away from the first by this share of the ranges."""
+"""For the posture in which couplings are found: away from the first by this share of the ranges."""
 UNLIMITED = np.pi / 2  # Range of a joint without limits, to both sides [m, rad]
-EXACT = 1e-4  # Deviation of a follower that is not worth words [m, rad]
+EXACT = 1e-4  # Deviation of a follower that is not reported [m, rad]
 DECIMALS = 5  # of multipliers and offsets
 MOST_NAMED = 8  # Most joints named in a sentence
 
@@ -45,7 +45,7 @@ class Mechanism:
         self.model, self._data, self._mujoco = model, mujoco.MjData(model), mujoco
         moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         self.joints = [n for n in range(model.njnt) if mujoco.mjtJoint(model.jnt_type[n]) in moving]
-        """Numbers in the model of the joints."""
+        """Numbers of the joints in the model."""
         self.names = [names[joint] for joint in self.joints]
         self._addresses = [int(model.jnt_qposadr[joint]) for joint in self.joints]
         self.home = np.array(model.qpos0[self._addresses])
@@ -61,7 +61,7 @@ class Mechanism:
         return np.linspace(low, high, POSITIONS)
 
     def measure(self, positions: Floats) -> tuple[Floats, Floats]:
-        """Return what equalities leave open (e,) and tendons' lengths (t,), at positions (n,)."""
+        """Return errors of equalities (e,) and lengths of tendons (t,), at positions (n,)."""
         data, mujoco = self._data, self._mujoco
         data.qpos[:] = self.model.qpos0
         data.qpos[self._addresses] = positions
@@ -184,7 +184,7 @@ def find_couplings(mechanism: Mechanism) -> Couplings:
 def _fit(mechanism: Mechanism, joint: int, values: Floats, places: Floats) -> tuple[float, float, float]:
     """Fit a joint's places (s,) by a linear function of its leader's (s,).
 
-    Returns multiplier, offset and greatest error; where it is at a limit it is taken to be kept there.
+    Returns multiplier, offset and greatest error; a joint at a limit is taken to be kept there.
     """
     low, high = mechanism.ranges[joint]
     between = (places > low + EXACT) & (places < high - EXACT)
@@ -262,7 +262,7 @@ class _CouplingRows:
         return rows
 
     def groups(self) -> Iterator[list[int]]:
-        """Yield the joints that hang together, of each group with more than one."""
+        """Yield the groups of joints that are coupled, those with more than one."""
         joined = np.eye(len(self._mechanism.joints), dtype=bool)
         for row in np.abs(self._rows) > COUPLED:
             group = joined[row].any(axis=0)
@@ -337,7 +337,7 @@ def _least_squares(residuals: Callable[[Floats], Floats], guess: Floats, low: Fl
     found: Floats = least_squares(residuals, guess, method="lm", **exact).x
     if ((found >= low - EXACT) & (found <= high + EXACT)).all():
         return np.clip(found, low, high)
-    bounds = low, np.maximum(high, low + EXACT)  # apart, as they are to be
+    bounds = low, np.maximum(high, low + EXACT)  # limits have to differ
     return least_squares(residuals, np.clip(guess, low, high), bounds=bounds, **exact).x
 
 

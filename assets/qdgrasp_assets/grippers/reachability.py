@@ -1,11 +1,11 @@
 """Reachability: the way of the open hand to its pose, clear of object and table.
 
-The hand comes in a straight line along its approach axis, open, its free joints at their places. Two
-questions are asked of it:
+The hand comes in a straight line along its approach axis, open, its free joints in place. Two
+questions are answered:
 
 - Does it touch the object on its way? Points on and in its convex parts are looked up, at steps along the
-  way, in voxels that are wholly inside the object. A point of both bodies is a contact whatever else there
-  is; a hand that only grazes the object, by less than the points and voxels are apart, is not found.
+  way, in voxels that are wholly inside the object. A point of both bodies proves a contact; a hand that only
+  grazes the object, by less than the points and voxels are apart, is not found.
 - Does it stay above the table? The lowest corner of its convex parts is nowhere lower than at the two ends of
   the way, so that this answer is exact.
 """
@@ -33,7 +33,7 @@ from qdgrasp_assets.grippers.hand_surface import POINTS_AT_ONCE, STAGES, SharedH
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper
 from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec
 
-APPROACH_STEP = 2e-3  # From one look at a hand on its way to the next [m]
+APPROACH_STEP = 2e-3  # Distance between two looks at a hand on its way [m]
 HEIGHT_DECIMALS = 9  # Decimals of heights [m] when they are compared
 
 
@@ -41,7 +41,7 @@ class HandApproach:
     """The ways of a scene's open hand to its poses, from `distance` [m] before them.
 
     Poses are positions (n, 3) [m] and unit quaternions (n, 4) of the hand's root link, CoM frame, and finger
-    joints (n, j) [rad or m]. What is found of a pose does not depend on the others.
+    joints (n, j) [rad or m]. Results of a pose do not depend on the others.
     """
 
     def __init__(self, gripper: SceneGripper, distance: float) -> None:
@@ -118,7 +118,7 @@ class Reach(NamedTuple):
     is_above: NDArray[np.bool_]
     """(n, r): True where it stays above the table in each resting pose that was asked for."""
     probability: Floats
-    """(n,): that of the resting poses in which it comes to its pose; 0 where it touches the object."""
+    """(n,): probability of the resting poses in which it comes to its pose; 0 where it touches the object."""
 
     @property
     def is_reachable(self) -> NDArray[np.bool_]:
@@ -129,7 +129,7 @@ class Reach(NamedTuple):
 
 
 class ReachabilityCheck:
-    """Says of grasps of a scene how their hands come to them.
+    """Checks whether hands come to the grasps of a scene.
 
     `resting_pose` is the number of a resting pose, or "any"; None: there is no table. Raises ImpossibleValue
     for one that the object does not have.
@@ -139,7 +139,7 @@ class ReachabilityCheck:
         self.distance = distance
         """Distance along its approach axis from which the hand comes [m]."""
         self.poses = chosen_resting_poses(scene.object.collision, resting_pose, scene.object.name)
-        """The object's resting poses that are looked at, by number."""
+        """The object's resting poses that are checked, by number."""
         self._approach = HandApproach(scene.gripper, distance)
         hulls = convex_hulls(obj_group_corners(scene.object.collision.decode()))
         self._inside = solid_voxels(hulls, *box_around(hulls))
@@ -161,7 +161,7 @@ class ReachabilityCheck:
         quaternions: NDArray[np.float32],
         postures: NDArray[np.float32],
     ) -> Reach:
-        """Return which hands reach their poses; arguments as of `HandApproach`."""
+        """Return which hands reach their poses; arguments as in `HandApproach`."""
         hands = positions, quaternions, postures
         poses = list(self.poses.values())
         is_clear = ~self._approach.meets(self._inside, *hands)

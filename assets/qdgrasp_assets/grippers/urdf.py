@@ -63,7 +63,7 @@ class Urdf:
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
     meshes: Mapping[str, bytes] = field(default_factory=dict)
-    """Contents of meshes that are no files, by the names that the element has for them."""
+    """Contents of meshes that are no files, by their names in the element."""
 
     @property
     def root(self) -> str:
@@ -80,7 +80,7 @@ class Urdf:
     def masses(self) -> dict[str, tuple[float, Floats]]:
         """Mass [kg] and its position (3,) [m], link frame, of each link.
 
-        A link whose mass the file does not say has 1 kg at its origin, as Bullet gives it.
+        A link without a mass in the file has 1 kg at its origin, as in Bullet.
         """
         return {link.get("name", ""): self._mass(link) for link in self.element.findall("link")}
 
@@ -135,7 +135,7 @@ class Urdf:
     def bundled(self) -> tuple[ET.Element, dict[str, bytes]]:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
-        Visual shapes are left out and mesh references rewritten to the flat names; all else is as it was.
+        Visual shapes are left out and mesh references rewritten to the flat names; all else is unchanged.
         Raises `AssetError` if a mesh, of a visual shape too, is missing.
         """
         element = copy.deepcopy(self.element)
@@ -322,7 +322,7 @@ def read_robot_element(path: Path) -> ET.Element:
         raise AssetError(
             f"'{path}' is not XML ({error}), and a URDF is; name the robot's .urdf file."
         ) from None
-    is_xacro = any(  # tags or expressions of xacro, but in comments
+    is_xacro = any(  # tags or expressions of xacro, outside of comments
         XACRO_TAG.match(each.tag) or any(map(XACRO_SUBSTITUTION.search, each.attrib.values()))
         for each in element.iter()
     )
@@ -346,7 +346,7 @@ def _check_size(path: Path, robot: ET.Element) -> None:
                 try:
                     is_far = abs(float(word)) > FARTHEST
                 except ValueError:
-                    continue  # what reads it says so
+                    continue  # its reader reports it
                 if is_far:
                     raise AssetError(
                         f"The URDF '{path}': <{element.tag} {name}=\"{element.get(name)}\"> must "

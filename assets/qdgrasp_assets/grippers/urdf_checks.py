@@ -1,4 +1,4 @@
-"""Checks of a hand's URDF: what the simulator would not take, in words.
+"""Checks of a hand's URDF: faults that the simulator would not take, in words.
 
 Tree, joints, masses and meshes are checked, and all faults listed at once.
 """
@@ -194,8 +194,8 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     lacking = [
         name for name, each in stated.items() if each.find("mass") is None or each.find("inertia") is None
     ]
-    # A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0
-    # that is fixed to what has a mass moves with it.
+    # A joint without mass beyond it stands still in Bullet, with any motor; a frame of mass 0 that is fixed
+    # to a link with a mass moves with it.
     pieces = _pieces(element)
     heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
     yield (

@@ -5,7 +5,7 @@ counts or keeps positions by cell (archive, coverage, progress, `info`) makes it
 them agree.
 
 Orientations are 60 bins. A rotation belongs to the nearest of the 60 that turn an icosahedron into itself.
-They lie in the rotations as evenly as so many can: every bin is congruent to every other, a regular
+They lie in the rotations as evenly as 60 can: every bin is congruent to every other, a regular
 dodecahedron of unit quaternions. A rotation is 29.5 degrees from the middle of its bin on average and 44.5
 at most, and the middles of bins that share a face are 72 degrees apart (Coxeter 1973, "Regular Polytopes":
 the 600-cell and its dual).
@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
 
 Number = TypeVar("Number", bound=np.number)
-PER_METRE = 100  # Cells in a metre: an edge is 1 cm, cell k reaches from k - 0.5 to k + 0.5 cm
-_REACH = 1 << 20  # `keys` tells cells apart whose components are smaller than this: positions within 10 km
+PER_METRE = 100  # Cells in a metre: an edge is 1 cm, cell k is from k - 0.5 to k + 0.5 cm
+_REACH = 1 << 20  # `cell_keys` distinguishes cells with components below this: positions within 10 km
 
 
 def cells(positions: ArrayLike) -> NDArray[np.int64]:
@@ -69,10 +69,10 @@ def orientations(quaternions: ArrayLike) -> NDArray[np.int64]:
 
 
 def clear_orientations(quaternions: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
-    """Return the bin (n,) of each rotation (n, 4), and how clear of its border that is.
+    """Return the bin (n,) of each rotation (n, 4), and its clearance from the bin's border.
 
-    That is 1 in the middle and 0 on the border: the lead in nearness, the cosine of half the angle, over the
-    next bin.
+    The clearance is 1 in the middle and 0 on the border: the lead over the next bin in nearness, which is the
+    cosine of half the angle.
     """
     nearness = _nearness(quaternions)
     second, first = np.partition(nearness, -2, axis=1)[:, -2:].T
@@ -87,7 +87,7 @@ def _nearness(quaternions: ArrayLike) -> Floats:
 
 
 def _icosahedral() -> Floats:
-    """The rotations (60, 4) of an icosahedron; each of a quaternion and its negative the first."""
+    """The rotations (60, 4) of an icosahedron; of a quaternion and its negative, the first."""
     axes = np.eye(4)
     halves = np.array(list(product((0.5, -0.5), repeat=4)))
     golden = np.array([(p * GOLDEN, q, r / GOLDEN, 0.0) for p, q, r in product((0.5, -0.5), repeat=3)])

@@ -1,6 +1,6 @@
 """Counts over the rows of a run: totals, growth by generation, and whether it is complete.
 
-All of it is a function of the journal's rows in their order, so that a run that was replayed has the same
+All counts are a function of the journal's rows in their order, so that a run that was replayed has the same
 counts.
 """
 
@@ -46,7 +46,7 @@ class GrowthCurve(Struct, frozen=True, kw_only=True):
 class CurveRecorder:
     """Keeps the counts of a run generation by generation, and thins them by halves.
 
-    A function of the rows alone: a run that was replayed has the same curve.
+    The curve is a function of the rows alone: a run that was replayed has the same one.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class RunTotals(Struct, frozen=True, kw_only=True):
 
     @property
     def screened(self) -> str:
-        """The other counting, beside evaluations, in words: how much was screened for them."""
+        """The other count beside evaluations, in words: the number of screened poses."""
         return (
             f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
             f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
@@ -107,8 +107,8 @@ TOTAL_NAMES = RunTotals.__struct_fields__  # Names of all counts that are added 
 NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
 
 
-BARREN = 20  # Generations in a row that counted nothing after which a run may end (`BARREN_GENOMES`)
-BARREN_GENOMES = 1000  # Least genomes in these generations: with few at a time, bad luck may last for twenty
+BARREN = 20  # Generations in a row without a counted row after which a run may end (`BARREN_GENOMES`)
+BARREN_GENOMES = 1000  # Least genomes in these generations: with few at a time, twenty may fail by chance
 
 BUDGET_ALONE = StopCriteria()
 
@@ -142,7 +142,7 @@ class RunCounter:
     """
 
     rows: int = 0
-    evaluations: int = 0  # Counted ones: what the budget limits
+    evaluations: int = 0  # Counted ones, which the budget limits
     proposals: int = 0
     trials: int = 0
     errors: int = 0
@@ -160,7 +160,7 @@ class RunCounter:
         self._barren = 0
         self._before = 0
         self._nominal = 0
-        self._fruitful = 0  # nominal rows up to the last generation that counted something
+        self._fruitful = 0  # nominal rows up to the last generation with a counted row
         self._last: np.void | None = None  # the last nominal row
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
@@ -247,7 +247,7 @@ class RunCounter:
     def rows_until_stop(self, rows: Rows) -> int:
         """Return how many of the next rows, nominal ones or trials, belong to the run.
 
-        All, if it goes on behind them, or if it is reached and these are trials.
+        All, if the run goes on after them, or if it is reached and these are trials.
         """
         if self.is_reached or not len(rows) or rows["trial"][0] > 0:
             return len(rows)
@@ -265,9 +265,9 @@ class RunCounter:
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.
 
-        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on behind that budget or a
-        goal, or if they end a generation early for the sake of other ones: what follows then are trials,
-        where a greater budget has nominal rows first.
+        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on after that budget or a
+        goal, or if another budget or goal ended a generation early: then trials follow, where a greater
+        budget has nominal rows first.
         """
         if self._last is None:
             return

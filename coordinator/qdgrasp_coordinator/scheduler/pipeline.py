@@ -2,7 +2,7 @@
 
 Results arrive in any order; the search is told generation by generation, and the journal is that order:
 by generation, within it nominal rows by index, then, stage by stage, the trials of successes by (index,
-trial). Pure state: whatever came in between, the rows that become final, and what the search is asked, are a
+trial). Pure state: in any order of arrival, the rows that become final and the genomes that are asked are a
 function of the spec (docs/reproducibility.md).
 """
 
@@ -38,7 +38,7 @@ class Generation:
     trials: NDArray[np.uint16]
     """(n,): 0 is nominal, 1 and up are randomised."""
     genomes: Genomes
-    """(n, d)."""
+    """(n, d): their genomes."""
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -50,7 +50,7 @@ class Generation:
 class GenerationBuffer:
     """One generation that is asked and not yet told.
 
-    The journal has its nominal rows by index, then the trials of its successes by (index, trial), then those
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial), then trials
     of the successes that are promoted to a later stage. At most `limit` nominal rows are needed, from index 0
     on.
     """
@@ -71,10 +71,10 @@ class GenerationBuffer:
         self._promoted: Places | None = None
         """The successes with trials in this stage, by index; None: all, as in the first."""
         self._is_due = False
-        """True if the trials of those are to be handed out."""
+        """True if the trials of this stage are to be handed out."""
         self._nominal = min(limit, len(genomes))  # Nominal rows that the journal is to hold
         self._rows = shape.empty(len(genomes) * (1 + trials.most)).reshape(len(genomes), 1 + trials.most)
-        """By index and trial; what is never written costs no memory."""
+        """By index and trial; rows that are never written cost no memory."""
         self._bytes = row_bytes(self._rows)
         self._rows["generation"][:, 0] = number
         self._rows["index"][:, 0] = np.arange(len(genomes))
@@ -85,13 +85,13 @@ class GenerationBuffer:
         self._opened = 0
         """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
         self._asked = np.zeros(self._nominal, dtype=np.int64)
-        """Number of trials that were handed out of each."""
+        """Number of trials of each nominal row that were handed out."""
 
     @property
     def rows_for_tell(self) -> Rows:
         """Nominal rows as told to the search.
 
-        Of a success `fitness` is the score over its trials, and `trial` their number.
+        For a success `fitness` is the score over its trials, and `trial` their number.
         """
         rows = take_rows(self._rows, np.s_[:, 0])
         if self._plan.stages:
@@ -158,14 +158,14 @@ class GenerationBuffer:
 
     @property
     def has_ready_row(self) -> bool:
-        """True if the row behind the final ones is here."""
+        """True if the row after the final ones is here."""
         if self.missing:
             return bool(self._is_present[self.final, 0])
         indices, trials = self._next(1)
         return bool(self._is_present[indices, trials].any())
 
     def ready_rows(self) -> Rows:
-        """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
+        """Rows after the final ones, up to the first that is missing: nominal ones, or else trials."""
         if self.missing:
             n = _count_before_gap(self._is_present[self.final : self._nominal, 0][:MOST_FINAL])
             return take_rows(self._rows, np.s_[self.final : self.final + n, 0])
@@ -174,11 +174,11 @@ class GenerationBuffer:
         return take_rows(self._rows, (indices[:n], trials[:n]))
 
     def truncate(self) -> None:
-        """Drop the nominal rows behind the final ones: budget or goal is reached."""
+        """Drop the nominal rows after the final ones: budget or goal is reached."""
         self._nominal = min(self._nominal, self.final)
 
     def replay(self, rows: Rows) -> None:
-        """Take what belongs here of recorded rows that begin behind the final ones.
+        """Take this generation's part of recorded rows that begin after the final ones.
 
         Raises ReplayError if keys or genomes differ from those asked, in any bit.
         """
@@ -246,7 +246,7 @@ def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
     return len(is_present) if is_present.all() else int(is_present.argmin())
 
 
-GROWTH = 8  # Generations that are told for each further one in flight
+GROWTH = 8  # Told generations for each further one in flight
 
 
 @dataclass(frozen=True)
@@ -254,20 +254,20 @@ class Flight:
     """Number of generations that are asked and not told, as a function of those told."""
 
     first: int = 1
-    """In the beginning."""
+    """Number in the beginning."""
     most: int = 0
-    """Later, if that is more."""
+    """Greatest number later, if that is more."""
 
     @classmethod
     def of(cls, spec: RunSpec) -> "Flight":
-        """Return what a spec says."""
+        """Return the numbers of a spec."""
         return cls(spec.generations_in_flight, (spec.in_flight or 0) // spec.population)
 
     def after(self, told: int) -> int:
-        """Return the number when so many generations were told.
+        """Return the number when `told` generations were told.
 
-        It grows with these, so that a genome is made without the knowledge of `first` generations and about a
-        `GROWTH`-th of all that the search was told.
+        It grows with these, so that a genome is made without the results of `first` generations and of about
+        a `GROWTH`-th of all told ones.
         """
         return max(self.first, min(self.most, self.first + told // GROWTH))
 
@@ -284,9 +284,9 @@ class Pipeline:
 
     The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
     of its generation's rows up to that one. Later rows of that generation are not journalled, and that
-    generation is not told. `goals` end the run earlier in the same manner. `trials` says how many trials the
-    nominal successes have. Who is promoted depends on the generations before, and is decided when these are
-    told; the first trials are handed out at once.
+    generation is not told. `goals` end the run earlier in the same way. `trials` gives the trials of
+    nominal successes. Promotions depend on the generations before, and are decided when these are told; the
+    first trials are handed out at once.
     """
 
     def __init__(
@@ -326,8 +326,8 @@ class Pipeline:
     def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
         """Take evaluated rows, in any order, and return those that have just become final.
 
-        The rows have keys, genomes and results, and are of any generations. Those that came before, were not
-        asked for, or come after the end, are ignored. `cpu_seconds` go on with the next rows that become
+        The rows have keys, genomes and results, and are of any generations. Rows that came before, were not
+        asked for, or come after the end, are ignored. `cpu_seconds` are added to the next rows that become
         final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
         """
         self._cpu_seconds += cpu_seconds
@@ -359,7 +359,7 @@ class Pipeline:
                 buffer.put(take_rows(rows, is_its))
 
     def _advance(self) -> JournalSlice:
-        """Make final what follows without a gap; tell and ask where a generation is complete."""
+        """Make final the rows without a gap; tell and ask where a generation is complete."""
         first, errors = self.tally.rows, self.tally.errors
         pieces: list[Rows] = []
         while self.finished is None and self._open[0].has_ready_row:
@@ -395,7 +395,7 @@ class Pipeline:
             self._prepare(told=buffer.number + 1)
 
     def _prepare(self, told: int) -> None:
-        """Ask the search for what may be in flight now, unless that is sure to spend the budget."""
+        """Ask for the generations that may be in flight now, unless the budget is sure to be spent."""
         while len(self._open) < self._flight.after(told):
             needed = self.tally.left
             if self._overlaps == "count":

@@ -1,1 +1,1 @@
-"""The search methods: ask for genomes, tell what they gave."""
+"""The search methods: ask for genomes, tell their results."""

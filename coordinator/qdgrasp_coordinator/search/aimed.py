@@ -1,16 +1,16 @@
 """Searches that aim at cells beside successes, with a neighbour's grasp.
 
-What an archive tells grasps apart by, the position of the hand, is known before anything is simulated. So
+An archive distinguishes grasps by the position of the hand, which is known before anything is simulated. So
 the search chooses the cell first, by its frontier, and then the genes that bring the hand there: the
 contact point, roll and posture of a successful neighbour. The worker makes candidates of these, screens
 them for overlap, and simulates the one that a model ranks first; the model learns here, and its weights
-travel in the genome.
+are sent in the genome.
 
 Exploration: grasps without a success to learn from aim as the prior `approach` would at a box: at a cell
-before one of its faces, at most 45 degrees aside, and near it, where hands hold. They know the object's box
-and the hand's distances, and leave the surface to the worker.
+before one of its faces, at most 45 degrees aside, and near it, where most grasps hold. They use the object's
+box and the hand's distances, and leave the surface to the worker.
 
-Which cells are worth a try, and which candidates, is another module's: `touch_search` looks for cells in
+Other modules decide which cells and which candidates are worth a try: `touch_search` looks for cells in
 which a finger touches, `value_search` for grasps of value.
 
 New in this project, not from the paper.
@@ -36,7 +36,7 @@ TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
 """Places of the prior's genes in a genome (assets, `genes`)."""
 FIRST_WEIGHT = 9  # Place of the first gene that ranks candidates
 SYNERGY = "synergy"
-SCATTER_SHARE = 0.5  # The inner part of a cell that a scattered target may be in, along each axis
+SCATTER_SHARE = 0.5  # Inner share of a cell in which a scattered target may be, along each axis
 POINT_SIGMA = 0.002  # Standard deviation of a scattered contact point along each axis [m]
 ROLL_SIGMA = 0.05  # rad
 
@@ -48,7 +48,7 @@ class AimedGrasps:
     targets: Floats
     """(n, 3) [m]: the middles of the cells."""
     contacts: Floats
-    """(n, 3) [m]: the surface points to look at, nearly."""
+    """(n, 3) [m]: the surface points to look at, approximately."""
     rolls: Floats
     """(n,) [rad]: about the direction from target to contact."""
     looseness: Floats
@@ -60,7 +60,7 @@ class AimedGrasps:
         return len(self.targets)
 
     def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
-        """Return their genomes (n, d), with so many candidates, ranked by weights (n, w)."""
+        """Return their genomes (n, d), with `candidates` each, ranked by weights (n, w)."""
         values = np.zeros((len(self), FIRST_WEIGHT + weights.shape[1]))
         values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
         values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
@@ -70,7 +70,7 @@ class AimedGrasps:
 
 
 def directions(targets: Floats, contacts: Floats) -> Floats:
-    """The unit vectors (n, 3) from targets to contacts; along z where both are one point."""
+    """The unit vectors (n, 3) from targets to contacts; along z where both points are the same."""
     ways = contacts - targets
     lengths = np.sqrt((ways * ways).sum(axis=1))[:, None]
     along: Floats = np.tile([0.0, 0.0, 1.0], (len(ways), 1))
@@ -97,7 +97,7 @@ def scatter_grasps(aims: AimedGrasps, generator: np.random.Generator) -> AimedGr
     )
 
 
-NEAR_SHARE = 0.5  # Share of the hand's distances, from the nearest: farther off hardly anything is held
+NEAR_SHARE = 0.5  # Share of the hand's distances, from the nearest: farther off few grasps hold
 LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
 
 
@@ -107,8 +107,8 @@ def exploration_grasps(
     """Return `n` grasps that explore, without a success to learn from.
 
     The share `astray` of them aims anywhere in the archive's box, at any point: for objects that are unlike
-    their boxes. The others are at most so loose as `loosest`: many candidates make up for a box that is not
-    the surface; a single one had better keep to its aim.
+    their boxes. The others have at most the looseness `loosest`: many candidates make up for a box that is
+    not the surface; a single one should keep to its aim.
     """
     low, high = (corner[CONTACT] for corner in space.layout.intervals)
     bottom, top = (corner[TARGET] for corner in space.layout.intervals)
@@ -156,9 +156,9 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
 
 
 FIRST_SCOUTS = 100  # Genomes that scout before any is aimed
-SCOUT_SHARE = 0.04  # Approximate share of evaluations that scout later; lower of genomes: no scout is refused
+SCOUT_SHARE = 0.04  # Approximate share of evaluations that scout later; less of genomes: no scout is refused
 ASTRAY_GENOMES = 2000
-"""Genomes after which half of the scouts aim anywhere, if there is no success; fewer before."""
+"""Genomes after which half of the scouts aim anywhere if there is no success; before, fewer do."""
 SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
 POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
 
@@ -189,7 +189,7 @@ class AimedSearch(ABC):
 
     @abstractmethod
     def tell(self, generation: int, rows: Rows) -> None:
-        """Learn from the nominal rows of a generation, those that aimed at cells first."""
+        """Learn from a generation's nominal rows, of which those that aimed at cells come first."""
 
     @abstractmethod
     def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
@@ -215,7 +215,7 @@ class AimedSearch(ABC):
         return genomes
 
     def _targets(self, generation: int) -> Places:
-        """The cells that a generation aims at; none in the beginning."""
+        """The cells that a generation aims at; none at the start."""
         if self._asked < FIRST_SCOUTS:
             return np.zeros(0, np.intp)
         generator = keyed_generator(self._spec.seed, "targets", generation)
@@ -253,7 +253,7 @@ class AimedSearch(ABC):
         return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
 
     def _weights(self, wanted: Floats) -> Floats:
-        """Return what ranks each genome's candidates: (n, w).
+        """Return the numbers that rank each genome's candidates: (n, w).
 
         All zero where every pose counts, because one that is refused would count as well.
         """

@@ -1,10 +1,9 @@
 """The optimisation archive: one elite per 1 cm cell of hand positions.
 
-Its cells are those of `cells`, aligned with S_G: edges at k + 0.5 cm in the object's CoM frame. What the
-released code of the paper does otherwise, and what is not repeated here: a cube displaced by the object's
-inertial offset with bins of 1.00-1.02 cm, positions outside it aliased into other cells, and a failure that
-replaces a failure with probability 0.5. Here positions outside the box are counted and left out, and ties
-keep the elder.
+Its cells are those of `cells`, aligned with S_G: edges at k + 0.5 cm in the object's CoM frame. Not repeated
+here are differences of the paper's released code: a cube displaced by the object's inertial offset with bins
+of 1.00-1.02 cm, positions outside it aliased into other cells, and a failure that replaces a failure with
+probability 0.5. Here positions outside the box are counted and left out, and ties keep the elder.
 """
 
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ class ArchiveElites:
     places: NDArray[np.int64]
     """(n,): the numbers of their cells, sorted."""
     successful: NDArray[np.bool_]
-    """(n,): which of them are successes."""
+    """(n,): True for successes."""
 
     def __len__(self) -> int:
         return len(self.places)
@@ -40,7 +39,7 @@ class EliteArchive:
     """The best genome found in each cell of a box of positions, enlarged to whole cells."""
 
     outside: int = 0
-    """Valid positions that lay outside the box, so far."""
+    """Number of valid positions outside the box so far."""
 
     def __init__(self, genes: int, box: PositionBox) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
@@ -62,7 +61,7 @@ class EliteArchive:
         return self._genomes[places]
 
     def insert(self, rows: Rows) -> None:
-        """Offer rows, elder ones first; overlaps, dead ends and errors are passed over."""
+        """Offer rows, elder ones first; overlaps, dead ends and errors are ignored."""
         valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
         where = cells(valid["descriptor"][:, :3])
         inside = ((where >= self._low) & (where <= self._high)).all(axis=1)

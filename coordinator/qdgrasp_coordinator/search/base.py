@@ -18,9 +18,9 @@ from qdgrasp_protocol.rows import Genomes, Layout, Rows
 def keyed_generator(seed: int, purpose: str, generation: int) -> np.random.Generator:
     """Return the generator of one purpose ("initial", "parents" ...) in a generation of a run.
 
-    Draw whole arrays over the index from it: what a genome gets then depends on (seed, purpose, generation,
-    index) alone, never on what was drawn for another purpose or generation before. Seeds are 0 or greater,
-    generations below 2**32.
+    Draw whole arrays over the index from it: the numbers of a genome then depend on (seed, purpose,
+    generation, index) alone, never on earlier draws for another purpose or generation. Seeds are 0 or
+    greater, generations below 2**32.
     """
     digest = hashlib.sha256(purpose.encode()).digest()
     words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in (0, 4, 8, 12))
@@ -38,9 +38,9 @@ class SearchSpace:
     approach_axis: Vector = (0.0, 0.0, 1.0)
     """Unit vector in the hand's base frame that points from the palm to the object."""
     distances: tuple[float, float] = (0.0, 0.1)
-    """The least and the greatest from the hand's base to the surface point that it looks at [m]."""
+    """Least and greatest distance from the hand's base to the surface point that it looks at [m]."""
     body: SceneObject | None = None
-    """The object, for measures of what a grasp bears."""
+    """The object, for measures of the loads that a grasp bears."""
 
     @property
     def genes(self) -> int:

@@ -1,12 +1,12 @@
-"""CMA-MAE: fifteen evolution strategies on pyribs that climb what their archive lacks.
+"""CMA-MAE: fifteen evolution strategies on pyribs that improve their archive.
 
 Huber et al. 2024, section IV, with the parameters of Fontaine and Nikolaidis 2023, "Covariance Matrix
 Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's
-released code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error,
-or a position outside the box) has f_min, so it is ranked last and never inserted.
+released code. The objective of a simulated pose is its fitness; a rejected one (overlap, dead end, error, or
+a position outside the box) has f_min, so it is ranked last and never inserted.
 
-Otherwise than in the released code every emitter starts at a point of its own, a rejected pose is not worth
-as much as a miss, and what is told is what was asked. As there, genomes are clipped for evaluation alone.
+Unlike in the released code every emitter starts at a point of its own, a rejected pose is not worth as much
+as a miss, and the genomes told are those asked. As there, genomes are clipped for evaluation alone.
 """
 
 from functools import cache
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 EMITTERS = 15
 POPULATION = 540  # 36 genomes for each emitter
 SIGMA_0 = 0.5  # Standard deviation of an emitter's first genomes, in genes
-ALPHA = 0.01  # The archive's learning rate: how far a cell's threshold moves to what was inserted
+ALPHA = 0.01  # The archive's learning rate: how far a cell's threshold moves to an inserted objective
 F_MIN = -1.0  # The threshold of an empty cell
 
 
 def check(spec: RunSpec) -> None:
     """Refuse a spec that the emitters cannot be asked with (`ImpossibleValue`).
 
-    Also where pyribs is not installed (`MissingPackage`). They share the population, and are told before
+    Also where pyribs is not installed (`MissingPackage`). Emitters share the population, and are told before
     they are asked again.
     """
     check_packages(f"The method {spec.method}", "ribs")
@@ -81,9 +81,9 @@ class CmaMae:
         return np.clip(self._asked, -1.0, 1.0).astype(np.float32)
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """Insert what was simulated, and adapt the emitters by how much that improved the archive.
+        """Insert simulated rows, and adapt the emitters by the improvement of the archive.
 
-        Before anything was simulated the emitters are told nothing: they would have no elite to restart from.
+        Before the first simulated row emitters are told nothing: they would have no elite to restart from.
         """
         places = cells(rows["descriptor"][:, :3])
         is_inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
@@ -101,7 +101,7 @@ class CmaMae:
 
 def _grid(low: NDArray[np.int64], high: NDArray[np.int64], genes: int, seed: int) -> "GridArchive":
     """Make a pyribs archive whose measures are cells, so that its bins are those of `cells`."""
-    from ribs.archives import GridArchive  # takes 1-2 s, which only a process that searches so should pay
+    from ribs.archives import GridArchive  # takes 1-2 s, only for a process with this search
 
     ranges = list(zip(low - 0.5, high + 0.5, strict=True))
     return GridArchive(
@@ -131,7 +131,7 @@ def _emitter(archive: "GridArchive", start: ArrayLike, share: int, seed: int) ->
 
 @cache
 def _compile_adaptation() -> None:
-    """Have pyribs compile ask and tell (4-6 s, once a process) before anything waits for it."""
+    """Have pyribs compile ask and tell (4-6 s, once a process) before any job waits for it."""
     archive = _grid(np.zeros(3, np.int64), np.ones(3, np.int64), 2, 0)
     emitter = _emitter(archive, np.zeros(2), 4, 0)
     batch = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}

@@ -1,4 +1,4 @@
-"""Hand poses that come from outside, the search that asks each once, and their scores."""
+"""Hand poses from outside, the search that asks each once, and their scores."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +58,7 @@ class HandPoses:
     ) -> "HandPoses":
         """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
 
-        Raises `InputError` where an array has another type or shape, holds a number that cannot be, or there
+        Raises `InputError` where an array has another type or shape, or an impossible number, or there
         are no poses.
         """
         places = finite_numbers(names.positions, positions, ("n", 3))
@@ -114,7 +114,7 @@ class HandPoses:
 
 
 def read_poses(path: Path) -> HandPoses:
-    """Return the poses in an npz file; raises `InputError` as `read_arrays` and `HandPoses.of`."""
+    """Return the poses in an npz file; `InputError` as in `read_arrays` and `HandPoses.of`."""
     arrays = read_arrays(path, "poses")
     for name in (IN_FILES.positions, IN_FILES.quaternions):
         if name not in arrays:
@@ -165,7 +165,7 @@ def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.gene
     valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
     (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
     after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where the plan has trials, eta
-    (n,): the estimated probability that it transfers, 0 for what is no success.
+    (n,): the estimated probability that it transfers, 0 for all but successes.
     """
     etas = {"eta": plan.eta(nominal_scores(rows, plan)[0])} if plan.stages else {}
     rows = rows[rows["trial"] == 0]
@@ -203,7 +203,7 @@ def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]
 class FixedPoseSearch:
     """Asks given poses in their order, at most `population` in a generation, each once.
 
-    They are (n, d) float32, laid out as `layout(scene, GIVEN)` says, and not confined to [-1, 1].
+    They are (n, d) float32 in the layout of `layout(scene, GIVEN)`, and not confined to [-1, 1].
     """
 
     def __init__(self, poses: Genomes, population: int) -> None:
@@ -216,7 +216,7 @@ class FixedPoseSearch:
         return self._poses[first : first + self._population]
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """Nothing is learned."""
+        """Learn nothing."""
 
 
 def check_poses(spec: RunSpec) -> None:

@@ -1,15 +1,14 @@
 """The frontier of cells that a search may aim at, and the best grasp of each success cell.
 
-A cell is worth a try when it promises something and little was spent on it: promise / (tries + dead ends / 2
-+ 1), where a try is a simulated pose and a dead end a genome of which nothing could be simulated. Each
-search learns what a cell promises (`touch_search`, `value_search`), from the distance between the cell and
-the contact point of the nearest success beside it, and from its 26 neighbours. It does not begin from
-nothing: in units of a hand's reach, all hands and objects teach nearly the same.
+The worth of a try in a cell is promise / (tries + dead ends / 2 + 1), where a try is a simulated pose and a
+dead end a genome of which no pose could be simulated. Each search learns the promise of a cell
+(`touch_search`, `value_search`) from the distance between the cell and the contact point of the nearest
+success beside it, and from its 26 neighbours. It begins with weights of other runs: in units of a hand's
+reach, they are nearly the same for all hands and objects.
 
-What a successful cell passes on to its neighbours is the contact point, the roll and the posture of its
-best success. The roll is kept as a vector of the hand, so that it can be read about the direction in which
-a neighbour will look: as a number it belongs to a frame that jumps between directions
-(`rotation.tangents`).
+A successful cell passes on to its neighbours the contact point, the roll and the posture of its best
+success. The roll is kept as a vector of the hand, so that it can be read about the direction in which a
+neighbour will look: as a number it belongs to a frame that jumps between directions (`rotation.tangents`).
 """
 
 from abc import ABC, abstractmethod
@@ -31,11 +30,11 @@ NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)
 
 
 class Frontier(ABC):
-    """All cells of a box, enlarged to whole cells, with what was tried in them.
+    """All cells of a box, enlarged to whole cells, with the tries in them.
 
     `reach` is the greatest distance from the hand to the surface point that it looks at [m], `within` the
-    least and the greatest distance [m] from a success's contact point of a cell to aim at. Every step costs
-    what it concerns, never a pass over all cells: a large hand around a large object has some 400 000.
+    least and the greatest distance [m] from a success's contact point of a cell to aim at. Every step visits
+    only the cells that it concerns, never all: a large hand around a large object has some 400 000.
     """
 
     def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
@@ -56,7 +55,7 @@ class Frontier(ABC):
         inside[1:-1, 1:-1, 1:-1] = True
         self._inside = inside.reshape(-1)
         self.edge: Places = np.zeros(0, np.intp)
-        """The cells that may be aimed at, those that became so first in front."""
+        """The cells that may be aimed at, in the order in which they became so."""
 
     @property
     def size(self) -> int:
@@ -82,7 +81,7 @@ class Frontier(ABC):
         return around
 
     def block(self, places: Places) -> Places:
-        """The 26 neighbours of cells (n,), and behind them the cells themselves: (n, 27)."""
+        """The 26 neighbours of cells (n,), followed by the cells themselves: (n, 27)."""
         return np.concatenate([self.around(places), places[:, None]], axis=1)
 
     def count_tries(self, places: Places) -> None:
@@ -115,7 +114,7 @@ class Frontier(ABC):
         Among equals `generator` draws.
         """
         places, (least, greatest) = self.edge, self._within
-        if among is None:  # those that may be as far from a contact point as is wanted
+        if among is None:  # cells that may be at a wanted distance from a contact point
             places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
         else:
             places = among
@@ -143,15 +142,15 @@ def select_top(places: Places, worth: NDArray[np.float64], n: int, generator: np
 RANK_NOISE = 3.0
 """Greatest random addition to a rank.
 
-So much that a dropped success is followed now and then where a held one is near, and that equals are all
-followed in turn.
+It is large enough that a dropped success is followed now and then where a held one is near, and that equals
+are all followed in turn.
 """
 NO_SLOT = -1  # The slot of a place without an elite
 FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
 
 
 class EliteStore:
-    """The best success of each place; of equals the elder.
+    """The best success of each place; among equals the elder.
 
     `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
     joints.
@@ -185,7 +184,7 @@ class EliteStore:
         return self._at("point", places)
 
     def distances(self, options: Places, points: Floats) -> Floats:
-        """Return how far surface points of `options` (n, k) are from points (n, 3): (n, k) [m]."""
+        """Return the distances of surface points of `options` (n, k) from points (n, 3): (n, k) [m]."""
         ways = self._at("point", options) - points[:, None]
         distances: Floats = np.sqrt((ways * ways).sum(axis=2))
         return distances
@@ -206,7 +205,7 @@ class EliteStore:
     def preference(self, options: Places, generator: np.random.Generator) -> Floats:
         """Return the preference of each of `options` (n, k), by outcome and by chance: (n, k).
 
-        -1 where there is no elite.
+        It is -1 where there is no elite.
         """
         ranks = self.ranks(options)
         return np.where(ranks < 0, -1.0, ranks + RANK_NOISE * generator.random(options.shape))

@@ -2,7 +2,7 @@
 
 Huber et al. 2024, section III-C, on Mouret and Clune 2015. As the paper states it: Gaussian mutation of
 each gene with probability 0.3 and sigma 0.1, clipped to [-1, 1]. The released code mutates every gene with
-sigma 0.05, and takes no notice of successes until 500 cells hold one; see `select_successes`.
+sigma 0.05, and ignores successes until 500 cells hold one; see `select_successes`.
 
 In random search every genome is a new draw. The released code of the paper re-evaluates the individuals of
 its first generation when it does not count overlaps, and evaluates that generation twice in any case.
@@ -25,7 +25,7 @@ def uniform_genomes(seed: int, generation: int, n: int, genes: int) -> Genomes:
 
 
 class RandomSearch:
-    """Asks `population` uniform genomes per generation; what it is told changes nothing."""
+    """Asks `population` uniform genomes per generation; results change nothing."""
 
     def __init__(self, seed: int, population: int, genes: int) -> None:
         self._seed = seed
@@ -36,7 +36,7 @@ class RandomSearch:
         return uniform_genomes(self._seed, generation, *self._size)
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """Nothing is learned."""
+        """Learn nothing."""
 
 
 Picks = NDArray[np.intp]

@@ -2,13 +2,13 @@
 
 Hands in one cell may look elsewhere, be rolled, or close other fingers. A grasp's *kind* is its orientation
 bin, with the diversity `posture` its synergy too; a cell and a kind are a niche. A cell stays open until it
-holds so many kinds of full quality, and a new kind in it is worth what a new cell is worth. The models of
-cells learn what a try gained: a touch of a kind that was there and was no worse is none. What was spent on a
-cell is weighed against what it gave, so that its successes do not count against it.
+holds a given number of kinds of full quality, and a new kind in it is worth as much as a new cell. The models
+of cells learn the gain of a try: a touch of a known kind that is no better gains nothing. The tries in a cell
+are weighed against its gains, so that its successes do not count against it.
 
 The kind of a try is known before it is simulated, but for the scatter of its candidates: it follows from the
 cell's middle, the contact point and the roll. So of the grasps in and around a cell, as they are and rolled
-on, one is followed whose kind the cell does not hold yet; which of them, one more model says.
+on, one is followed whose kind the cell does not hold yet; one more model chooses among them.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ Kinds = NDArray[np.int64]  # (n,): orientation bins, plus 60 times synergy label
 Niches = NDArray[np.int64]  # (n,): niches of a store, from 0 in the order of discovery
 MANY_KINDS = 8.0  # Unit of the numbers of kinds among features
 FIRST_KIND_WEIGHTS = (0.0, 0.0)  # Weights of the features of kinds before the first fit
-PARENTS = 8  # Grasps around a cell that may be followed there, at most
+PARENTS = 8  # Most grasps around a cell that may be followed there
 TURNS = np.arange(12) * (np.pi / 6.0)  # Rolls by which a grasp is turned [rad]
 FIRST_OPTION_WEIGHTS = (2.0, 0.5, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0, -2.0)
 """Weights of the features of an option before the first fit."""
@@ -72,7 +72,7 @@ class NicheFrontier(ValueFrontier):
     def add_gains(self, places: Places, gains: Floats, full: Places) -> None:
         """Record gains (n,) of worth in cells `places` (n,), which may repeat.
 
-        `full` (m,) are those of them that have a new kind of full quality.
+        `full` (m,) are the cells among them that have a new kind of full quality.
         """
         np.add.at(self._given, places, gains)
         np.add.at(self._given_around, self.around(places).ravel(), np.repeat(gains, len(NEIGHBOURS)))
@@ -90,7 +90,7 @@ class NicheFrontier(ValueFrontier):
         return np.concatenate([super().features(places), np.stack([here, around], axis=1)], axis=1)
 
     def worth(self, places: Places) -> Floats:
-        """Return the expected gain of a try in each of `places` (n,), by what was spent and given."""
+        """Return the expected gain of a try in each of `places` (n,), by its tries and gains."""
         features = self.features(places)
         gain = TOUCH_VALUE + (1.0 - TOUCH_VALUE) * self._quality.likely(features)
         rate = (self._given[places] + 1.0) / (self.spent(places) + 1.0)
@@ -101,12 +101,12 @@ class NicheFrontier(ValueFrontier):
 class NicheStore(EliteStore):
     """The best success of each kind in each place.
 
-    Elites are of niches: where `EliteStore` says place, a niche is meant.
+    Elites are of niches: a place of `EliteStore` is a niche here.
     """
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:
         super().__init__(FIRST_CAPACITY, axis, posture)
-        self._youngest = np.full(places, NO_SLOT, np.int64)  # A place's last niche, which leads to the others
+        self._youngest = np.full(places, NO_SLOT, np.int64)  # A place's last niche, linked to the others
         self._niches = np.zeros(
             FIRST_CAPACITY, [("place", "i8"), ("kind", "i8"), ("elder", "i8"), ("best", "f8")]
         )
@@ -120,7 +120,7 @@ class NicheStore(EliteStore):
         return found
 
     def make(self, places: Places, kinds: Kinds) -> Niches:
-        """Return the same niches; those that are not there yet are begun."""
+        """Return the niches (n,) of kinds (n,) in `places` (n,); new ones are added."""
         (missing,) = np.nonzero(self.find(places, kinds) == NO_SLOT)
         for place, kind in dict.fromkeys(zip(places[missing].tolist(), kinds[missing].tolist(), strict=True)):
             if self._n == len(self._niches):
@@ -143,7 +143,7 @@ class NicheStore(EliteStore):
         return np.where(niches == NO_SLOT, -1.0, self._niches["best"][niches])
 
     def raise_best(self, niches: Niches, quality: Floats) -> None:
-        """Record grasps of such quality (n,) in `niches` (n,), which may repeat."""
+        """Record grasps of `quality` (n,) in `niches` (n,), which may repeat."""
         np.maximum.at(self._niches["best"], niches, quality)
 
     def among(self, places: Places) -> tuple[NDArray[np.intp], Niches]:
@@ -173,7 +173,7 @@ class KindReader:
         return orientations(rows["base_to_object"][:, 3:]) + self._synergy(rows["genome"])
 
     def of_aims(self, ways: Floats, rolls: Floats, postures: Floats) -> tuple[Kinds, Floats]:
-        """Return the kinds (n,) of proposed grasps, and how clear of their bins' borders each is.
+        """Return the kinds (n,) of proposed grasps, and their clearance from their bins' borders.
 
         They look along unit `ways` (n, 3) with rolls (n,) [rad] and genes of posture (n, k).
         """
@@ -185,12 +185,12 @@ class KindReader:
         return bins + self._synergy(genomes), clearness
 
     def _synergy(self, genomes: NDArray[np.float32]) -> NDArray[np.int64] | int:
-        """Return what the synergies of genomes (n, d) add to their kinds."""
+        """Return the numbers that synergies of genomes (n, d) add to their kinds."""
         return 0 if self._synergies is None else BINS * (self._synergies.labels(genomes) - NO_SYNERGY)
 
 
 class NicheSearch(ValueSearch):
-    """Aims at cells that lack kinds, with the grasps around them that are of such a kind."""
+    """Aims at cells that lack kinds, with grasps of these kinds from around them."""
 
     _frontier: NicheFrontier
     _elites: NicheStore
@@ -206,7 +206,7 @@ class NicheSearch(ValueSearch):
         self._choice = LogisticRegression(FIRST_OPTION_WEIGHTS)
 
     def _learn_cells(self, generation: int, rows: Rows, is_told: NDArray[np.bool_], quality: Floats) -> None:
-        """Learn from what tries gained: a new kind, or a better grasp of its kind."""
+        """Learn from the gains of tries: a new kind, or a better grasp of its kind."""
         features, options = self._open.pop(generation), self._followed.pop(generation)
         del self._wanted[generation]
         n = len(features)
@@ -288,7 +288,7 @@ class NicheSearch(ValueSearch):
 
         The share of neighbours that hold the kind, at full quality; the quality of the parent; cosines of
         once, twice and four times the turn; whether the parent is in the cell itself; the distance from the
-        cell to the contact point in units of the hand's reach; how clear the kind is; 1.
+        cell to the contact point in units of the hand's reach; the kind's clearance; 1.
         """
         around, niches = self._elites.among(self._frontier.around(targets))
         is_full = self._elites.best(niches) >= FULL_QUALITY
@@ -314,6 +314,6 @@ class NicheSearch(ValueSearch):
 
 
 def worth_of(best: Floats) -> Floats:
-    """Return the worth (n,) of grasps of such quality (n,); 0 for -1, no grasp."""
+    """Return the worth (n,) of grasps of quality `best` (n,); 0 for -1, no grasp."""
     worth: Floats = np.where(best < 0.0, 0.0, TOUCH_VALUE + (1.0 - TOUCH_VALUE) * best)
     return worth

@@ -1,8 +1,8 @@
 """The table of search methods: the paper's, the default, and the one that re-scores poses.
 
-A search is a fold over ordered tells: what it asks in a generation depends on the seed and on what it was
-told, never on clocks, workers or the order of arrival (the pipeline orders). It knows genomes in [-1, 1],
-rows and its space; the paper's methods take no notice of what the genes mean.
+A search is a fold over ordered tells: its genomes of a generation depend on the seed and on the rows told,
+never on clocks, workers or the order of arrival (the pipeline orders). It knows genomes in [-1, 1], rows and
+its space; the paper's methods ignore the meaning of genes.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from qdgrasp_protocol.spec import AimFor, Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
 """Makes a search from a spec and the space of its genomes."""
-CheckSpec = Callable[[RunSpec], None]  # Raises an `InputError` where a spec asks what the search cannot do
+CheckSpec = Callable[[RunSpec], None]  # Raises an `InputError` where the search cannot carry out a spec
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def learns_value(spec: RunSpec) -> bool:
 
 
 def search_words(spec: RunSpec) -> str:
-    """Return the words for a spec's method and what it looks for."""
+    """Return the words for a spec's method and its objective."""
     keys = ("method", "aim_for", "diversity")
     return " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
 
@@ -104,12 +104,12 @@ def _aimed_search(spec: RunSpec) -> BuildSearch:
 
 
 def by_position(spec: RunSpec) -> bool:
-    """Return whether a spec tells grasps apart by their cell alone."""
+    """Return whether a spec distinguishes grasps by their cell alone."""
     return spec.diversity in (None, "position")
 
 
 def check_objective(spec: RunSpec) -> None:
-    """Check that the search can tell how good a grasp is, and of what kind, by its spec."""
+    """Check that the search can measure a grasp's quality and kind by its spec."""
     if aims_for_touch(spec):
         _check_no_kinds(spec, "aim_for = 'touch', which fills cells with first touches")
     if by_position(spec) and (spec.grasps_per_cell or 1) > 1:
@@ -209,7 +209,7 @@ def prior_of(spec: RunSpec) -> str:
 
 
 def check_spec(spec: RunSpec) -> None:
-    """Check that there is the method that a spec asks for, and that it can do it."""
+    """Check that a spec's method exists, and can carry out the spec."""
     chosen = method(spec.method)
     if spec.aim_for is not None and chosen.aim_for is None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")

@@ -1,8 +1,8 @@
 """Success models: logistic regression, candidate ranking, and the threshold to simulate.
 
-Screening candidates costs less than simulating one, so that it pays to draw more of them and to be choosy;
-up to a point, which is a share of genomes that are simulated. A cell that gave no candidate is asked again,
-and for less each time.
+Screening candidates costs less than simulating one, so that it pays to draw more of them and to refuse many;
+the limit is a share of genomes that are simulated. A cell that gave no candidate is asked again, with a lower
+threshold each time.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from qdgrasp_assets.genes import FEATURES, STEEPEST
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.rows import Outcome, Rows
 
-EXAMPLES_KEPT = 2048  # The last examples that a fit looks at
+EXAMPLES_KEPT = 2048  # Number of the last examples, which a fit uses
 FIT_INTERVAL = 256  # Examples between two fits
 LEAST_EXAMPLES = 10  # Least number of successes, and of failures, among the examples of a fit
 NEWTON_STEPS = 5
@@ -27,7 +27,7 @@ LEAST_VARIANCE = 1e-9  # The variance below which a feature is taken for constan
 WEIGHT_GRAIN = 64
 """Weights are whole multiples of 1 / GRAIN.
 
-So the last bits of a fit, which differ between processors, do not reach the genomes.
+So the last bits of a fit, which differ between processors, do not change the genomes.
 """
 
 
@@ -38,7 +38,7 @@ class LogisticRegression:
 
     `start` (features,) are the weights until the first fit, and the mean of their prior in all fits; there is
     one after every `interval` examples (None: `FIT_INTERVAL`). With `own_units` the unit of each feature is
-    its standard deviation, instead of 1: what is small then counts as much as what is large.
+    its standard deviation, instead of 1: small features then count as much as large ones.
     """
 
     def __init__(self, start: ArrayLike, *, own_units: bool = False, interval: int | None = None) -> None:
@@ -52,7 +52,7 @@ class LogisticRegression:
         self._fitted = 0
 
     def learn(self, features: Floats, successes: Floats | NDArray[np.bool_]) -> None:
-        """Learn from examples: features (n, k) and which of them were successes, or by how much."""
+        """Learn from examples: features (n, k) and successes (n,), True and False or 0 to 1."""
         features, successes = features[-EXAMPLES_KEPT:], successes[-EXAMPLES_KEPT:]
         places = (self._seen + np.arange(len(features))) % EXAMPLES_KEPT
         self._features[places], self._successes[places] = features, successes
@@ -67,7 +67,7 @@ class LogisticRegression:
 
     @property
     def examples(self) -> tuple[Floats, Floats]:
-        """The examples that a fit looks at: features (n, k), and how much of a success each is (n,)."""
+        """The examples that a fit uses: features (n, k), and successes (n,) from 0 to 1."""
         known = min(self._seen, EXAMPLES_KEPT)
         return self._features[:known], self._successes[:known]
 
@@ -79,7 +79,7 @@ class LogisticRegression:
 def pooled_weights(models: Sequence[LogisticRegression], start: ArrayLike) -> Floats | None:
     """Return weights (k,) of one fit to the examples of several models of the same features.
 
-    Each model has a constant of its own, so that how often objects are touched or hold is not laid to
+    Each model has a constant of its own, so that different success rates of objects are not attributed to
     features in which they differ as well; the last weight is the mean of these. `start` (k,) is the mean of
     their prior. None: successes or failures are too few.
     """
@@ -132,7 +132,7 @@ def _likely(features: Floats, weights: Floats) -> Floats:
 class CandidateRanker:
     """Logistic regression of success on the features that the prior `aimed` gives of its pose.
 
-    It begins from nothing: what ranks poses on one object misleads on another.
+    It begins without weights: those of one object mislead on another.
     """
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ def scale_to_gene_range(weights: Floats) -> Floats:
     return scaled
 
 
-DEAD_END_DISCOUNT = 0.5  # Reduction for each dead end: wanted / (dead ends * LESS + 1)
+DEAD_END_DISCOUNT = 0.5  # Reduction for each dead end: wanted / (dead ends * this + 1)
 WANTED_STEP = 0.9  # Factor by which a generation changes the demand
 LEAST_WANTED = 1e-3  # Least value that is demanded of a candidate
 
@@ -173,7 +173,7 @@ LEAST_WANTED = 1e-3  # Least value that is demanded of a candidate
 class ValueThreshold:
     """Threshold on the value of candidates, adapted to the share of genomes that pass it.
 
-    `most` is demanded of a cell's first candidates: a probability of success, or what a search takes for it.
+    `most` is demanded of a cell's first candidates: a probability of success, or a search's own value.
     It is lowered while less than `least_share` of the genomes are simulated.
     """
 
@@ -181,17 +181,17 @@ class ValueThreshold:
         self._most = self._wanted = most
         self._least_share = least_share
         self.share = 1.0
-        """The share of the last generation's genomes that got through, at least the least."""
+        """The share of the last generation's genomes that passed, at least `least_share`."""
 
     def wanted(self, dead_ends: NDArray[np.int32]) -> Floats:
-        """Return the value demanded in cells (n,) with so many dead ends."""
+        """Return the value demanded in cells with `dead_ends` (n,)."""
         wanted: Floats = np.maximum(
             LEAST_WANTED, self._wanted / (DEAD_END_DISCOUNT * dead_ends.astype(np.float64) + 1.0)
         )
         return wanted
 
     def update(self, through: NDArray[np.bool_]) -> None:
-        """Adapt the threshold to which genomes (n,) of a generation became evaluations."""
+        """Adapt the threshold; `through` (n,) says which genomes became evaluations."""
         is_narrow = np.count_nonzero(through) < self._least_share * len(through)
         self.share = max(self._least_share, float(through.mean()))
         wanted = self._wanted * WANTED_STEP if is_narrow else self._wanted / WANTED_STEP

@@ -1,10 +1,10 @@
 """The search that aims at touch: at empty cells beside successes.
 
-Retries: a second try in a cell whose grasp is weak takes the best grasp from around the cell. How often it
-gives a robust one tells, about, the share of the cell's 26 neighbours that hold one; what the tries so far
-gave corrects it. A robust grasp in place of a weak one adds no cell: it counts `RETRY_VALUE` of one, and is
-tried where that is more than what an evaluation at the frontier brought lately. So a search whose frontier
-is rich makes no such try.
+Retries: a second try in a cell whose grasp is weak takes the best grasp from around the cell. Its probability
+to give a robust one is about the share of the cell's 26 neighbours that hold one, corrected by the results of
+tries so far. A robust grasp in place of a weak one adds no cell: it counts `RETRY_VALUE` of one, and is tried
+where that is more than the recent gain of an evaluation at the frontier. So a search with a rich frontier
+makes no such try.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 FIRST_WEIGHTS = (1.0, -5.0, 3.0, 2.0)
-"""Weights of `features` before the first fit, about those of finished runs of all hands."""
+"""Weights of `features` before the first fit, approximately those of finished runs of all hands."""
 
 
 class TouchFrontier(Frontier):
@@ -72,7 +72,7 @@ class TouchFrontier(Frontier):
 
 
 RETRY_VALUE = 1 / 3  # Worth of a robust grasp in place of a weak one, relative to a success in an empty cell
-RETRY_SHARE = 0.5  # The most such tries in a generation, as a share of those that count at the frontier
+RETRY_SHARE = 0.5  # Most retries in a generation, as a share of the tries that count at the frontier
 PRIOR_PROMISES = 20.0  # Promised and given robust grasps that are assumed before the first try
 FADING = 0.9  # Weight of an older generation against the next in the frontier's recent success rate
 NO_PROMISES = np.zeros(0)
@@ -162,7 +162,7 @@ class TouchSearch(AimedSearch):
         self._threshold.update(is_told)
 
     def _succeed(self, successes: Rows) -> None:
-        """Learn from successes; those outside the box are passed over."""
+        """Learn from successes; those outside the box are ignored."""
         places = self._frontier.places(successes["descriptor"][:, :3])
         successes, places = successes[places >= 0], places[places >= 0]
         self._frontier.add_successes(places, successes["surface_point"].astype(np.float64))

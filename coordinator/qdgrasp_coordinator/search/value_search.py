@@ -1,11 +1,11 @@
 """The search that aims at value: at cells that may gain most, with the best candidates.
 
 A pose is worth P(touch) (c + (1 - c) q): q is the expected quality of a grasp that touches, between 0 and 1,
-and c (`TOUCH_VALUE`) what touching alone is worth. Both parts are logistic models, learned as the run goes
-on, twice: of the features that a worker gives of a candidate, for ranking and threshold; and of what is
-known of a cell before it is tried, for the choice of cells. A cell is worth what it may still gain: the touch
-if it has none, and quality beyond its best, by the same formula for empty and weak cells. So none is closed
-by its first touch.
+and c (`TOUCH_VALUE`) the value of touching alone. Both parts are logistic models, learned during the run,
+twice: on the features that a worker gives of a candidate, for ranking and threshold; and on the features of a
+cell before it is tried, for the choice of cells. The worth of a cell is its possible gain: the touch if it
+has none, and quality beyond its best, by the same formula for empty and weak cells. So none is closed by its
+first touch.
 
 Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`), or its Ferrari-Canny margin
 (`margin`).
@@ -42,9 +42,9 @@ STARTS = {
     "cell_touch": FIRST_TOUCH_WEIGHTS,
     "cell_quality": FIRST_QUALITY_WEIGHTS,
 }
-"""Weights that models begin with, by their names in `FirstWeights`, where a spec has none for them."""
+"""First weights of models, by their names in `FirstWeights`, where a spec has none for them."""
 DOUBT_INTERVAL = 64
-"""Examples between two fits of a model that begins with what other runs learned, which may mislead."""
+"""Examples between two fits of a model that begins with weights of other runs, which may mislead."""
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
@@ -52,12 +52,12 @@ FULL_ETAS = {"paper": 0.3, "physical": 1.0}
 """Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""
 FULL_MARGIN = 0.1  # Ferrari-Canny margin of quality 1; of the Panda on cube and mug 99 in 100 are below 0.07
 PRIOR_TRIALS = 5.0
-"""Trials that the mean of grasps nearby counts for, where they are sequential.
+"""Number of trials that the mean of grasps nearby counts as, where trials are sequential.
 
 It predicted other trials of the same grasps best (docs/protocols.md, "Trials of `physical`").
 """
 BLOCK = np.concatenate([NEIGHBOURS, np.zeros((1, 3), np.int64)])  # Steps to a cell's neighbours and itself
-FULL_QUALITY = 0.9  # Quality from which a cell has nothing more to gain that would be worth a try
+FULL_QUALITY = 0.9  # Quality from which a cell's possible gain is not worth a try
 QUALITY_GRAIN = 1024
 """Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
 
@@ -99,7 +99,7 @@ def quality_measure(spec: RunSpec, space: SearchSpace) -> Qualities:
 
 
 class EtaQualities:
-    """Quality by eta, drawn towards that of other grasps nearby where it is of few trials.
+    """Quality by eta, moved towards that of other grasps nearby where its trials are few.
 
     The mean of the other successes in the cell and in the 26 around it counts as `prior_trials` trials more,
     as where etas are drawn from a beta distribution; that of the run where there are none. `most` is the
@@ -109,7 +109,7 @@ class EtaQualities:
     def __init__(self, most: float, prior_trials: float) -> None:
         self._most = most
         self._prior_trials = prior_trials
-        self._known: dict[int, list[float]] = {}  # Qualities by cell, as they were measured
+        self._known: dict[int, list[float]] = {}  # Measured qualities by cell
         self._sum, self._count = 0.0, 0
 
     def __call__(self, rows: Rows) -> Floats:
@@ -127,7 +127,7 @@ class EtaQualities:
         return np.asarray((trials * quality + self._prior_trials * prior) / (trials + self._prior_trials))
 
     def _mean_of_others(self, nearby: list[int], own: float) -> float:
-        """Return the mean quality in cells, less one that is `own`; that of the run without others."""
+        """Return the mean quality in cells without one, `own`; the run's if there are no others."""
         values = [value for cell in nearby for value in self._known.get(cell, [])]
         return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else self._sum / self._count
 
@@ -207,10 +207,10 @@ class ValueFrontier(Frontier):
         self._quality.learn(features[is_success], quality[is_success])
 
     def worth(self, places: Places) -> Floats:
-        """Return the expected gain of a try in each of `places` (n,), over what was spent there.
+        """Return the expected gain of a try in each of `places` (n,), over the tries spent there.
 
-        A success of expected quality q raises a best of b by at most q (1 - b): just that, where a quality is
-        0 or 1.
+        A success of expected quality q raises a best of b by at most q (1 - b): exactly that, where a quality
+        is 0 or 1.
         """
         features = self.features(places)
         touch = TOUCH_VALUE * (1.0 - features[:, 4])
@@ -230,7 +230,7 @@ class ValueModel:
     def ranking(self, wanted: Floats) -> Floats:
         """Return weights of both models, and the value wanted of candidates: (n, w).
 
-        All zero before the first fit, unless other runs' weights were handed on.
+        All are zero before the first fit, unless the spec has weights of other runs.
         """
         weights = np.zeros((len(wanted), RANKING_GENES[VALUED]))
         if self._touch.weights.any():
@@ -279,14 +279,14 @@ class ValueSearch(AimedSearch):
         self._threshold.update(is_told)
 
     def _learn_cells(self, generation: int, rows: Rows, is_told: NDArray[np.bool_], quality: Floats) -> None:
-        """Learn from a generation's tries at cells, of such quality (n,) and so far as they count."""
+        """Learn from a generation's tries at cells, those that count, with their quality (n,)."""
         features = self._open.pop(generation)
         told = is_told[: len(features)].nonzero()[0]
         is_success = rows["outcome"][told] >= Outcome.DROPPED
         self._frontier.learn_quality(features[told], is_success, quality[told])
 
     def _succeed(self, successes: Rows, quality: Floats) -> None:
-        """Learn from successes of such quality (n,); those outside the box are passed over."""
+        """Learn from successes of `quality` (n,); those outside the box are ignored."""
         places = self._frontier.places(successes["descriptor"][:, :3])
         (inside,) = np.nonzero(places >= 0)
         successes, places, quality = successes[inside], places[inside], quality[inside]

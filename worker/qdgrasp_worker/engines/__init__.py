@@ -33,7 +33,7 @@ ENGINES = {
     "mujoco": Engine(MUJOCO_WORLDS, "MujocoShakenWorld", "MujocoPhysicalWorld"),
     DEVICE_ENGINE: Engine(MUJOCO_WORLDS, None, "MujocoPhysicalWorld"),
 }
-"""The engine of a device begins with MuJoCo's own world, and moves many of them (`engines.warp_worlds`)."""
+"""The device's engine has MuJoCo's own worlds; `engines.warp_worlds` simulates many of them together."""
 
 
 def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> ShakenWorld | PhysicalWorld:

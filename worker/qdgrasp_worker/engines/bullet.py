@@ -1,4 +1,4 @@
-"""Thin typed access to PyBullet, without a decision of its own.
+"""Typed access to PyBullet; decisions are made elsewhere.
 
 The one module that imports PyBullet. Poses are of a body's root link; contacts are those of the last
 collision detection. Lengths are metres, quaternions xyzw. Arguments are plain lists: arrays take PyBullet
@@ -22,7 +22,7 @@ from qdgrasp_worker.world import STILL, Contact, Quaternion
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep what C code prints on stdout and stderr off the console, for the whole process."""
+    """Keep output of C code on stdout and stderr off the console, for the whole process."""
     flush_streams()
     kept = [os.dup(stream) for stream in (1, 2)]
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -31,7 +31,7 @@ def quiet() -> Iterator[None]:
             os.dup2(nowhere, stream)
         yield
     finally:
-        flush_streams()  # what C has buffered must not come out later
+        flush_streams()  # C's buffered output must not appear later
         for stream, copy in zip((1, 2), kept, strict=True):
             os.dup2(copy, stream)
             os.close(copy)
@@ -39,7 +39,7 @@ def quiet() -> Iterator[None]:
 
 
 def flush_streams() -> None:
-    """Write out what Python and C hold back."""
+    """Write out the buffered output of Python and C."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
@@ -51,7 +51,7 @@ with quiet():
 
 BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
-"""Bullet's default share of a shape's size at which it begins to see contacts, and forgets them."""
+"""Bullet's default distance at which contacts begin and end, as a share of a shape's size."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class Motor:
     """Gains and limits with which a joint is driven to a position."""
 
     force: float
-    """The most it may push [N or Nm]."""
+    """Greatest force or torque [N or Nm]."""
     max_velocity: float
-    """[m/s or rad/s]."""
+    """Greatest velocity [m/s or rad/s]."""
     position_gain: float = 0.1
-    """Bullet's kp: this share of the error is made good in a step."""
+    """Bullet's kp: the share of the error that a step corrects."""
     velocity_gain: float = 1.0
     """Bullet's kd."""
 
@@ -77,7 +77,7 @@ class BulletLink(NamedTuple):
     slides: bool = False
     """True for a prismatic joint."""
     lower: float = 0.0
-    """Lower limit of the joint as the URDF has it [m or rad]; it has none where that is above `upper`."""
+    """Lower limit of the joint in the URDF [m or rad]; there is none where it is above `upper`."""
     upper: float = 0.0
     parent: int = BASE
     """The index of the link that carries it."""
@@ -89,13 +89,13 @@ class ContactForce(NamedTuple):
     link: int
     """The first body's link."""
     point: Vector
-    """On the second body [m], world frame."""
+    """Place on the second body [m], world frame."""
     normal: Vector
     """Unit normal into the second body, world frame."""
     distance: float
-    """Negative where they penetrate [m]."""
+    """Distance of the bodies [m]; negative where they penetrate."""
     force: float
-    """Along the normal [N]."""
+    """Force along the normal [N]."""
 
 
 class Bullet:
@@ -124,11 +124,11 @@ class Bullet:
         )
 
     def set_contact_recovery(self, share: float) -> None:
-        """Set the share of a penetration that the solver makes good in a step."""
+        """Set the share of a penetration that the solver corrects in a step."""
         pb.setPhysicsEngineParameter(contactERP=share, physicsClientId=self._client)
 
     def set_breaking_threshold(self, share: float) -> None:
-        """Set the share of a shape's size at which contacts are seen, in the whole process."""
+        """Set the distance at which contacts begin, as a share of a shape's size, process-wide."""
         pb.setPhysicsEngineParameter(contactBreakingThreshold=share, physicsClientId=self._client)
 
     def load(self, urdf: Path, *, fixed: bool, meets_itself: bool = False) -> int:
@@ -237,7 +237,7 @@ class Bullet:
         return state[4], state[5]
 
     def halt(self, body: int) -> None:
-        """Take a body's linear and angular velocity away."""
+        """Set a body's linear and angular velocity to zero."""
         pb.resetBaseVelocity(body, STILL, STILL, physicsClientId=self._client)
 
     def velocity(self, body: int) -> Vector:
@@ -273,7 +273,7 @@ class Bullet:
         return place
 
     def switch_motors_off(self, body: int, joints: list[int]) -> None:
-        """Let joints move freely, but for torques of `apply_torques`."""
+        """Let joints move freely, except for torques of `apply_torques`."""
         pb.setJointMotorControlArray(
             body,
             joints,
@@ -303,11 +303,11 @@ class Bullet:
         )
 
     def detect(self) -> None:
-        """Find the contacts of the poses as they are, without moving anything."""
+        """Find the contacts at the present poses, without moving anything."""
         pb.performCollisionDetection(physicsClientId=self._client)
 
     def step(self) -> None:
-        """Move on by a step, which is 1/240 s if nothing else was set."""
+        """Simulate one step, 1/240 s if not set otherwise."""
         pb.stepSimulation(physicsClientId=self._client)
 
     def touching(self, body: int, other: int) -> bool:

@@ -1,6 +1,6 @@
-"""Worlds of the protocols in Bullet, which forget everything between two evaluations.
+"""Worlds of the protocols in Bullet, without state between two evaluations.
 
-Hand and object are loaded into Bullet out of a folder that is gone afterwards.
+Hand and object are loaded into Bullet from a temporary folder.
 """
 
 import math
@@ -45,8 +45,8 @@ from qdgrasp_worker.world import (
 )
 
 HAND_GROUP, OBJECT_GROUP, TABLE_GROUP = 1, 2, 4
-"""Collision groups: an object meets hands and a table only, a hand itself if it is asked to."""
-TABLE_AWAY = [0.0, 0.0, -20.0]  # Where it is out of touch with everything [m]
+"""Collision groups: an object meets hands and a table only; a hand meets itself on request."""
+TABLE_AWAY = [0.0, 0.0, -20.0]  # Its place when unused, away from all bodies [m]
 TABLE_URDF = """<robot name="table"><link name="table">
 <inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><geometry><box size="{sides}"/></geometry></collision>
@@ -59,14 +59,14 @@ OBJECT_URDF = """<robot name="object"><link name="object">
 """
 """Inertia and contacts as in the public code's runs, with the shape off the centre of mass.
 
-Bullet takes the inertia from the collision shape, not from here. The nanometre keeps it from unwrapping
-a shape that stands alone at no offset: a bare hull of the rubiks cube has 5 % less inertia, other margins,
-and another answer to whether a finger touches it in 6 % of poses.
+Bullet takes the inertia from the collision shape, not from here. The offset of a nanometre keeps Bullet from
+taking a single shape out of its compound: a bare hull of the rubiks cube has 5 % less inertia, other margins,
+and other finger contacts in 6 % of poses.
 """
 
 
 class HandBody:
-    """A hand on its carrier, with the indices that Bullet gave to its links and joints.
+    """A hand on its carrier, with Bullet's indices of its links and joints.
 
     An AssetError if Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
     """
@@ -115,11 +115,11 @@ class TableBody:
         self._pose, self._turn = pose, facing(pose.up).tolist()
 
     def put_away(self) -> None:
-        """Take it away from everything."""
+        """Move it away from all bodies."""
         self._bullet.place(self.body, TABLE_AWAY, UPRIGHT)
 
     def put_below(self, way: float) -> None:
-        """Put it so far below the place where the object rests on it [m]."""
+        """Put it `way` [m] below the place where the object rests on it."""
         self._bullet.place(self.body, table_middle(self._pose, way), self._turn)
 
 
@@ -133,7 +133,7 @@ def obj_vertices(obj: bytes) -> Iterator[list[float]]:
 def load_body(
     bullet: Bullet, urdf: str, meshes: Mapping[str, bytes], *, fixed: bool, meets_itself: bool = False
 ) -> int:
-    """Load a URDF with its meshes; its index in Bullet."""
+    """Load a URDF with its meshes; return its index in Bullet."""
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name).resolve()
         for mesh, content in meshes.items():
@@ -168,19 +168,19 @@ class BulletWorld(GraspWorld):
 
     @abstractmethod
     def _prepare(self, gripper: SceneGripper) -> None:
-        """Make ready all that closing needs."""
+        """Prepare the data that closing needs."""
 
     def close(self) -> None:
         """Leave Bullet and free the world; closing twice is allowed."""
         self._bullet.close()
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Put hand and object in place, at rest, with nothing left of what happened before.
+        """Put hand and object in place, at rest, without any state of earlier evaluations.
 
         The finger joints are at `posture` [rad or m].
 
-        In this order the same pose gives the same bits whatever came before: a collision detection with
-        the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
+        In this order a pose gives the same bits after any other poses: a collision detection with the
+        hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
         bullet, hand, target, pose = self._bullet, self._hand, self._target, trial.pose
         frictions = trial.frictions or target.frictions
@@ -204,7 +204,7 @@ class BulletWorld(GraspWorld):
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def step(self) -> None:
-        """Move on by a step."""
+        """Simulate one step."""
         self._detected_at = self._bullet.pose(self._target.body)
         self._bullet.step()
 
@@ -227,7 +227,7 @@ class BulletWorld(GraspWorld):
     def contact_forces(self) -> list[GraspContact]:
         """The contacts of the hand with the object that bear a force, or are about to.
 
-        Bullet finds contacts before it moves the bodies: they go with the pose that the object had then.
+        Bullet finds contacts before it moves the bodies: they belong to the pose that the object had then.
         """
         numbers = self._hand.link_numbers
         found = [
@@ -243,7 +243,7 @@ class BulletWorld(GraspWorld):
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
     def state(self) -> WorldState:
-        """The places of all that can move, and the contacts, as they are now."""
+        """The present places of all that can move, and the contacts."""
         bullet, hand, target = self._bullet, self._hand, self._target.body
         positions = bullet.joints(hand.body, self._joints)
         return WorldState(
@@ -282,7 +282,7 @@ class BulletShakenWorld(BulletWorld, ShakenWorld):
         self._bullet.drive(self._hand.body, index, target, motor)
 
     def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the hand at `pose`, while it closes, can touch the object no more."""
+        """Return whether the closing hand at `pose` can no longer touch the object."""
         body = self._target.body
         return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
 
@@ -322,7 +322,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
 
     def _prepare(self, gripper: SceneGripper) -> None:
         bullet, hand, target = self._bullet, self._hand, self._target
-        bullet.set_breaking_threshold(self._breaking_threshold)  # a pair keeps the one that it first met with
+        bullet.set_breaking_threshold(self._breaking_threshold)  # a pair keeps its first threshold
         iterations = self.physics.jaw_iterations if gripper.jaw else self.physics.iterations
         bullet.set_stepping(self.physics.time_step, iterations)
         bullet.set_contact_recovery(self.physics.recovery)
@@ -354,7 +354,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
 
     def _let_pass(self, gripper: SceneGripper, robot: Urdf, links: Sequence[BulletLink]) -> None:
-        """Let links pass through each other that are said to, or that touch while the hand is open."""
+        """Let pairs of links pass through each other: neighbours, disabled, or touching when open."""
         bullet, body = self._bullet, self._hand.body
         named = {link.link: index for index, link in enumerate(links)}
         passing = neighbours(robot).union(gripper.disabled_collisions)
@@ -409,19 +409,19 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         self._control.start(self._posture, names)
 
     def release(self) -> None:
-        """Let the object go, damped; the targets of a jaw go on, others stay."""
+        """Release the object, damped; the targets of a jaw move on, others stay."""
         self._bullet.set_inertia(self._target.body, self._mass, self._moments)
         self._bullet.set_damping(self._target.body, self.physics.damping)
         if not self._control.is_coupled:
             self._control.stop()
 
     def _let_stay(self) -> None:
-        """Let all targets stay, and take the damping off the object."""
+        """Stop all targets, and remove the damping of the object."""
         self._bullet.set_damping(self._target.body, 0.0)
         self._control.stop()
 
     def step(self) -> None:
-        """Move on by a step, with the fingers' torques."""
+        """Simulate one step, with the fingers' torques."""
         bullet, hand = self._bullet, self._hand
         states = bullet.joint_motion(hand.body, hand.fingers)
         torques = self._control.torques(states, self.physics.time_step)
@@ -436,12 +436,12 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         self._bullet.push(self._target.body, along, self._bullet.position(self._target.body))
 
     def weigh(self, factor: float) -> None:
-        """Let so many times its weight pull the object towards the table, during the next step."""
+        """Pull the object towards the table with `factor` times its weight, during the next step."""
         force, target = -factor * self._mass * self.physics.weight, self._target.body
         self._bullet.push(target, [force * axis for axis in self._up], self._bullet.position(target))
 
     def lower_table(self, way: float) -> None:
-        """Put the table, if there is one, so far below the place where the object rests on it [m]."""
+        """Put the table, if there is one, `way` [m] below the place where the object rests on it."""
         if self._table:
             self._table.put_below(way)
 
@@ -456,7 +456,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
 
 
 def reach_of(bullet: Bullet, hand: HandBody, joint: int, links: Sequence[BulletLink]) -> float:
-    """Distance from a joint to the farthest corner of a box of what it moves [m]."""
+    """Distance from a joint to the farthest box corner of the links that it moves [m]."""
     place = bullet.joint_place(hand.body, joint)
     moved = {joint}
     for index in range(joint + 1, len(links)):  # Bullet numbers a link after the one that carries it

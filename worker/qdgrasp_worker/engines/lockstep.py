@@ -1,8 +1,8 @@
 """Episodes of `physical` in lockstep: the worlds of a batch go through its phases together.
 
 `PhysicalEpisode` simulates one pose after the other; here each phase is carried out for all poses of a batch,
-and `BatchWorlds` moves those on that are still in it. The state of all worlds stands in arrays here, so that
-a world that has ended costs nothing more, and no result depends on the worlds beside it.
+and `BatchWorlds` steps the worlds that are still in it. The states of all worlds are arrays here, so that a
+world that has ended costs no more steps, and no result depends on other worlds.
 """
 
 from abc import ABC, abstractmethod
@@ -42,20 +42,20 @@ class WorldContacts(NamedTuple):
     """Contacts of hands with the object, nearer than `NEAR`, in the order of their worlds."""
 
     worlds: NDArray[np.intp]
-    """(c,), ascending."""
+    """(c,): the world of each contact, ascending."""
     links: NDArray[np.intp]
     """(c,): bodies of the hand."""
     distances: Floats
-    """(c,): 0 where forces begin [m]."""
+    """(c,): distances of the surfaces [m]; 0 where forces begin."""
     points: Floats
-    """(c, 3): on the object [m], world frame."""
+    """(c, 3): places on the object [m], world frame."""
     normals: Floats
-    """(c, 3): unit, into the object."""
+    """(c, 3): unit normals into the object."""
     forces: Floats
-    """(c,): along the normals [N]."""
+    """(c,): forces along the normals [N]."""
 
     def of(self, world: int) -> "WorldContacts":
-        """Those of one world."""
+        """The contacts of one world."""
         first, last = np.searchsorted(self.worlds, [world, world + 1])
         return WorldContacts._make(column[first:last] for column in self)
 
@@ -64,34 +64,34 @@ class StepResult(NamedTuple):
     """Worlds after some steps."""
 
     states: States
-    """Those of `MOVING`."""
+    """The states of `MOVING`."""
     contacts: WorldContacts
-    """As the last step found them: they go with the poses before it."""
+    """Contacts that the last step found, at the poses before it."""
     object_poses: tuple[Floats, Floats]
     """Positions (n, 3) [m] and quaternions (n, 4) of the object at that time."""
     failed: NDArray[np.bool_]
-    """(n,): worlds that are not to be trusted."""
+    """(n,): True for worlds that are not to be trusted."""
 
 
 class BufferSizes(NamedTuple):
-    """Sizes of the buffers of worlds, or how much of them was used."""
+    """Sizes of the buffers of worlds, or of their used parts."""
 
     contacts: int
-    """`nconmax`: of a world in the mean, as well as pairs of shapes that come near."""
+    """`nconmax`: contacts of a world in the mean; also pairs of shapes that come near."""
     constraints: int
-    """`njmax`: of a world at most."""
+    """`njmax`: constraints of a world at most."""
 
 
 class BatchWorlds(ABC):
-    """Worlds of one model of a scene that move on together."""
+    """Worlds of one model of a scene that are stepped together."""
 
     @abstractmethod
     def advance(self, states: States, steps: int) -> StepResult:
-        """Move n worlds on by some steps; 0: find the contacts of the poses as they are."""
+        """Step n worlds `steps` times; 0: find the contacts at the present poses."""
 
 
 class FingerControls:
-    """`FingerControl` of n worlds: the same numbers, each line for all of them.
+    """`FingerControl` of n worlds at once, with the same numbers.
 
     `closing` (n, j) says which joints close from the postures (n, j) [m or rad]; the others stay.
     """
@@ -110,14 +110,14 @@ class FingerControls:
         ends = np.minimum(np.maximum(closed + self._senses * self._lead, column("lowest")), column("highest"))
         self._ends = np.where(closing, ends, postures)
         self.targets = postures.copy()
-        """(n, j): where each joint is to be [m or rad]."""
+        """(n, j): target of each joint [m or rad]."""
 
     def stop(self) -> None:
-        """Let all targets stay where they are."""
+        """Stop all targets."""
         self._senses[:] = 0.0
 
     def walk(self, rows: Rows, positions: Floats, seconds: float) -> Floats:
-        """Move the targets of these worlds on by their joints' positions (k, j); the targets (k, j)."""
+        """Advance the targets of these worlds by their joints' positions (k, j); return them (k, j)."""
         senses, targets = self._senses[rows], self.targets[rows]
         places = self._mean_places(senses, positions) if self._is_coupled else positions
         ahead = np.minimum(senses * targets + self._speed * seconds, senses * places + self._lead)
@@ -126,7 +126,7 @@ class FingerControls:
         return walked
 
     def _mean_places(self, senses: Floats, positions: Floats) -> Floats:
-        """Places (k, j) of joints that all had gone the mean share of the moving ones."""
+        """Positions (k, j) of joints if each had gone the mean share of the moving ones."""
         total, moving = np.zeros(len(positions)), senses != 0.0
         for i in np.flatnonzero(moving.any(axis=0)):
             total += np.where(moving[:, i], (positions[:, i] - self._opened[i]) / self._way[i], 0.0)
@@ -162,7 +162,7 @@ class LockstepEpisodes:
         return inside
 
     def run(self) -> list[EpisodeResult]:
-        """Close, release, read the grasp and push; those that are not trusted are of no use."""
+        """Close, release, read the grasp and push; results of untrusted worlds are invalid."""
         touched = self._close()
         results = [
             EpisodeResult(Outcome.BRUSHED if each else Outcome.MISSED, setup.pose.joints)
@@ -175,7 +175,7 @@ class LockstepEpisodes:
         return results
 
     def _start(self, simulation: Simulation) -> States:
-        """Worlds at rest, with the fingers where they start and the object where the hand sees it."""
+        """Worlds at rest, with initial finger joints and the object's pose in the hand's frame."""
         n, model = len(self._setups), simulation.model
         sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "qacc_warmstart": model.nv}
         states: States = {name: np.zeros((n, size)) for name, size in (sizes | {"ctrl": model.nu}).items()}
@@ -197,7 +197,7 @@ class LockstepEpisodes:
         return self._world.closing_joints(setup.pose.synergy)
 
     def _close(self) -> NDArray[np.bool_]:
-        """Close on the fixed object; whether a finger touched it (n,)."""
+        """Close on the fixed object; return whether a finger touched it (n,)."""
         names = [self._closing(setup) for setup in self._setups]
         drives = self._world.drives
         closing = np.array([[drive.name in each for drive in drives] for each in names])
@@ -213,7 +213,7 @@ class LockstepEpisodes:
         return touched
 
     def _settle(self, rows: Rows) -> dict[int, EpisodeResult]:
-        """Release the object and let it come to rest; the grasps, of those that fingers still touch."""
+        """Release the object and let it rest; return the grasps whose fingers still touch it."""
         speeds = self._states["qvel"][:, self._world.fixed.dofs]
         self._joints = self._finger_positions()
         self._enter(self._free, self._world.free)
@@ -253,7 +253,7 @@ class LockstepEpisodes:
         )
 
     def _push(self, rows: Rows) -> list[int]:
-        """Push the objects along their hands' axes; how many pushes the hands hold them through."""
+        """Push the objects along their hands' axes; return how many pushes the hands withstand."""
         self._states["damping"][:] = 0.0
         self._control.stop()
         survived = np.zeros(len(self._setups), dtype=np.intp)
@@ -301,7 +301,7 @@ class LockstepEpisodes:
         look: Callable[[Rows, StepResult], None],
         ended: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Move worlds on until each rests, `most` (n,) steps at most, or has `ended` (n,) at a look."""
+        """Step worlds until each rests, `most` (n,) steps at most, or has `ended` (n,) at a look."""
         every = self._physics.look_every
         seconds = every * self._physics.time_step
         resting, before = np.zeros(len(most), dtype=np.intp), None
@@ -323,7 +323,7 @@ class LockstepEpisodes:
             step += every
 
     def _advance(self, rows: Rows, steps: int) -> StepResult:
-        """Move worlds on, with the targets of their fingers on their way."""
+        """Step worlds, with moving targets of their fingers."""
         states, seconds = self._states, steps * self._physics.time_step
         states["act"][rows] = started = self._control.targets[rows]
         walked = self._control.walk(rows, self._finger_positions()[rows], seconds)
@@ -338,8 +338,8 @@ class LockstepEpisodes:
 def displacement(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
     """Distances (n,) [m] and angles (n,) [rad] between positions (n, 3) and quaternions (n, 4).
 
-    The angle is not taken from the cosine, which near 1 has no digits left for it where quaternions were
-    rounded to float32.
+    The angle is not computed from the cosine, which near 1 is too coarse where quaternions were rounded to
+    float32.
     """
     offsets, turn = after[0] - before[0], multiply(conjugate(before[1]), after[1])
     half = np.arctan2(np.sqrt(dot(turn, turn)), np.abs(turn[:, 3]))

@@ -1,4 +1,4 @@
-"""Evaluators that take a whole batch in lockstep, on worlds that some device moves on.
+"""Evaluators that take a whole batch in lockstep, in worlds that a device simulates.
 
 Decoding, screening and the choice among candidates are those of `Evaluator`. Rows whose worlds overflowed
 their buffers, or whose numbers are not finite, are evaluated one by one in MuJoCo.
@@ -24,8 +24,8 @@ from qdgrasp_worker.evaluation_protocols import TrialSetup
 from qdgrasp_worker.evaluator import Evaluator, GenomeResult
 from qdgrasp_worker.physical_episode import PhysicalEpisode
 
-LEAST_BUFFERS, BUFFER_FACTOR = BufferSizes(32, 64), 2  # Used at least, and how much larger buffers are
-BUFFER_POSES, BUFFER_PRIOR = 128, "contact"  # Poses that are simulated to see how much is used
+LEAST_BUFFERS, BUFFER_FACTOR = BufferSizes(32, 64), 2  # Least use, and factor from use to size
+BUFFER_POSES, BUFFER_PRIOR = 128, "contact"  # Poses that are simulated to measure the use
 
 
 def next_power(number: int) -> int:
@@ -142,9 +142,9 @@ class LockstepEvaluator(Evaluator):
         return results
 
     def _approached(self, setups: dict[int, TrialSetup]) -> dict[int, TrialSetup]:
-        """Setups with the hands where they stop on their way, as `Episode` lets them come.
+        """Setups with the hands where they stop on their approach, as in `Episode`.
 
-        Those of which an overlap on the way is not sure are left out.
+        Setups without a sure answer about an overlap on the way are left out.
         """
         axis, reach = self._mujoco.approach_axis, self._mujoco.reach
         paths = {

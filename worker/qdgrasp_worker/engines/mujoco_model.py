@@ -1,11 +1,11 @@
 """MuJoCo's model of a scene as MJCF: the hand at the world's origin, and the object.
 
-What Bullet makes of a URDF is made here too: hulls and cylinders are met `HULL_MARGIN` outside of their
-surface, and the inertia of a link is that of a box around its shapes (`box_moments`).
+A URDF is read as in Bullet: contacts of hulls and cylinders begin `HULL_MARGIN` outside of their surface, and
+the inertia of a link is that of a box around its shapes (`box_moments`).
 
 In `physical` joints that the scene does not command are rigid, and drives are actuators. Where the hand is
-shaken each joint has dry friction as great as the force of its motor: `mujoco_world` says in each step at
-which velocity that friction ends, which makes a motor of it as Bullet has them.
+shaken each joint has dry friction as great as the force of its motor: in each step `mujoco_world` sets the
+velocity at which that friction ends, so that it acts as a motor in Bullet.
 """
 
 import math
@@ -29,11 +29,11 @@ from qdgrasp_worker.evaluation_protocols import Physics
 from qdgrasp_worker.finger_drive import FingerDrive
 from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF
 
-DETECTION_GAP = 5e-4  # So much farther away contacts are seen; two shapes add theirs [m]
-LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # Of a link to which Bullet gives none [kg, kg m2]
+DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
+LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
 OBJECT, TABLE = "*object", "*table"  # Names of the bodies of the object and the table
-TABLE_AWAY = "0 0 -20"  # Where it is until it is placed: out of touch with everything
-TWELFTH = 0.08333333  # As it stands in Bullet
+TABLE_AWAY = "0 0 -20"  # Its place until it is set: away from all bodies
+TWELFTH = 0.08333333  # 1/12 as written in Bullet
 INFLATIONS = {"box": (0, 0), "sphere": (0, 0), "cylinder": (1, 1), ".stl": (1, 1), ".obj": (3, 0)}
 """Margins that Bullet adds to each side of a shape's box before it is turned, and after."""
 OPTIONS = {
@@ -54,7 +54,7 @@ MOTOR = {"frictionloss": "1", "solimpfriction": "0.9999 0.9999 0.001"}
 """Bullet's motor of a joint that is not commanded has a force of 1 N or Nm."""
 HAND_GROUP, OBJECT_GROUP = "1", "2"  # The object meets the hand alone
 PAIR_FRICTION = (
-    "0.25 0 0"  # Of two links of the hand, sliding alone; the object's own holds for hand and object
+    "0.25 0 0"  # Sliding friction of two links of the hand; with the object, the object's own holds
 )
 
 
@@ -79,7 +79,7 @@ class HandLink:
 
     name: str
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     inertial: Floats
     """(4, 4): the frame of its principal axes of inertia, link frame."""
     shapes: tuple[LinkShape, ...]
@@ -98,11 +98,11 @@ class HandLink:
 
     @property
     def moments(self) -> Floats:
-        """Its principal moments of inertia (3,) as Bullet has them [kg m2]: of its box."""
+        """Its principal moments of inertia (3,) as in Bullet [kg m2]: those of its box."""
         if not self.shapes:
             return np.zeros(3)
         first, around = self.shapes[0], 1
-        if len(self.shapes) == 1 and np.array_equal(first.frame, self.inertial):  # Bullet takes it alone
+        if len(self.shapes) == 1 and np.array_equal(first.frame, self.inertial):  # Bullet uses no compound
             if first.kind == "sphere":
                 return np.full(3, 0.4 * self.mass * first.high[0] ** 2)
             around = INFLATIONS[first.kind][1]
@@ -197,7 +197,7 @@ def primitive_half(element: ET.Element) -> Floats:
 
 
 def reach_of(robot: Urdf, links: dict[str, HandLink], opened: dict[str, float], joint: UrdfJoint) -> float:
-    """Distance from a joint to the farthest corner of a box of what it moves, hand open [m]."""
+    """Distance from a joint to the farthest box corner of the links it moves, hand open [m]."""
     frames, moved = robot.forward(opened), robot.subtree(joint.child).links
     boxes = [
         inflated_box(low, high, frames[link.name] @ link.inertial, 0.0, HULL_MARGIN)
@@ -400,5 +400,5 @@ def placed(frame: Floats) -> dict[str, str]:
 
 
 def words(numbers: Iterable[float]) -> str:
-    """Numbers as MJCF has them, each to the last bit."""
+    """Numbers in the form of MJCF, each to the last bit."""
     return " ".join(repr(float(number)) for number in numbers)

@@ -1,4 +1,4 @@
-"""A model of a scene in MuJoCo with its state; the one module that imports it."""
+"""A model of a scene in MuJoCo with its state; the one module that imports MuJoCo."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -33,9 +33,9 @@ class Simulation:
         self._warnings = self.data.warning.number  # A view: numbers of each warning since the last reset
         joints = [self.model.joint(joint.name) for joint in scene.joints]
         self.places = np.array([joint.qposadr[0] for joint in joints])
-        """(j,): of the finger joints in `qpos`."""
+        """(j,): places of the finger joints in `qpos`."""
         self.dofs = np.array([joint.dofadr[0] for joint in joints])
-        """(j,): of the finger joints in `qvel`."""
+        """(j,): places of the finger joints in `qvel`."""
         self.object = int(self.model.body(OBJECT).id)
         self._is_free = is_free
         self._couplings = scene.couplings
@@ -47,7 +47,7 @@ class Simulation:
         self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
 
     def reset(self, posture: Sequence[float], friction: Sequence[float]) -> None:
-        """Reset all; the fingers are at `posture`.
+        """Reset the whole state; the fingers are at `posture`.
 
         `friction` is that of hand and object: sliding, spinning, rolling.
         """
@@ -93,20 +93,20 @@ class Simulation:
         return pose[:3].copy(), pose[[4, 5, 6, 3]]
 
     def detect(self) -> None:
-        """Find the contacts of the poses as they are."""
+        """Find the contacts at the present poses."""
         mujoco.mj_fwdPosition(self.model, self.data)
 
     def step(self, steps: int) -> None:
-        """Move on by some steps; a SimulationDiverged where the state is not to be trusted."""
+        """Simulate `steps` steps; a SimulationDiverged where the state is not to be trusted."""
         mujoco.mj_step(self.model, self.data, steps)
         self.check()
 
     def begin_step(self) -> None:
-        """Make the first half of a step, up to its constraints, which may be changed then."""
+        """Simulate the first half of a step, up to its constraints, which may then be changed."""
         mujoco.mj_step1(self.model, self.data)
 
     def end_step(self) -> None:
-        """Make the second half; a SimulationDiverged as of `step`."""
+        """Simulate the second half; a SimulationDiverged as in `step`."""
         mujoco.mj_step2(self.model, self.data)
         self.check()
 
@@ -126,7 +126,7 @@ class Simulation:
 
     @property
     def buffers_used(self) -> tuple[int, int]:
-        """The most contacts, and constraints, that there were at a time since it was reset."""
+        """The most contacts, and constraints, that there were at a time since the last reset."""
         return int(self.data.maxuse_con), int(self.data.maxuse_efc)
 
     def hand_contacts(self, nearest: float = NEAR) -> list[tuple[int, int, float]]:

@@ -1,14 +1,14 @@
 """Worlds of the protocols in MuJoCo.
 
-The hand's root stays at the origin, and the object comes to where the hand sees it. Before every evaluation
+The hand's root stays at the origin; the object is placed in the hand's frame. Before every evaluation
 all of a model's state is reset, the start of its solver too.
 
-- Where the hand is shaken each joint has the motor that Bullet has: a row of dry friction with the force of
+- Where the hand is shaken each joint has a motor as in Bullet: a row of dry friction with the force of
   the motor as its limit. Between the halves of a step its reference is set to the acceleration that gives
   the joint the commanded velocity.
 - `physical` has two models of a scene: while the fingers close the object is fixed, afterwards it is free.
   MuJoCo steps by itself from one look to the next. A finger's drive is an actuator whose target moves at the
-  speed that is set at a look; where it walks to is `FingerControl`'s to say, as in Bullet.
+  speed that is set at a look; `FingerControl` decides its end, as in Bullet.
 """
 
 from abc import abstractmethod
@@ -49,20 +49,20 @@ from qdgrasp_worker.world import (
     seen_from,
 )
 
-TIME_STEP = 1 / 240  # Where the hand is shaken [s]
+TIME_STEP = 1 / 240  # Step where the hand is shaken [s]
 HOLD = 0.1, 1.0
 """Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
 BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
-LEAST_FORCE = 1e-9  # A motor without force keeps its row [N or Nm]
+LEAST_FORCE = 1e-9  # So a motor without force keeps its row [N or Nm]
 AT_ORIGIN = HandPose(STILL, UPRIGHT, [], NO_SYNERGY)
 
 
 class MujocoWorld(GraspWorld):
-    """A hand at the world's origin and an object; an AssetError if the scene cannot be taken."""
+    """A hand at the world's origin and an object; an AssetError if the scene cannot be used."""
 
     sight = 2 * (HULL_MARGIN + DETECTION_GAP)
     free: Simulation
-    """With an object that is free."""
+    """The model with a free object."""
     _now: Simulation
 
     def _prepare(self, scene: Scene, free: Simulation) -> None:
@@ -81,7 +81,7 @@ class MujocoWorld(GraspWorld):
         """Friction of hand and object: sliding, spinning [m], rolling [m]."""
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Put hand and object in place, at rest, with nothing left of what happened before."""
+        """Put hand and object in place, at rest, without any state of earlier evaluations."""
         self._friction = self.friction(trial)
         self._posture = list(posture)
         self._now = self.free
@@ -89,7 +89,7 @@ class MujocoWorld(GraspWorld):
         self.place_hand(trial.pose)
 
     def place_hand(self, pose: HandPose) -> None:
-        """Put the hand's base link at a pose: the object comes to where the hand sees it."""
+        """Put the hand's base link at a pose: the object is moved, in the hand's frame."""
         back = conjugate(unit(np.array(pose.quaternion)))
         self.free.place(rotate(back, -np.array(pose.position)), back)
         self.free.detect()
@@ -108,7 +108,7 @@ class MujocoWorld(GraspWorld):
         return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
 
     def state(self) -> WorldState:
-        """The places of all that can move, and the contacts, as they are now.
+        """The present places of all that can move, and the contacts.
 
         The hand's root is at the origin.
         """
@@ -118,7 +118,7 @@ class MujocoWorld(GraspWorld):
     def contact_forces(self) -> list[GraspContact]:
         """The contacts of the hand with the object that bear a force, or are about to.
 
-        They were found before the last step: they go with the pose that the object had then.
+        They were found before the last step: they belong to the pose that the object had then.
         """
         now, numbers = self._now, self.link_numbers
         seen = [(contact, numbers[link]) for contact, link, _ in now.hand_contacts() if link in numbers]
@@ -138,7 +138,7 @@ class MujocoWorld(GraspWorld):
 
 
 class MujocoShakenWorld(MujocoWorld, ShakenWorld):
-    """A world whose joints have motors as Bullet's."""
+    """A world whose joints have motors like Bullet's."""
 
     _time_step = TIME_STEP
 
@@ -150,7 +150,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
         rows = indices_by_name("joint", joints, {self._joint_at(row): row for row in range(len(joints))})
         self._row = dict(zip(joints, rows, strict=True))
-        """Of each joint its row among the motors, which is its place among the hand's degrees of freedom."""
+        """Row of each joint among the motors, which is its place among the hand's degrees of freedom."""
         n, data = len(joints), self.free.data
         self._gripper, self._motors = gripper, n
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
@@ -164,7 +164,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         return name
 
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
-        """Friction of hand and object, as Bullet makes it of that of both."""
+        """Friction of hand and object, combined from both as in Bullet."""
         target = self._target
         rolling, spinning = trial.frictions or (target.rolling_friction, target.spinning_friction)
         lateral = trial.grip * target.lateral_friction
@@ -226,11 +226,11 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         return bool(self.free.data.ncon)
 
     def contacts(self) -> list[Contact]:
-        """The contacts of the hand's links with the object, from 1 mm on."""
+        """The contacts of the hand's links with the object, up to a distance of 1 mm."""
         return [Contact(link, distance) for _, link, distance in self.free.hand_contacts(np.inf)]
 
     def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the hand, while it closes, can touch the object no more."""
+        """Return whether the closing hand can no longer touch the object."""
         data = self.free.data
         x, y, z = data.qpos[-7:-4].tolist()
         u, v, w = data.qvel[-6:-3].tolist()
@@ -262,19 +262,19 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
         passing = passing_links(gripper, model, self.drives)
         self.fixed = Simulation(model, model.driven(self.drives, passing, is_free=False), is_free=False)
-        """With an object that is fixed."""
+        """The model with a fixed object."""
         self._prepare(scene, Simulation(model, model.driven(self.drives, passing, is_free=True)))
         self.damping = physics.damping * np.array([*[scene.object.mass] * 3, *model.moments])
         """(6,): forces by which a released object's velocity is damped [N s/m, Nm s/rad]."""
         self.push_force = scene.object.mass * physics.weight
-        """Of each push [N]."""
+        """Force of each push [N]."""
 
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, which is the object's alone."""
         return trial.grip * self._target.lateral_friction, self.physics.spinning, self.physics.rolling
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Put hand, object and table in place, at rest, with nothing left of what happened before."""
+        """Put hand, object and table in place, at rest, without any state of earlier evaluations."""
         super().reset(trial, posture)
         self._origin, self._turn = self.free.object_pose()
         self.lower_table(0.0)
@@ -291,7 +291,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         self.lower_table(0.0)
 
     def release(self) -> None:
-        """Let the object go, damped; the targets of a jaw go on, others stay."""
+        """Release the object, damped; the targets of a jaw move on, others stay."""
         free, fixed = self.free, self.fixed
         place = free.object_pose()
         free.reset(fixed.data.qpos[fixed.places], self._friction)
@@ -305,7 +305,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
             self._control.stop()
 
     def _let_stay(self) -> None:
-        """Let all targets stay, and take the damping off the object."""
+        """Stop all targets, and remove the damping of the object."""
         self._now.damp(0.0)
         self._control.stop()
 
@@ -314,12 +314,12 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         self._now.data.xfrc_applied[self._now.object, :3] = np.multiply(direction, self.push_force)
 
     def weigh(self, factor: float) -> None:
-        """Let so many times its weight pull the object towards the table, during the next steps."""
+        """Pull the object towards the table with `factor` times its weight, during the next steps."""
         along = rotate(self._turn, np.array(self.table.up if self.table else STILL))
         self._now.data.xfrc_applied[self._now.object, :3] = -factor * self.push_force * along
 
     def lower_table(self, way: float) -> None:
-        """Put the table, if there is one, so far below the place where the object rests on it [m]."""
+        """Put the table, if there is one, `way` [m] below the place where the object rests on it."""
         if self.table is not None:
             middle = rotate(self._turn, np.array(table_middle(self.table, way)))
             self._now.place_table(self._origin + middle, multiply(self._turn, facing(self.table.up)))
@@ -329,7 +329,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         return self._now.is_on_table()
 
     def step(self) -> None:
-        """Move on to the next look, with the targets of the fingers on their way."""
+        """Simulate up to the next look, with moving targets of the fingers."""
         self._command()
         self._now.step(self.steps_at_once)
 
@@ -345,7 +345,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         return course
 
     def _command(self) -> None:
-        """Let the targets walk, during the next steps, to where they are to be then."""
+        """Let the targets move, during the next steps, to their places at the next look."""
         seconds, data = self.steps_at_once * self.physics.time_step, self._now.data
         data.act[:] = self._control.targets
         data.ctrl[:] = (np.array(self._control.walk(self.finger_positions(), seconds)) - data.act) / seconds

@@ -1,7 +1,7 @@
 """Worlds of `physical` on a device of warp; the one module that imports it.
 
 MuJoCo Warp computes in float32. Contacts and constraints are put in a fixed order, so that a world's numbers
-do not depend on the worlds beside it. Buffers are as large as was measured for a scene; a row whose world
+do not depend on the worlds beside it. Buffers have the size measured for a scene; a row whose world
 overflows them is evaluated again in MuJoCo (`LockstepEvaluator`).
 """
 
@@ -44,7 +44,7 @@ warp.config.log_level = warp.LOG_WARNING
 
 
 class WorldBatch:
-    """So many worlds of a model on a device, with the steps between two looks as a graph."""
+    """Some worlds of a model on a device, with the steps between two looks as a graph."""
 
     def __init__(self, simulation: Simulation, model: Any, size: int, buffers: BufferSizes) -> None:
         self.data = mujoco_warp.make_data(
@@ -61,7 +61,7 @@ class WorldBatch:
         )
         self._graphs: dict[int, Any] = {}
         self.used = BufferSizes(0, 0)
-        """The most that was used of them."""
+        """The greatest use of the buffers so far."""
 
     def write(self, states: States) -> None:
         """Set the states of the first n worlds, and those of the last one for all others."""
@@ -82,7 +82,7 @@ class WorldBatch:
         self.data.overflow.zero_()
 
     def move(self, steps: int) -> None:
-        """Move on by some steps; 0: find the contacts of the poses as they are."""
+        """Simulate `steps` steps; 0: find the contacts at the present poses."""
         if not steps:
             mujoco_warp.fwd_kinematics(self.model, self.data)
             mujoco_warp.collision(self.model, self.data)
@@ -104,7 +104,7 @@ class WorldBatch:
             mujoco_warp.step(self.model, self.data)
 
     def read(self, n: int) -> StepResult:
-        """The first n worlds as they are."""
+        """The present state of the first n worlds."""
         data, object_ = self.data, self._simulation.object
         states: States = {name: host(getattr(data, name)[:n]) for name in MOVING}
         failed = (data.overflow[:n].numpy() & int(OVERFLOWS)) != 0
@@ -118,7 +118,7 @@ class WorldBatch:
         return StepResult(states, self._contacts(min(found, data.naconmax), n), (place, turn), failed)
 
     def _contacts(self, found: int, n: int) -> WorldContacts:
-        """The contacts of the first n worlds with the object, of those that were found."""
+        """The contacts of the first n worlds with the object, among all that were found."""
         contact, simulation = self.data.contact, self._simulation
         geoms, worlds = contact.geom[:found].numpy(), contact.worldid[:found].numpy()
         distances = host(contact.dist[:found]) - host(contact.includemargin[:found])
@@ -149,7 +149,7 @@ class WorldBatch:
 
 
 class WarpWorlds(BatchWorlds):
-    """Worlds of a model on a device of warp, as many as are asked for."""
+    """Worlds of a model on a device of warp, any number of them."""
 
     def __init__(self, simulation: Simulation, buffers: BufferSizes, device: str) -> None:
         self._simulation, self._buffers, self._device = simulation, buffers, device
@@ -160,7 +160,7 @@ class WarpWorlds(BatchWorlds):
         self._sized: dict[int, WorldBatch] = {}
 
     def advance(self, states: States, steps: int) -> StepResult:
-        """Move n worlds on by some steps; 0: find the contacts of the poses as they are."""
+        """Step n worlds `steps` times; 0: find the contacts at the present poses."""
         n = len(states["qpos"])
         size = next_power(n)
         with warp.ScopedDevice(self._device):
@@ -173,7 +173,7 @@ class WarpWorlds(BatchWorlds):
 
     @property
     def buffers_used(self) -> BufferSizes:
-        """The most that was used of the buffers so far."""
+        """The greatest use of the buffers so far."""
         used = [worlds.used for worlds in self._sized.values()] or [BufferSizes(0, 0)]
         return BufferSizes(*(max(numbers) for numbers in zip(*used, strict=True)))
 

@@ -1,27 +1,26 @@
 """Contact filter: finds poses at which the closing hand surely stays away from the object.
 
-An object that nothing comes near stays where it is, and the hand closes as it closes on nothing. So the hand
-is watched while it does that, once for each synergy, with all its collision shapes, the palm's among them; a
-distance field keeps how far from them everything else is. The surface of the object is covered by balls: a
-pose at which each of them is farther from the shapes than Bullet sees contacts ahead cannot touch.
+An object that no link comes near stays at rest, and the hand closes as on nothing. So that closing is
+measured, once for each synergy, with all collision shapes of the hand, the palm's among them; a distance
+field has lower bounds of the distance to them. The surface of the object is covered by balls: at a pose where
+each ball is farther from the shapes than Bullet detects contacts, nothing can touch.
 
-It errs on one side only:
+All errors are on the safe side: a pose that might touch is simulated.
 
-- Bullet keeps a contact up to 2 % of the smaller shape's disc beyond the margins of 1 mm: balls are to be
-  farther away than that (`contact_range`). MuJoCo sees them at the same distance from all shapes.
-- Marked are voxels whose middle is within half their diagonal of a shape, and within what it moves between
-  two looks, and within what round shapes reach beyond the corners that stand for them. A point is taken to be
-  nearer by a diagonal than the middle of its voxel is. Shapes of many planes are replaced by larger ones.
-- A hand that is wholly within the object, away from its surface, overlaps; Bullet's test of the open hand
-  comes first. Where that test has the free joints elsewhere, they are looked at there too.
-- A finger on a free joint closes nearly alike wherever that joint stands, so that its field goes with the
-  frame that the joint carries. `STRAY` is for the rest: how fingers pull at each other depends on
-  their places.
+- Bullet keeps a contact up to 2 % of the smaller shape's disc beyond the margins of 1 mm: balls have to be
+  farther away than that (`contact_range`). MuJoCo detects contacts at the same distance from all shapes.
+- Voxels are marked whose middle is inside a shape that is enlarged by half their diagonal, by its motion
+  between two samples, and by the excess of round shapes over their corners. The distance of a point is that
+  of the middle of its voxel less a diagonal. Shapes of many planes are replaced by larger ones.
+- A hand that is wholly inside the object, away from its surface, overlaps; Bullet's test of the open hand
+  comes first. Where that test has the free joints at other places, the hand is checked there too.
+- A finger on a free joint closes nearly the same way at any place of that joint, so that its field moves with
+  the joint's frame. `STRAY` bounds the difference: forces between fingers depend on their places.
 - Where a shape or a free joint is not understood, every pose is simulated.
 
-Scenes in which a hand closes alike share its fields. `SweptBox` tells the rest of a closing that is in vain:
-the object has left the space that the hand passes through. Of an object with more surface than hands grasp
-the balls are larger, so that they stay as many.
+Scenes in which a hand closes the same way share its fields. `SweptBox` finds closings that can end early: the
+object has left the space that the hand passes through. On an object with a large surface the balls are
+larger, so that their number stays bounded.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,12 +44,12 @@ from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 Box = tuple[Vector, Vector]  # Low and high corner
-SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees them ahead, together [m]
+SWEPT_MARGIN = 0.02  # Deflection of the hand by contacts plus Bullet's detection distance [m]
 
 
 @dataclass(frozen=True)
 class SweptBox:
-    """Box around every place [m], hand frame, in which the object's centre can be touched."""
+    """Box around all places of the object's centre [m], hand frame, at which it can be touched."""
 
     low: Vector
     high: Vector
@@ -71,8 +70,8 @@ class SweptBox:
     def is_left(self, pose: HandPose, position: Vector, velocity: Vector) -> bool:
         """Return whether an object at this place and velocity is outside for good, hand at `pose`.
 
-        Nothing pulls a free object back: beyond a face of the box, and not on its way through it, the
-        hand touches it no more.
+        No force pulls a free object back: beyond a face of the box, and not moving towards it, the object
+        is not touched again.
         """
         offset = [a - b for a, b in zip(position, pose.position, strict=True)]
         for axis, low, high in zip(pose.axes, self.low, self.high, strict=True):
@@ -89,11 +88,11 @@ def scalar_product(a: Vector, b: Vector | list[float]) -> float:
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
 MAX_VOXELS = 1 << 22
-KNOWN_DISTANCE = 0.03  # How far about the shapes distances are known [m]
+KNOWN_DISTANCE = 0.03  # Greatest distance from the shapes that is known [m]
 DISTANCE_UNIT = 2e-4
-"""Distances are kept in whole numbers of it [m]; what is farther than 255 of it is as far."""
-STRIDE = 2e-3  # What a shape moves from one look to the next [m]
-ROUND_EXCESS = 0.03  # How far a round shape reaches beyond the hull of its corners, in its radii
+"""Unit of stored distances, which are whole numbers up to 255 [m]; larger ones are stored as 255."""
+STRIDE = 2e-3  # Motion of a shape from one sample to the next [m]
+ROUND_EXCESS = 0.03  # Excess of a round shape over the hull of its corners, in its radii
 DIRECTIONS = geodesic(1.0, 3).vertices
 UNIT_BOX_CORNERS = np.array(list(product((0.0, 1.0), repeat=3)))
 
@@ -118,7 +117,7 @@ class DistanceField:
         for hull, course, corners in paths:
             for look, moved in path_samples(corners):
                 voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
-        # Distances are of voxels' middles: a point and what is marked may each be half a diagonal nearer.
+        # Distances are of voxels' middles: a point and a marked place may each be half a diagonal nearer.
         away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
         voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
         return cls(voxels)
@@ -160,15 +159,15 @@ def round_excess(hull: Hull) -> float:
     return float(ROUND_EXCESS * np.sort(hull.high - hull.low)[1] / 2)
 
 
-TILE_REACH = 1.5e-3  # How far a tile of the surface reaches from its middle at most [m]
+TILE_REACH = 1.5e-3  # Greatest distance of a tile's points from its middle [m]
 SMALL_CELL, LARGE_CELL = 3e-3, 15e-3
 """The sides of the cells in which tiles, and then small balls, are gathered [m]."""
-FINE_SURFACE = 0.6  # The surface that is covered so finely at most, that of a cube of 32 cm [m2]
+FINE_SURFACE = 0.6  # Largest surface with tiles of that size, that of a cube of 32 cm [m2]
 
 
 @dataclass(frozen=True)
 class Balls:
-    """Centres and radii."""
+    """Centres and radii of balls."""
 
     centres: Floats
     """(n, 3) [m]."""
@@ -178,13 +177,13 @@ class Balls:
 
 @dataclass(frozen=True)
 class BoundingBalls:
-    """Balls that hold the surface: all of it is in the small ones, each of these in a large one."""
+    """Balls that cover the surface: small ones all of it, and each of these is in a large one."""
 
     large: Balls
     small: Balls
-    """Those of the first large ball first, and so on."""
+    """Small balls, in the order of their large ones."""
     counts: NDArray[np.intp]
-    """(large,): how many small balls each holds."""
+    """(large,): number of small balls in each large one."""
 
     @classmethod
     def of(cls, solid: ObjectSolid) -> Self:
@@ -196,7 +195,7 @@ class BoundingBalls:
 
 
 def coarseness(solid: ObjectSolid) -> float:
-    """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
+    """Factor by which tiles and cells are larger than on a small object: 1 up to `FINE_SURFACE`."""
     surface = running_sum(float(hull.areas.sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
@@ -226,7 +225,7 @@ def halve_triangles(triangles: Floats) -> Floats:
 def gather_balls(balls: Balls, side: float) -> tuple[Balls, NDArray[np.intp], NDArray[np.intp]]:
     """A ball around all balls in each cell of `side` [m].
 
-    Besides the m balls: the order (n,) that puts the gathered side by side, and how many they are, (m,).
+    Returns the m balls, the order (n,) by which balls of a cell are neighbours, and their numbers (m,).
     """
     points = balls.centres
     cells = np.floor(points / side).astype(np.int64)
@@ -241,19 +240,19 @@ def gather_balls(balls: Balls, side: float) -> tuple[Balls, NDArray[np.intp], ND
 
 MARGIN = 1e-3  # Bullet's collision margin of a hull [m]
 BREAKING = 0.02  # Bullet's contact breaking threshold, in discs
-STRAY = 5e-4  # How far a closing finger may be from where it was watched, with the free joints elsewhere [m]
-POSTURES_PER_STEP = 8  # Postures from one step to the next
-FREE_JOINT_PLACES = (0.0, 1.0)  # Where on their ranges the free joints are while the hand is watched
+STRAY = 5e-4  # Deviation of a closing finger from its measured path, free joints at other places [m]
+POSTURES_PER_STEP = 8  # Interpolated postures for each step
+FREE_JOINT_PLACES = (0.0, 1.0)  # Places of the free joints on their ranges in the measured closings
 
 
 class NoContactFilter:
-    """The reach of a hand of which nothing is known: it misses nowhere for sure."""
+    """A filter for a hand of which nothing is known: no pose surely misses."""
 
     def prepare(self, synergy: int) -> None:
         """Do nothing."""
 
     def misses(self, pose: HandPose) -> bool:
-        """False."""
+        """Return False."""
         return False
 
 
@@ -264,16 +263,16 @@ class ClearanceBalls:
     centres: Singles
     """(n, 3) [m]."""
     min_distances: NDArray[np.uint8]
-    """(n,): how far from a zone each must be, in its units."""
+    """(n,): least distance of each ball from a zone, in the zone's units."""
 
     @classmethod
     def of(cls, balls: Balls, sight: float) -> Self:
-        """Guard balls that are seen from `sight` [m]."""
+        """Balls with the clearance for contacts that begin at `sight` [m]."""
         far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
         return cls(balls.centres.astype(np.float32), far.astype(np.uint8))
 
     def select(self, which: NDArray[np.bool_]) -> Self:
-        """Those of the balls."""
+        """The balls where `which` (n,) is True."""
         return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
 
 
@@ -283,9 +282,9 @@ NO_CONTACT_FILTER = NoContactFilter()
 class ContactFilter:
     """Finds poses at which a scene's hand surely misses, without the simulator.
 
-    `closing` closes the hand on nothing, when a synergy is first met. The test for overlap has the free
-    joints where the grasp has them (`follows_free_joints`), or open. `sight` is the distance from which the
-    engine sees contacts where that is the same for all shapes [m].
+    `closing` closes the hand on nothing, when a synergy is first met. In the test for overlap the free joints
+    are as in the grasp (`follows_free_joints`), or open. `sight` is the distance at which the engine detects
+    contacts, if it is the same for all shapes [m].
     """
 
     def __init__(
@@ -313,7 +312,7 @@ class ContactFilter:
             self._counts = cover.counts
 
     def prepare(self, synergy: int) -> None:
-        """Have the hand close on nothing where its zones with a synergy are not known yet."""
+        """Measure the zones of a synergy, unless they are known."""
         if self.is_known and synergy not in self._zones:
             self._zones[synergy] = self._measure(synergy)
 
@@ -330,16 +329,16 @@ class ContactFilter:
         )
 
     def _placed(self, pose: HandPose) -> Iterator[tuple[DistanceField, Floats]]:
-        """Each zone with its frame (4, 4) in the hand's, wherever the free joints are."""
+        """Each zone with its frame (4, 4) in the hand's, for each place of the free joints."""
         for posture in [pose.joints, *self._at_first]:
             frames = self._mounts.frames(posture)
             for link, zone in self._zones[pose.synergy].items():
                 yield zone, frames[link]
 
     def _is_clear(self, zone: DistanceField, turn: Floats, move: Floats) -> bool:
-        """Return whether no ball is near a zone; where a large one is, its small ones are looked up.
+        """Return whether no ball is near a zone; where a large one is, its small ones are checked.
 
-        One that is in the midst of it is enough to give up.
+        A large ball inside the zone is enough for False.
         """
         frame = turn.astype(np.float32), move.astype(np.float32)
         away = zone.lower_bounds(self._large.centres, *frame)
@@ -350,7 +349,7 @@ class ContactFilter:
         return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
-        """Watch the hand close from each of `FREE_JOINT_PLACES`: the zone in each mount's frame."""
+        """Close the hand from each of `FREE_JOINT_PLACES`; return the zone in each mount's frame."""
         gripper = self._hand.gripper
         places = FREE_JOINT_PLACES[: 1 + bool(gripper.free_joints)]
         courses = [np.array(self._closing(free_posture(gripper, place), synergy)) for place in places]
@@ -377,14 +376,14 @@ def measure_zones(hand: SharedHand, courses: tuple[bytes, ...]) -> dict[str, Dis
 
 
 def interpolate_course(course: Floats) -> Floats:
-    """The postures (n, j) of a course (steps, j), with more of them in between."""
+    """The postures (n, j) of a course (steps, j), with interpolated ones in between."""
     steps = np.arange(len(course))
     finer = np.linspace(0, len(course) - 1, POSTURES_PER_STEP * (len(course) - 1) + 1)
     return np.stack([np.interp(finer, steps, joint) for joint in course.T], axis=1)
 
 
 def contact_range(solid: ObjectSolid, sight: float = 0.0) -> float:
-    """Distance from an object's surface [m] at which a contact may begin, and somewhat more."""
+    """Distance from an object's surface [m] at which a contact may begin, with a margin."""
     low, high = solid.box
     disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
     return max(float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY), sight + STRAY)

@@ -1,9 +1,8 @@
 """Overlap filter: finds hands that are surely inside the object, without the simulator.
 
 Points on and in the collision shapes of the open hand, the first of them wide apart, are looked up in voxels
-that are wholly inside the object. A point of both bodies is an overlap whatever else there is, so that no
-pose is rejected that the simulator lets pass. Few points are looked up for all poses, more of them for those
-that are left.
+that are wholly inside the object. A point of both bodies proves an overlap, so that no pose is rejected that
+the simulator accepts. Few points are looked up for all poses, more of them for the remaining ones.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Table filter: refuses hands that come below the table that the object rests on.
 
-The table is a plane, and no body in the simulator: what is refused here is never simulated. A hand stays
-above it if the lowest corner of its open fingers and palm does, at its pose and where it comes from.
+The table is a plane, and no body in the simulator: poses refused here are never simulated. A hand stays
+above it if the lowest corner of its open fingers and palm does, at its pose and where its approach begins.
 """
 
 import numpy as np

@@ -1,17 +1,17 @@
 """aimed: the hand is put into a cell, and looks at the object from there.
 
-Where a hand stands is what its pose is kept by, so that a search may choose the place and leave the rest to
-geometry. A genome names a target, whose cell of 1 cm the hand stands in, a contact point and a roll to take,
-and how many candidates are drawn. A candidate's position is uniform in the cell; its contact point is the
-surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is
-not scattered: it stands at the target itself and looks at the hint, unless that is drawn from anywhere.
-Distance and direction follow: candidates out of the stand-off are dead ends. Which of the others is
-simulated, the screen says.
+An archive keeps a pose by the hand's position, so that a search may choose the position and leave the rest to
+geometry. A genome names a target, whose cell of 1 cm the hand stands in, a hint of the contact point, a roll,
+and the number of candidates. A candidate's position is uniform in the cell; its contact point is the surface
+point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is not
+scattered: it stands at the target itself and looks at the hint, unless the hint is drawn from anywhere.
+Distance and direction follow: candidates out of the stand-off are dead ends. `CandidateScreen` chooses which
+of the others is simulated.
 
-The roll is about the direction from the target's own position to the hint. It is carried over to those of
-the candidates as a vector, for its zero jumps between directions (`rotation.tangents`).
+The roll is about the direction from the target's own position to the hint. It is carried over to the
+directions of the candidates as a vector, because its zero jumps between directions (`rotation.tangents`).
 
-What is drawn depends on the genome's bytes alone.
+The draws depend on the genome's bytes alone.
 """
 
 import hashlib
@@ -28,14 +28,14 @@ from qdgrasp_worker.priors.base import Prior, PriorCandidates, PriorPoses
 from qdgrasp_worker.priors.surface_priors import look_along
 
 PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm
-POINT_SIGMA = 0.007  # How far a tightly drawn contact point is from the hint, along each axis [m]
+POINT_SIGMA = 0.007  # Standard deviation of a tightly drawn contact point along each axis [m]
 ROLL_SIGMA = 0.15  # rad
 TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, FIRST_WEIGHT = slice(0, 3), slice(3, 6), 6, 7, 8, 9
-"""The places of the prior's own genes; what candidates are ranked by follows."""
+"""The places of the prior's own genes; the numbers that rank candidates follow."""
 
 
 class AimedPrior(Prior):
-    """A prior of which a genome stands for several candidates, ranked by genes of its own."""
+    """A prior whose genomes stand for several candidates each, ranked by genes of their own."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -102,7 +102,7 @@ def unit_directions(positions: Floats, points: Floats) -> Floats:
 
 
 def genome_generator(genome: NDArray[np.float32]) -> Generator:
-    """The generator that a genome's bytes stand for."""
+    """The random generator that a genome's bytes seed."""
     digest = hashlib.sha256(genome.astype("<f4").tobytes()).digest()
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
 

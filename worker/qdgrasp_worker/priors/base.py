@@ -2,9 +2,9 @@
 
 given: poses that are scored as they are; the genes are x y z [m], qx qy qz qw, the CoM frame.
 
-spherical: no prior but that hands are near objects; that of the paper's methods without a prefix. The base
+spherical: only that hands are near objects; the prior of the paper's methods without a prefix. The base
 frame's position in spherical coordinates about the centre of mass, and its rotation as Euler angles alpha,
-beta, gamma about the fixed axes x, y and z in this order. All are drawn uniformly, so positions crowd about
+beta, gamma about the fixed axes x, y and z in this order. All are drawn uniformly, so positions are dense at
 the centre and the poles. The paper does not print the genes; they are those of its released code.
 """
 
@@ -28,7 +28,7 @@ class PriorCandidates:
     rows: NDArray[np.intp]
     """(m,): the genome that each is a candidate for, ascending; every genome has one at least."""
     genes: Floats
-    """(m, d): what its genes stand for, in m and rad."""
+    """(m, d): the values of its genes, in m and rad."""
     weights: Floats
     """(n, f): numbers by which a genome's candidates are ranked; f is 0 where there is no choice."""
 
@@ -73,16 +73,16 @@ ROUNDING = 1e-6  # Deviation of a unit quaternion's length in float32; poses wit
 
 
 class FixedPosePrior(Prior):
-    """A prior without a choice of its own."""
+    """A prior whose genes are the pose itself."""
 
     name = rows.GIVEN
 
     def values(self, layout: Layout, genomes: NDArray[np.float32]) -> Floats:
-        """The genes as they are."""
+        """The genes, unchanged."""
         return genomes.astype(np.float64)
 
     def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
-        """The poses (n, 7) themselves; a quaternion longer or shorter than one is brought to one."""
+        """The poses (n, 7) themselves; quaternions are scaled to length one."""
         given = genes[:, 3:7]
         lengths = np.sqrt((given * given).sum(axis=1, keepdims=True))
         quaternions = np.where(np.abs(lengths - 1.0) < ROUNDING, given, given / lengths)
@@ -94,7 +94,7 @@ GIVEN = FixedPosePrior()
 
 
 class SphericalPrior(Prior):
-    """A prior that aims at nothing."""
+    """A prior that does not aim at the surface."""
 
     name = "spherical"
 

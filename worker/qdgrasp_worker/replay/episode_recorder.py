@@ -16,7 +16,7 @@ from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import GraspWorld
 
 STEPS_PER_SECOND = 240  # Time is counted in steps of 1/240 s, in any engine
-STEPS_PER_FRAME = 6  # Least number of them from one frame to the next
+STEPS_PER_FRAME = 6  # Least number of steps from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
@@ -27,7 +27,7 @@ PARTS: dict[ReplayPart, tuple[str, ...]] = {
 
 
 class TimedSnapshot(NamedTuple):
-    """A snapshot that is shown."""
+    """A snapshot, and the time for which it is shown."""
 
     snapshot: Snapshot
     seconds: float
@@ -46,8 +46,8 @@ def placed_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
 def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
     """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
 
-    The first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or as soon after
-    as there is one. Each is shown until the next one happened.
+    These are the first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or the
+    next one after that. Each is shown until the time of the next.
     """
     chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
     if not chosen:
@@ -75,8 +75,8 @@ PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 class EpisodeRecorder:
     """Records the last evaluation in a world of any engine.
 
-    It wraps all that an episode has the world do, and looks at the world after each. Snapshots are in the
-    frame of the object's centre of mass as the object lies at first.
+    It wraps the world's actions in an episode, and takes a snapshot after each. Snapshots are in the frame of
+    the object's centre of mass as the object lies at first.
     """
 
     def __init__(self, world: GraspWorld, gripper: SceneGripper) -> None:
@@ -99,14 +99,14 @@ class EpisodeRecorder:
                 setattr(world, verb, followed(getattr(world, verb), look))
 
     def _placed(self, trial: TrialSetup, posture: Sequence[float]) -> None:
-        """Forget what was recorded; the object lies where it does at first."""
+        """Forget the last recording; the object is at its first pose."""
         position, quaternion = (np.array(part) for part in self._world.state().object)
         self._origin, self._back = position, conjugate(quaternion)
         self.snapshots.clear()
         self._begin("placed")
 
     def _fingers_set(self, posture: Sequence[float]) -> None:
-        """The contacts are still those of the look before."""
+        """Record the fingers; the contacts are still those of the look before."""
         placed = self.snapshots.pop()
         self.snapshots.append(replace(self._now(), touches=placed.touches))
 
@@ -120,7 +120,7 @@ class EpisodeRecorder:
     def _stepped(self) -> None:
         self._taken += 1
         steps = self._taken * self._world.step_seconds * STEPS_PER_SECOND
-        if abs(steps - round(steps)) < 1e-6:  # one of two where steps are half as long
+        if abs(steps - round(steps)) < 1e-6:  # every other one where steps are half as long
             self._step = round(steps)
             self.snapshots.append(self._now())
 
@@ -158,7 +158,7 @@ class EpisodeRecorder:
 
 
 def followed(act: Callable[..., None], look: Callable[..., None]) -> Callable[..., None]:
-    """Return what does `act` and then `look`, both with the same arguments."""
+    """Return a function that calls `act` and then `look` with the same arguments."""
 
     def act_and_look(*arguments: object) -> None:
         act(*arguments)

@@ -1,8 +1,8 @@
 """Renders snapshots of an evaluation by casting rays, and places the camera.
 
-Needs no physics engine. The hand is drawn as its collision shapes, which are simulated. Each body has a ray
-tracing scene of its own, in its own frame, that is built once: for a picture the camera is moved into that
-frame, and sends a ray through each pixel near which the body can be. The nearest body is seen.
+It needs no physics engine. The hand is drawn as its collision shapes, which are simulated. Each body has a
+ray tracing scene of its own, in its own frame, that is built once: for a picture the camera is moved into
+that frame, and a ray is cast through each pixel near which the body can be. The nearest body is drawn.
 """
 
 import xml.etree.ElementTree as ET
@@ -37,24 +37,24 @@ class Snapshot:
     joints: Mapping[str, float]
     """Positions of all joints that move, by name [rad or m]."""
     object: tuple[Sequence[float], Sequence[float]]
-    """Position [m] and quaternion xyzw of the object, of the same frame."""
+    """Position [m] and quaternion xyzw of the object, in the same frame."""
     touches: tuple[ContactPoint, ...]
     """The contacts of the last look at them."""
 
 
-FIELD_OF_VIEW = np.radians(28.0)  # Of view, from the lower to the upper edge
-FILLED_SHARE = 0.94  # How much of the picture is filled, to the farthest point
+FIELD_OF_VIEW = np.radians(28.0)  # From the lower to the upper edge of a picture [rad]
+FILLED_SHARE = 0.94  # Share of the picture that is filled, to the farthest point
 NEAR, FAR = 0.1, 10.0  # Bounds of the drawn depth, as shares of the distance [-]
 
 
 @dataclass(frozen=True)
 class CameraMatrices:
-    """A camera that looks at something, with the object's z upward."""
+    """A camera with the object's z upward."""
 
     azimuth: float
-    """From the object's x towards its y [deg]."""
+    """Angle from the object's x towards its y [deg]."""
     elevation: float
-    """Above the object's xy plane [deg]."""
+    """Angle above the object's xy plane [deg]."""
     view: Floats
     """(4, 4): from the world to the camera, which looks along its -z."""
     projection: Floats
@@ -113,8 +113,8 @@ def _projection(aspect: float, near: float, far: float) -> Floats:
 
 
 CLAY, STEEL, BLUE = (0.93, 0.84, 0.70), (0.66, 0.70, 0.75), (0.21, 0.48, 0.76)
-"""The object, the hand, and those of its links whose touch makes a success."""
-AMBIENT, DIFFUSE = 0.60, 0.46  # Light on every surface, and on one that faces the lamp besides
+"""Colours of the object, the hand, and the links whose touch makes a success."""
+AMBIENT, DIFFUSE = 0.60, 0.46  # Light on every surface, and more on one that faces the lamp
 LIGHT_DIRECTION = (-1 / 3, 2 / 3, 2 / 3)
 """Unit direction to the lamp in the camera's axes: over the viewer's left shoulder."""
 NOTHING, NO_LINK = -1, -1  # No triangle, no link of the hand
@@ -123,10 +123,10 @@ RAYS_AT_ONCE = 1 << 18  # Rays that are cast at a time: a few tens of bytes each
 
 @dataclass(frozen=True)
 class DrawnBody:
-    """A rigid body with what rays meet of it, in its own frame."""
+    """A rigid body with its surface for rays, in its own frame."""
 
     triangles: Floats
-    """(f, 3, 3) [m]."""
+    """(f, 3, 3): corners of its triangles [m]."""
     colour: tuple[float, float, float]
     """Red, green and blue, 0 to 1."""
     rays: Any = field(init=False, repr=False)
@@ -178,7 +178,7 @@ class Renderer:
         self.links = tuple(found)
         """The links of the hand that have a shape."""
         self.fingers = frozenset(self.links.index(link) for link in gripper.finger_links if link in found)
-        """Those whose touch makes a success, by their place in `links`."""
+        """The links whose touch makes a success, by their place in `links`."""
         self._bodies = [
             DrawnBody(np.concatenate(triangles), BLUE if i in self.fingers else STEEL)
             for i, triangles in enumerate(found.values())
@@ -191,7 +191,7 @@ class Renderer:
         self._first = np.cumsum([0, *(len(body.triangles) for body in self._bodies)])
 
     def place(self, snapshot: Snapshot) -> None:
-        """Put hand and object where they were."""
+        """Put hand and object at the poses of a snapshot."""
         frames = self._robot.forward(snapshot.joints, frame_of(snapshot.root))
         self._frames = [*(frames[link] for link in self.links), frame_of(snapshot.object)]
 
@@ -201,7 +201,7 @@ class Renderer:
         return np.concatenate([body.corners @ frame[:3, :3].T + frame[:3, 3] for body, frame in placed])
 
     def draw(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw what is there on white: (rows, columns, 3)."""
+        """Draw all bodies on white: (rows, columns, 3)."""
         light = camera.view[:3, :3].T @ LIGHT_DIRECTION
         colours = [
             body.shaded(_in_body(frame, camera)[:3, 3], frame[:3, :3].T @ light)
@@ -252,8 +252,8 @@ def window(
 ) -> tuple[slice, slice]:
     """Return the rows and columns of a picture in which a box is seen.
 
-    `corners` (8, 3) [m] are in its own frame, which stands at `frame` (4, 4). Where it reaches up to the
-    camera that is the whole picture.
+    `corners` (8, 3) [m] are in the box's own frame, which stands at `frame` (4, 4). For a box that reaches up
+    to the camera it is the whole picture.
     """
     whole = np.column_stack([corners, np.ones(len(corners))])
     clip = whole @ (camera.projection @ camera.view @ frame).T
@@ -273,9 +273,9 @@ def frame_of(pose: tuple[Sequence[float], Sequence[float]]) -> Floats:
     return frame
 
 
-AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The sides that are tried [deg]
-OBJECT_CORNERS = -8  # Where in the corners of all that is there those of the object begin
-PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
+AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The camera's directions that are tried [deg]
+OBJECT_CORNERS = -8  # Index in `Renderer.corners` at which the object's begin
+PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture whose pixels are only counted
 
 
 def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """Replays one evaluation: carries it out again as it was, records it, and draws it.
 
 Started as `python -m qdgrasp_worker.replay.replay FOLDER` (`qdgrasp_protocol.replay_messages`). The episode
-is the one that evaluates, in a world that records what happens. No shortcut is taken: the hand closes to the
-end where an evaluation would know by then that it misses.
+is that of an evaluation, in a world that is recorded. No shortcut is taken: the hand closes to the end where
+an evaluation would already know that it misses.
 """
 
 import os
@@ -52,9 +52,9 @@ from qdgrasp_worker.replay.episode_recorder import (
 )
 from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera, frame_of
 
-OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
+OVERSAMPLING = 2  # Pixels that are drawn for each shown one, along each axis
 Frames = NDArray[np.uint8]  # (n, rows, columns, 3)
-MakeFrames = Callable[[int, int, int], Frames]  # Makes room for so many frames of so many rows and columns
+MakeFrames = Callable[[int, int, int], Frames]  # Makes an array of frames, rows and columns
 
 
 class EpisodeReplay:
@@ -89,7 +89,7 @@ class EpisodeReplay:
         return animation(self.snapshots, self._request.what, self.verdict.outcome)
 
     def render(self, make: MakeFrames) -> ReplayAnswer:
-        """Draw into frames that `make` makes room for; an InputError as of `frames`."""
+        """Draw into the array that `make` makes; an InputError as in `frames`."""
         request, shown = self._request, self.frames()
         width, height = request.width, request.height
         renderer = Renderer(self._scene, parts=request.parts)
@@ -134,7 +134,7 @@ class EpisodeReplay:
 
 
 def requested_grasp(scene: Scene, request: ReplayRequest) -> DecodedGrasps:
-    """The one grasp that is asked for."""
+    """The requested grasp."""
     genome = np.array([request.genome], dtype=np.float32)
     return Decoder(scene, GIVEN, ObjectSurface(scene))(genome)
 
@@ -148,7 +148,7 @@ def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def make_pose(position: Sequence[float], quaternion: Sequence[float]) -> replay_messages.Pose:
-    """A position [m] and a quaternion xyzw as one."""
+    """The pose of a position [m] and a quaternion xyzw."""
     (x, y, z), (qx, qy, qz, qw) = position, quaternion
     return x, y, z, qx, qy, qz, qw
 
@@ -158,7 +158,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 
 @app.command()
 def replay_folder(folder: Path) -> None:
-    """Replay what the folder's request asks for, and write what was seen beside it."""
+    """Replay the evaluation of a folder's request, and write the answer beside it."""
 
     def make(frames: int, rows: int, columns: int) -> Frames:
         return np.lib.format.open_memmap(
@@ -166,7 +166,7 @@ def replay_folder(folder: Path) -> None:
         )
 
     with lifetime("qdgrasp-replay") as stop:
-        stop.tell(lambda: os._exit(stop.exit_code))  # nothing is left behind but a folder that is thrown away
+        stop.tell(lambda: os._exit(stop.exit_code))  # only a temporary folder is left behind
         try:
             request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
             answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)

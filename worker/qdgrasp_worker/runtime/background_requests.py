@@ -1,6 +1,6 @@
 """Requests to coordinators in background threads: joins, and scene bundles with caches.
 
-Joins and scenes are asked for in a thread each, so that nothing waits for them. Scene bundles are fetched by
+Each join and scene is requested in a thread, so that nothing waits for it. Scene bundles are fetched by
 digest, checked, kept on disk, and kept in memory until the simulator has them.
 """
 
@@ -51,14 +51,14 @@ def _read(path: Path) -> bytes | None:
     with suppress(OSError):
         payload = path.read_bytes()
         if hashlib.sha256(payload).hexdigest() == path.name:
-            with suppress(OSError):  # a folder of others
+            with suppress(OSError):  # the folder may belong to others
                 os.utime(path)
             return payload
     return None
 
 
 def _write(folder: Path, name: str, payload: bytes) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically."""
     handle, draft = tempfile.mkstemp(dir=folder)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -70,7 +70,7 @@ def _write(folder: Path, name: str, payload: bytes) -> None:
 
 
 def _make_room(folder: Path) -> None:
-    """Remove the scenes that were used the longest time ago, above what may be kept."""
+    """Remove the least recently used scenes above the size limit."""
     scenes = [(path, path.stat()) for path in folder.iterdir() if DIGEST.fullmatch(path.name)]
     scenes.sort(key=lambda scene: scene[1].st_mtime_ns, reverse=True)
     size = 0
@@ -116,7 +116,7 @@ class BackgroundRequests:
         self._report = report
 
     def join(self, job: str, join: Join) -> None:
-        """Ask a coordinator to be let in."""
+        """Send a join to a job's coordinator."""
 
         def ask() -> Joined:
             payload = self._bus.ask(Keys(job).join, messages.encode(join), timeout=JOIN_SECONDS)
@@ -146,7 +146,7 @@ def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
         return NoReply(f"{type(error).__name__}: {error}")
 
 
-MAX_SCENES = 8  # Scenes kept in memory; the oldest goes first, and is requested again if need be
+MAX_SCENES = 8  # Scenes kept in memory; the oldest is dropped first, and requested again if needed
 
 
 class SceneCache:

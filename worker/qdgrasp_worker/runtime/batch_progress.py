@@ -11,18 +11,18 @@ from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResul
 
 @dataclass(eq=False)
 class BatchProgress:
-    """A batch of a job that the simulator works on, or is to."""
+    """A batch of a job at the simulator, or waiting for it."""
 
     job: str
     work: Work
     is_careful: bool = False
-    """Its rows are evaluated one by one: a simulator ended while it was at it."""
+    """Its rows are evaluated one by one: a simulator ended during this batch."""
     is_loading: bool = False
     """Its scene was sent along, and is not loaded yet."""
     done: int = 0
     """Number of its rows that are known."""
     since: float = 0.0
-    """Time at which the simulator came to it."""
+    """Time at which the simulator began it."""
     cpu_seconds: float = 0.0
     _parts: list[PartialResult] = field(default_factory=list)
     _failures: list[Failure] = field(default_factory=list)
@@ -62,10 +62,10 @@ class BatchProgress:
         self.cpu_seconds += part.cpu_seconds
 
     def on_crash(self, reason: str) -> None:
-        """Note that the simulator ended while it was at this.
+        """Note that the simulator ended during this batch.
 
-        While it loads the scene that speaks against all rows. While it goes row by row it speaks against the
-        first that is not known; else the row is not known, and they are tried one by one.
+        If it was loading the scene, all rows fail. If it went row by row, the first that is not known fails;
+        else the faulty row is not known, and rows are tried one by one.
         """
         if self.is_loading:
             self.fail_all(f"{reason} while it loaded the scene")

@@ -1,7 +1,7 @@
 """Builds the shape of an object in a process of its own, from files that come over the bus.
 
 The process (`qdgrasp_assets.shape_builder`) looks into the store of this machine first, keeps to the task's
-limits, and may die of what it is at. A thread waits for it, and reports its end.
+limits, and may crash. A thread waits for it, and reports its end.
 """
 
 import os
@@ -27,7 +27,7 @@ log = structlog.get_logger()
 
 BUILDER = [sys.executable, "-m", "qdgrasp_assets.shape_builder"]
 WALL_FACTOR, WALL_MARGIN = 30.0, 600.0
-"""A builder is ended after so many times the task's CPU seconds, and so many more: it has its own limit."""
+"""A builder is ended after this multiple of the task's CPU seconds, plus a margin: it has its own limit."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
 
@@ -36,7 +36,7 @@ class BuilderReport(msgspec.Struct):
     """The part of a builder's report that is read here."""
 
     shape: bytes
-    """Packed."""
+    """The shape, packed."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class BuildEnded:
     job: str
     build: Build
     shape: bytes = b""
-    """Packed; empty if it was not built."""
+    """The shape, packed; empty if it was not built."""
     reason: str = ""
     is_final: bool = False
-    """No worker can build it."""
+    """True if no worker can build it."""
     cpu_seconds: float = 0.0
 
     def message(self, wid: str, key: bytes) -> Built:
@@ -125,7 +125,7 @@ class _Attempt:
                 os.kill(self._process.pid, signal.SIGKILL)  # `Popen.kill` would reap it if it has ended
 
     def run(self, bus: Bus, nice: int) -> BuildEnded:
-        """Build; whatever happens, it ends with an answer."""
+        """Build; the end is an answer in every case."""
         task = self.build.task
         try:
             with tempfile.TemporaryDirectory(prefix="qdgrasp-shape-") as folder:

@@ -1,4 +1,4 @@
-"""The simulator's process with a user's evaluator in the place of Bullet (docs/python.md).
+"""The simulator's process with a user's evaluator instead of Bullet (docs/python.md).
 
 Started as `python -m qdgrasp_worker.runtime.custom_evaluator FILE.py:NAME` or `MODULE:NAME`. Batches, limits
 and restarts are those of the package's own simulator; poses are decoded here, by the same code.
@@ -34,7 +34,7 @@ Failures = list[tuple[int, str]]
 
 
 class CustomEvaluator(BatchEvaluator):
-    """Evaluates one scene by a user's function, made by `make` and closed with this."""
+    """Evaluates one scene by a user's function, made by `make` and closed with it."""
 
     def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
         super().__init__(scene)
@@ -96,7 +96,7 @@ class CustomEvaluator(BatchEvaluator):
         """Fill the rows at these places with verdicts; where that fails, one by one."""
         try:
             columns = self._judge(hands).columns(hands)
-        except Exception as error:  # noqa: BLE001  # whatever failed, it is these rows' result and no other's
+        except Exception as error:  # noqa: BLE001  # any failure is these rows' result and no other's
             if len(places) > 1:
                 alone = (slice(i, i + 1) for i in range(len(places)))
                 return [failure for one in alone for failure in self._judged(rows, hands[one], places[one])]

@@ -19,7 +19,7 @@ class Hands:
     base_to_object: NDArray[np.float32]
     """(n, 7): hand's root link, object's centre-of-mass frame: x y z [m], qx qy qz qw.
 
-    In a trial above 0 it is that of the disturbed object, without the way to it.
+    In a trial above 0 it is relative to the disturbed object, without the approach.
     """
     joints: NDArray[np.float32]
     """(n, j): finger joints that the hand starts from [rad or m], in the gripper's order."""
@@ -30,11 +30,11 @@ class Hands:
     trials: NDArray[np.uint16]
     """(n,): 0 is the nominal evaluation, 1 and up are disturbed ones."""
     surface_points: NDArray[np.float32]
-    """(n, 3) [m], same frame: what the palm looks at; zeros where the prior aims at none."""
+    """(n, 3) [m], same frame: points that the palm looks at; zeros where the prior aims at none."""
     prior: str
     """The prior that the genomes are decoded by."""
     genomes: NDArray[np.float32]
-    """(n, d)."""
+    """(n, d): the genomes of the hands."""
 
     def __len__(self) -> int:
         return len(self.base_to_object)
@@ -83,7 +83,7 @@ class BadVerdict(QdgraspError):
 
 
 EvaluatorFn: TypeAlias = Callable[[Hands], Verdicts]
-"""Says what becomes of hands; the same for the same ones, whatever it was asked before."""
+"""Returns verdicts on hands; the same for the same hands, independent of earlier calls."""
 EvaluatorFactory: TypeAlias = Callable[[Scene], EvaluatorFn]
 """Makes a scene's evaluator: a class with `__init__(scene)` and `__call__`, or a function."""
 

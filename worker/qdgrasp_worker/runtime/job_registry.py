@@ -22,7 +22,7 @@ from qdgrasp_protocol.keys import Keys, job_of, last_chunk, parse_number
 from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Work
 from qdgrasp_worker.runtime.background_requests import BackgroundRequests, JoinAnswered
 
-ABANDON_SECONDS = 60.0  # Seconds without a coordinator after which a job of which nothing is held is closed
+ABANDON_SECONDS = 60.0  # Seconds without a coordinator after which a job without held batches is closed
 RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # Seconds between tries to join, before jitter
 
 
@@ -50,7 +50,7 @@ class JobSession:
         """Batches of another epoch or of an older join."""
         self._held: OrderedDict[bytes, Work | Build] = OrderedDict()
         self._begun: set[bytes] = set()
-        self._coordinators: set[int] = set()  # Epochs of the coordinators that are there
+        self._coordinators: set[int] = set()  # Epochs of the present coordinators
         self._left_at = 0.0
         self._is_refused = False
         self._retry_pause = RETRY_FIRST
@@ -102,7 +102,7 @@ class JobSession:
             self.join_soon(now)  # also where another one is there: it may have answered for the one that left
 
     def join_soon(self, now: float) -> None:
-        """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
+        """Ask to join, again if needed: the link is new, or the worker's join has changed."""
         self._is_refused = False
         self._retry_pause = RETRY_FIRST
         self._join_at = now
@@ -113,7 +113,7 @@ class JobSession:
         self._retry_pause = min(2 * self._retry_pause, RETRY_LAST)
 
     def set_credit(self, credit: int, now: float) -> None:
-        """Ask to join again if the credit is another one than was asked for last."""
+        """Ask to join again if the credit differs from the one asked for last."""
         has_joined = self.epoch >= 0 and not self.is_orphaned
         if has_joined and not self._is_refused and credit != self.credit:
             self.join_soon(now)
@@ -129,9 +129,9 @@ class JobSession:
     def on_answer(self, answer: Joined, now: float, jitter: float) -> bool:
         """Take the answer to a join; False if it is of an older coordinator than the one known.
 
-        The one that is known has not heard of this join then, and what it leases would not be taken: ask it
-        again, after a time that doubles, times the jitter. The same holds where the coordinator that answered
-        is gone by now, and another one is there.
+        The known one has then not received this join, and its leases would not be accepted: ask it again,
+        after a time that doubles, times the jitter. The same holds where the coordinator that answered is
+        gone by now, and another one is there.
         """
         self.is_asking = False
         is_current = self.follows(answer.epoch)
@@ -159,7 +159,7 @@ class JobSession:
         self._is_refused = True
 
     def defer(self, sample: Sample) -> bool:
-        """Keep a message that came while a join is under way: its answer decides what that is worth."""
+        """Keep a message that came while a join is under way: the answer decides whether it counts."""
         if self.is_asking:
             self._deferred.append(sample)
         return self.is_asking
@@ -215,7 +215,7 @@ class JobSession:
         self._begun.discard(batch)
 
     def hand_back(self, keep: bytes | None) -> None:
-        """Forget all batches but one; the next join, which lists those held, has others take them."""
+        """Forget all batches but one; by the next join, which lists those held, others take them."""
         self._drop([batch for batch in self._held if batch != keep])
 
     def _drop(self, batches: list[bytes]) -> None:
@@ -228,7 +228,7 @@ log = structlog.get_logger()
 
 
 class RefusedByJob(Refused):
-    """The only job this worker was meant for does not take it."""
+    """The only job for this worker does not accept it."""
 
     exit_code = 2
 
@@ -239,7 +239,7 @@ class RefusedByJob(Refused):
 class JobRegistry:
     """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
-    `rows` are those that its device evaluates at once; 0: it has none. `builds` is the digest of the code
+    `rows` is the number that its device evaluates at once; 0: it has none. `builds` is the digest of the code
     with which it builds shapes; empty: it builds none. `wid` is made of `key` (`worker_id`).
     """
 
@@ -266,7 +266,7 @@ class JobRegistry:
         self._left: dict[str, int] = {}
         """The epochs of coordinators that drained this worker, and are there, by job."""
         self._last_number = 0
-        """The highest number of a join to a job that is served no more: numbers go on from there."""
+        """The highest number of a join to a job that is no longer served: numbers go on from there."""
 
     def __enter__(self) -> Self:
         return self
@@ -350,7 +350,7 @@ class JobRegistry:
                 self._requests.join(session.job, request)
 
     def on_join_answered(self, answered: JoinAnswered, now: float) -> list[Sample]:
-        """Take what came of a join; returns the messages that waited for it.
+        """Take the answer to a join, or its error; return the messages that waited for it.
 
         RefusedByJob if the job does not take this worker, and is the only one to serve.
         """

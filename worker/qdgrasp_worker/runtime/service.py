@@ -1,8 +1,8 @@
 """The worker on the bus: join, evaluate, answer.
 
 One thread does everything; callbacks of the bus, the simulator and background requests only fill its inbox,
-and it waits for nothing else. A worker has no state but caches: whatever it loses is evaluated again
-elsewhere, with the same bytes.
+and it waits for nothing else. A worker has no state but caches: lost batches are evaluated again elsewhere,
+with the same bytes.
 """
 
 import os
@@ -97,11 +97,11 @@ class GracefulShutdown:
 
     @property
     def deadline(self) -> float:
-        """Time at which something is to be done at the latest; infinite: no stop was asked for."""
+        """Latest time of the next action; infinite: no stop was asked for."""
         return self._end_by if self.last_batch is None else self._finish_by
 
     def stop_now(self) -> None:
-        """End whatever is in work."""
+        """End at once, with or without a batch in work."""
         self._end_by = -inf
 
     def start(self, head: BatchProgress | None, now: float) -> None:
@@ -116,16 +116,16 @@ class GracefulShutdown:
         return self.last_batch is not None and now >= self._finish_by
 
     def on_released(self, task: BatchProgress) -> None:
-        """Note that a batch is done with, or handed back."""
+        """Note that a batch is finished, or handed back."""
         if task is self.last_batch:
             self.last_batch = None
 
     def await_job(self, job: str) -> None:
-        """Wait until a job knows what is handed back."""
+        """Wait until a job knows which batches are handed back."""
         self._awaited.add(job)
 
     def on_job_told(self, job: str) -> None:
-        """Note that a job knows, or cannot know, what is handed back."""
+        """Note that a job knows, or cannot know, which batches are handed back."""
         self._awaited.discard(job)
 
     def is_over(self, now: float) -> bool:
@@ -137,9 +137,9 @@ class WorkerService:
     """Serves the jobs on a bus until it is asked to stop.
 
     The simulator's events come to `inbox`, which this service waits on. It serves one `job`, or every job
-    there is. After SIGTERM the batch in work may still take `grace` seconds. Its device evaluates so many
-    `rows` at once; 0: it has none. It builds shapes with the code of the digest `builds`, at the niceness
-    `nice`; empty: it builds none.
+    there is. After SIGTERM the batch in work may still take `grace` seconds. Its device evaluates `rows` at
+    once; 0: it has no device. It builds shapes with the code of the digest `builds`, at the niceness `nice`;
+    an empty digest: it builds none.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class WorkerService:
             self._shutdown.on_job_told(answered.job)
 
     def _take_scene(self, answered: SceneAnswered, now: float) -> None:
-        """Take a scene; without one, its batches are handed back, or fail if it can never be had."""
+        """Take a scene; without one, its batches are handed back, or fail if no one can have it."""
         self._scenes.on_answer(answered)
         reason, job, scene = answered.bundle, answered.job, answered.scene
         if isinstance(reason, bytes):

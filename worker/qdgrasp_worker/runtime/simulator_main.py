@@ -1,8 +1,8 @@
-"""The simulator's process: evaluates what its worker sends, and may die of it.
+"""The simulator's process: evaluates its worker's batches, and may crash.
 
 It holds the physics engines and no session on the bus. Started as `python -m
 qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, and the socket to
-its worker as standard input; whatever prints, prints to standard error.
+its worker as standard input; all prints go to standard error.
 """
 
 import socket
@@ -40,7 +40,7 @@ REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 M = TypeVar("M", bound=SimulatorMessage)
 LoadEvaluator = Callable[[bytes], BatchEvaluator]  # Makes an evaluator of a scene's bundle
-ProbePlatform = Callable[[], dict[str, str]]  # Returns the platform: what decides the bits of results
+ProbePlatform = Callable[[], dict[str, str]]  # Returns the platform, which decides the bits of results
 
 
 class SimulatorMain:
@@ -147,7 +147,7 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
         serve(connection, load, probe)
     except (BrokenPipeError, ConnectionResetError):
         sys.exit(0)  # the worker is gone
-    except Exception as error:  # noqa: BLE001  # whatever it is, the worker is told
+    except Exception as error:  # noqa: BLE001  # any error is sent to the worker
         connection.send(SimulatorCrashed(reason=f"{type(error).__name__}: {error}"))
         sys.exit(1)
 

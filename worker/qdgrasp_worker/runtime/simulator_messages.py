@@ -16,7 +16,7 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure
 
 LENGTH_HEADER = struct.Struct("<I")
-MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a length above it is not one of ours
+MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a greater length is an error
 
 
 class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unknown_fields=True):
@@ -29,7 +29,7 @@ class SimulatorSettings(SimulatorMessage, frozen=True, kw_only=True):
     row_seconds: float
     """CPU seconds that a row, or a slice of rows, may take."""
     memory: int
-    """Memory that it may ask for [bytes]."""
+    """Memory that it may allocate [bytes]."""
     nice: int
     """Niceness of its process, 0 to 19."""
 
@@ -70,12 +70,12 @@ class PartialResult(SimulatorMessage, frozen=True, kw_only=True):
     columns: dict[str, bytes] = {}
     """All of `rows.RESULT`; rows named in `failures` hold zeros."""
     failures: list[Failure] = []
-    """By the place of the row in this part."""
+    """Failures by the place of the row in this part."""
     cpu_seconds: float = 0.0
 
 
 class BatchRejected(SimulatorMessage, frozen=True, kw_only=True):
-    """Simulator to worker: no row of the batch can be evaluated, and why."""
+    """Simulator to worker: no row of the batch can be evaluated, with the reason."""
 
     reason: str
 
@@ -85,7 +85,7 @@ class SceneMissing(SimulatorMessage, frozen=True, kw_only=True):
 
 
 class SimulatorCrashed(SimulatorMessage, frozen=True, kw_only=True):
-    """Simulator to worker: it raised this, and ends."""
+    """Simulator to worker: it raised this error, and ends."""
 
     reason: str
 
@@ -105,7 +105,7 @@ _DECODER: msgspec.msgpack.Decoder[AnySimulatorMessage] = msgspec.msgpack.Decoder
 
 
 class FramedSocket:
-    """One end of a stream socket, whose messages stand behind their lengths."""
+    """One end of a stream socket, whose messages follow their lengths."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end

@@ -1,7 +1,7 @@
 """Supervision of the simulator's process: batches sent to it, stalls, crashes and restarts.
 
-A stall is counted in slices of time: while the simulator stood still (SIGSTOP), or its worker did, it is not
-at fault, and a slice that took longer, because no check was made, counts as one. Time is passed in, in
+A stall is counted in slices of time: while the simulator or its worker was stopped (SIGSTOP), the simulator
+is not at fault, and a slice that took longer, because no check was made, counts as one. Time is passed in, in
 seconds of any steady clock.
 """
 
@@ -50,11 +50,11 @@ CHECK_SLICE = 1.0  # Seconds between two checks of a simulator that is at work
 
 
 class StallDetector:
-    """The silence of a simulator."""
+    """Counter of the silence of a simulator."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        """Seconds that it has lasted."""
+        """Seconds of silence."""
         self._checked_at: float | None = None
 
     def restart(self, now: float) -> None:
@@ -75,7 +75,7 @@ class StallDetector:
 
 STANDARD_ERROR = 2
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals that end a simulator and are no evidence against what it was at."""
+"""Signals that end a simulator and are no evidence against its batch."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class SimulatorClient:
             threading.Thread(target=work, name="simulator", daemon=True).start()
 
     def send(self, message: SimulatorMessage) -> None:
-        """Send a message; it is read when the simulator has done all that was asked before."""
+        """Send a message; it is read when all earlier requests are done."""
         self._outbox.put(message)
 
     @property
@@ -130,11 +130,11 @@ class SimulatorClient:
         return process_stats(self.pid)
 
     def end_stalled(self) -> None:
-        """End it for having been silent for too long; its end is reported as any other."""
+        """End it after too long a silence; its end is reported as any other."""
         self._process.send_signal(STALL_SIGNAL)
 
     def close(self) -> None:
-        """End it at once, whatever it is at; closing twice is allowed."""
+        """End it at once, even during a batch; closing twice is allowed."""
         self._process.kill()
         self._process.wait()
         self._outbox.put(None)
@@ -143,7 +143,7 @@ class SimulatorClient:
         try:
             while (message := self._socket.receive()) is not None:
                 self._report(SimulatorSaid(self, message))
-        except MessageError:  # its memory is not what it was
+        except MessageError:  # its memory is damaged
             self._process.kill()
         self._report(SimulatorEnded(self, self._process.wait()))
         self._outbox.put(None)
@@ -176,15 +176,15 @@ RESTART_PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Seconds before the next simulator, by the number that failed since a row was evaluated."""
 LAST_RESTART_PAUSE = 8.0  # Seconds before each one after those
 MAX_IN_FLIGHT = 2  # Batches at the simulator: the one in work, and one that waits, so that it is never idle
-MEMORY_HEADROOM = 1.4  # So many times the memory that a simulator may keep it may ask for within a batch
-MAX_LOAD_CRASHES = 3  # A scene that ended so many simulators while it was loaded is not tried again
+MEMORY_HEADROOM = 1.4  # Memory that a simulator may allocate within a batch, over what it may keep
+MAX_LOAD_CRASHES = 3  # A scene that crashed as many simulators while loading is not tried again
 SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
 
 
 def simulator_command(evaluator: str | None, device: Device | None = None) -> list[str]:
     """The command of our simulator, or of one with an evaluator FILE.py:NAME or MODULE:NAME.
 
-    An InputError if the name is of another form, or there is no such file, or a device too.
+    An InputError if the name is of another form, or there is no such file, or a device as well.
     """
     if evaluator is None:
         return [*SIMULATOR_COMMAND, *(map(str, device) if device else ())]
@@ -208,7 +208,7 @@ class NoSimulator(QdgraspError):
 
 
 class OtherPlatform(QdgraspError):
-    """The simulator that was started again is not the one that this worker joined with."""
+    """The restarted simulator has another platform than the one that this worker joined with."""
 
     def __init__(self) -> None:
         super().__init__("The package was changed while this worker ran; start it again.")
@@ -239,7 +239,7 @@ class SimulatorSupervisor:
         self.platform: dict[str, str] | None = None
         """The platform of its results; None until the first simulator has sent it."""
         self.is_ready = False
-        """A simulator is there that has evaluated the probes."""
+        """True if a simulator is there that has evaluated the probes."""
         self.restart_at = inf
         """Time at which the next simulator is to be started; infinite: there is one."""
         self._simulator = start()
@@ -277,7 +277,7 @@ class SimulatorSupervisor:
 
     @property
     def tasks(self) -> list[BatchProgress]:
-        """All batches, those first that are to be sent again."""
+        """All batches, first those that are to be sent again."""
         return [*self._requeued, *self._sent]
 
     @property
@@ -290,7 +290,7 @@ class SimulatorSupervisor:
         return digest in self._scenes
 
     def is_fatal(self, digest: str) -> bool:
-        """Return whether a scene crashed so many simulators at loading that it is not tried again."""
+        """Return whether a scene crashed too many simulators at loading to be tried again."""
         return self._load_crashes[digest] >= MAX_LOAD_CRASHES
 
     def submit(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
@@ -309,10 +309,10 @@ class SimulatorSupervisor:
         self._requeued.remove(task)
 
     def on_event(self, event: SimulatorEvent, now: float) -> list[BatchProgress]:
-        """Take a message or the end of the simulator; those of an older one are passed over.
+        """Take a message or the end of the simulator; those of an older one are ignored.
 
-        Returns the batches that are done, and those that a kill from outside took away: of these not all rows
-        are known, and nothing is known against them. NoSimulator if none can be started here, OtherPlatform
+        Returns the batches that are done, and those that were lost by a kill from outside: of these not all
+        rows are known, and they are not at fault. NoSimulator if none can be started here, OtherPlatform
         if this one is of another platform than the one before.
         """
         if event.simulator is not self._simulator or self.restart_at < inf:

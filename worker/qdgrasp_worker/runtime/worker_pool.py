@@ -46,7 +46,7 @@ class WorkerPool:
     """Several workers with the same arguments, restarted when they die.
 
     Each may take `grace` seconds to stop and waits `wait` seconds for the router; if pinned, each is kept on
-    a core of its own, as far as there are so many.
+    a core of its own, as far as there are enough.
     """
 
     def __init__(
