@@ -1,8 +1,8 @@
-"""What `qdgrasp gripper new` guesses of public hands: `python -m benchmarks.hand_guesses FOLDER...`.
+"""The guesses of `qdgrasp gripper new` for public hands: `python -m benchmarks.hand_guesses FOLDER...`.
 
-Each folder holds URDFs by the paths of `HANDS`, such as a checkout of dex-urdf; pybullet_data and the asset
-path are looked through too. Nothing is told to the guess. What is right was told by people who looked at
-pictures of the hands, as `--pictures DIR` draws them. `--evaluations 300` also runs the default search for so
+Each folder holds URDFs at the paths of `HANDS`, such as a checkout of dex-urdf; pybullet_data and the asset
+path are searched too. The guess gets no flag. The right values were judged by people from pictures of the
+hands, as `--pictures DIR` draws them. `--evaluations 300` also runs the default search for so
 many evaluations on the scans of cube and cleanser, in folders of `--runs DIR`; hands with faults are mended
 for that, which takes minutes where meshes are split.
 """

@@ -167,7 +167,7 @@ def test_definitions_may_reach_each_other(digest: Digest) -> None:
 def test_an_evaluation_reaches_what_evaluates_and_not_what_serves_it() -> None:
     found = reached(*EVALUATION)
     assert {Key(each.__module__, each.__name__) for each in (Episode, ConePrior)} <= found.keys()
-    assert any(PROTOCOLS is vars(sys.modules[key.module]).get(key.name) for key in found)
+    assert any(PROTOCOLS is vars(import_module(key.module)).get(key.name) for key in found)
     assert Key(SimulatorMain.__module__, SimulatorMain.__name__) not in found
 
 
