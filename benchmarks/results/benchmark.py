@@ -255,7 +255,7 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
         Line2D([], [], color=styles[arm].colour, linestyle=styles[arm].dashes, label=name.replace("`", ""))
         for name, arm in methods.items()
     ]
-    grid.legend(lines, 4)
+    grid.legend(lines, 3)
     return grid
 
 
