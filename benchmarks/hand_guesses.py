@@ -8,7 +8,6 @@ for that, which takes minutes where meshes are split.
 """
 
 import argparse
-import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,8 +33,10 @@ from qdgrasp_coordinator.cli.run_commands import run_job
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.rendering.drawings import draw_gripper
+from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.text import join_numbers
 
@@ -119,7 +120,7 @@ HANDS = {
         still="joint_00 joint_04 joint_08 joint_12 joint_13",
     ),
 }  # fmt: skip
-OBJECTS, PROTOCOL = ("ycb_rubiks_cube", "ycb_bleach_cleanser"), "physical"
+OBJECTS = ("ycb_rubiks_cube", "ycb_bleach_cleanser")
 HAND = "hand.toml"
 
 
@@ -183,12 +184,7 @@ def draw(guess: Guess, name: str, folder: Path) -> None:
     """Draw the guessed hand, open and closed."""
     folder.mkdir(parents=True, exist_ok=True)
     gripper = Gripper(name, guess.robot.path.name, guess.draft.file, guess.robot)
-    draw_gripper(gripper.on_carrier("paper"), folder / f"{file_name(name)}.png")
-
-
-def file_name(hand: str) -> str:
-    """A hand's name in the form of a file's name."""
-    return re.sub(r"\W+", "-", hand.lower()).strip("-")
+    draw_gripper(gripper.on_carrier("paper"), folder / f"{job_name(name)}.png")
 
 
 def write_usable(guess: Guess, target: Path) -> None:
@@ -207,13 +203,13 @@ def write_usable(guess: Guess, target: Path) -> None:
 def tried(guess: Guess, name: str, folder: Path, number: int, stop: Stop) -> list[str]:
     """The numbers of grasps that survive all six pushes, of `number` evaluations on each object.
 
-    The runs are those of `qdgrasp run` with its defaults; a folder that has them is resumed.
+    The runs are a campaign of the default search and protocol; a folder that has them is resumed.
     """
-    own = folder / file_name(name)
+    own = folder / job_name(name)
     own.mkdir(parents=True, exist_ok=True)
     if not (own / HAND).is_file():
         write_usable(guess, own / HAND)
-    asked = {"gripper": str(own / HAND), "object": list(OBJECTS), "protocol": PROTOCOL, "evaluations": number}
+    asked = RUN_DEFAULTS | {"gripper": str(own / HAND), "object": list(OBJECTS), "evaluations": number}
     campaign = make_campaign({"cross": [asked]}, name)
     begin_campaign(own / "runs", campaign)
     with progress_display(name, campaign.evaluations) as shown:
