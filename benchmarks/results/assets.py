@@ -1,8 +1,8 @@
 """The objects and hands of the benchmark that neither the catalog nor the asset path has.
 
 Objects are parametric and closed, without random numbers, in coordinates of whole micrometres, so that their
-files have the same bits everywhere. Hands are those of URDFs in the package `pybullet`, by
-`qdgrasp gripper new URDF --mend --yes`. Campaigns name a file as `grasp-bench-1/vase.stl`; a run has it as
+files have the same bits everywhere. Hands are those of URDFs in the package `pybullet`, mended here, with the
+values of `deploy/results/grasp-bench-1`. Campaigns name a file as `grasp-bench-1/vase.stl`; a run has it as
 the path of that file, in a folder of this name.
 """
 
@@ -11,18 +11,17 @@ import json
 import sys
 import tomllib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
-from msgspec import structs
 
 from qdgrasp_assets.asset_paths import write_whole
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, join
 from qdgrasp_assets.geometry.primitives import cup, revolve, strip
-from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
@@ -31,6 +30,8 @@ from qdgrasp_protocol.spec import RunSpec
 
 NAME = "grasp-bench-1"
 """Name and version of the benchmark: its folder, and the beginning of its campaigns' names."""
+VALUES = Path(__file__).resolve().parents[2] / "deploy" / "results" / NAME
+"""The folder of the hands' values."""
 SIDES = 24  # Corners of a turned solid
 MILLIMETRE = 1e-3
 DIGEST_DIGITS = 16
@@ -205,15 +206,15 @@ OBJECTS = {
 
 @dataclass(frozen=True)
 class BenchmarkHand:
-    """A hand that is made of a URDF in a public package, as `qdgrasp gripper new --mend --yes` does.
+    """A hand of a URDF in a public package, mended as `qdgrasp gripper new --mend` does, with fixed values.
 
-    Unlike there it has no ratings, as the efforts in its URDF cannot be true: `physical` bounds its
-    drives as those of any hand without ratings.
+    `qdgrasp gripper new --mend --yes` guessed its values. They lie in `VALUES`, so that a better guess does
+    not change the benchmark. Ratings were left out, as the efforts in its URDF cannot be true:
+    `physical` bounds its drives as those of any hand without ratings.
     """
 
     urdf: str
     """Its path below the folder of `pybullet_data`."""
-    licence: str
     sha256: str
     """The beginning of the digest of its files (`hand_digest`)."""
 
@@ -221,8 +222,8 @@ class BenchmarkHand:
 UNHURRIED = 86_400.0
 """Seconds that CoACD has for a mesh of a hand: the parts must not depend on how fast a machine is."""
 HANDS = {
-    "xarm": BenchmarkHand("xarm/xarm6_with_gripper.urdf", "BSD-3-Clause", "b17e4f19809b5e93"),
-    "pr2": BenchmarkHand("pr2_gripper.urdf", "BSD-3-Clause", "c07db99e9caf9f03"),
+    "xarm": BenchmarkHand("xarm/xarm6_with_gripper.urdf", "3f4f54a80a786215"),
+    "pr2": BenchmarkHand("pr2_gripper.urdf", "21a42bf91a7b69ed"),
 }
 FILES = tuple(f"{name}.toml" for name in HANDS) + tuple(f"{name}.stl" for name in OBJECTS)
 
@@ -268,10 +269,8 @@ def _make_hand(path: Path, hand: BenchmarkHand) -> None:
     robot = read_urdf(Path(data.origin).parent / hand.urdf)
     path.parent.mkdir(parents=True, exist_ok=True)
     base, _ = guess_base(robot)
-    with mended_copy(robot, base, path, _tell, may_centre=True, time_limit=UNHURRIED) as copy:
-        given = DraftOverrides(licence=hand.licence, base_link=copy.base)
-        made = draft_gripper(copy.robot, mended_urdf(path).name, given)
-        write_whole(path, draft_toml(_without_ratings(made), path.name).encode())
+    with mended_copy(robot, base, path, _tell, may_centre=True, time_limit=UNHURRIED):
+        write_whole(path, (VALUES / path.name).read_bytes())
     _check(path, hand_digest(path), hand.sha256)
 
 
@@ -279,22 +278,22 @@ def _tell(sentence: str) -> None:
     print(sentence, file=sys.stderr)
 
 
-def _without_ratings(made: GripperDraft) -> GripperDraft:
-    joints = {
-        name: structs.replace(joint, rated_effort=None, rated_velocity=None)
-        for name, joint in made.file.joints.items()
-    }
-    return replace(made, file=structs.replace(made.file, joints=joints, ratings_source="not stated"))
-
-
 def hand_digest(path: Path) -> str:
-    """Return the digest of a hand's values, of its mended URDF, and of the meshes of that; else ""."""
+    """Return the digest of a hand's values, its mended URDF and the meshes of that, visual shapes apart.
+
+    Empty if a file is missing.
+    """
     urdf, meshes = mended_urdf(path), mended_meshes(path)
     if not (path.is_file() and urdf.is_file() and meshes.is_dir()):
         return ""
     values = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), sort_keys=True)
-    files = (urdf, *sorted(meshes.iterdir()))
-    return _digest(b"".join([values.encode(), *(file.read_bytes() for file in files)]))
+    robot = read_urdf(urdf).element
+    for link in robot.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    text = ElementTree.canonicalize(ElementTree.tostring(robot), strip_text=True)
+    files = sorted({urdf.parent / mesh.get("filename", "") for mesh in robot.iter("mesh")})
+    return _digest(b"".join([values.encode(), text.encode(), *(file.read_bytes() for file in files)]))
 
 
 def _digest(content: bytes) -> str:

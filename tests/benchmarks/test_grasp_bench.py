@@ -91,14 +91,25 @@ def test_a_hand_is_the_same_everywhere_and_has_a_jaw(name: str, tmp_path: Path) 
 
 def test_the_digest_of_a_hand_is_of_its_values_its_urdf_and_its_meshes(tmp_path: Path) -> None:
     (tmp_path / "a_meshes").mkdir()
-    files = {"a.toml": "palm_offset = 0.1\n", "a_mended.urdf": "<robot/>", "a_meshes/finger.obj": "v 0 0 0"}
+    shape = '<geometry><mesh filename="a_meshes/{}.obj"/></geometry>'
+    link = f'<link name="palm"><collision>{shape.format("palm")}</collision></link>'
+    files = {
+        "a.toml": "palm_offset = 0.1\n",
+        "a_mended.urdf": f'<robot name="a">{link}</robot>',
+        "a_meshes/palm.obj": "v 0 0 0",
+    }
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     digests = [assets.hand_digest(tmp_path / "a.toml")]
+
     (tmp_path / "a.toml").write_text("# a reason in other words\npalm_offset = 0.1\n")
+    (tmp_path / "a_meshes" / "skin.obj").write_text("v 1 1 1")
+    visual = f"<!-- a remark -->\n<visual>{shape.format('skin')}</visual></link>"
+    (tmp_path / "a_mended.urdf").write_text(files["a_mended.urdf"].replace("</link>", visual))
     assert assets.hand_digest(tmp_path / "a.toml") == digests[0]
+
     for name, text in files.items():
-        (tmp_path / name).write_text(text.replace("0", "1").replace("robot", "robots"))
+        (tmp_path / name).write_text(text.replace("0", "1").replace('"palm"', '"hand"'))
         digests.append(assets.hand_digest(tmp_path / "a.toml"))
     assert len(set(digests)) == 4
 
