@@ -1,108 +1,355 @@
 """The figures of the page of results, recomputed from the CSV by other means than those that made it."""
 
 import re
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pandas
 import pytest
+from numpy.typing import NDArray
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+BENCHMARK, TOUCH = "The benchmark, scene by scene", "First touches: the search for touch against the others"
 TWO_FINGERS = ["panda", "robotiq_2f", "xarm", "pr2"]
-COVERED = ("hand", "object", "protocol", "counting", "budget")
 TUNING = ["ycb_rubiks_cube", "ycb_mug", "ycb_power_drill"]
 SWEPT = 3000
 """Evaluations of a run of the sweep, which is on the tuning scenes too."""
+COUNTINGS = {"overlaps redrawn": "redraw", "every pose counted": "count"}
+USUAL_POPULATION = {"aimed": "50"} | dict.fromkeys(
+    (f"{prior}cma_mae" for prior in ("", "contact_", "approach_", "antipodal_")), "540"
+)
+CPU_MARKS = ("200s", "100s", "50s", "20s", "10s", "5s")
+COVERAGE_MARKS = {"1,000": "1k", "2,000": "2k", "5,000": "5k", "10,000": "10k"}
+DRAWS = 10_000
+SOME_SCENES = 5
+"""With fewer, the ends of an interval over scenes depend much on the draws."""
+
+Runs = pandas.DataFrame
+Values = NDArray[np.float64]
+Groups = dict[str, Runs]
+Lines = list[dict[str, str]]
+Scenes = list[tuple[Values, Values]]
+"""For each scene the values of the runs of the default and of another method."""
 
 
 @pytest.fixture(scope="module")
-def runs() -> pandas.DataFrame:
+def runs() -> Runs:
     table = pandas.read_csv(RESULTS / "runs.csv", keep_default_na=False, na_values=[""])
     table["settings"] = table["settings"].fillna("")
+    table["words"] = [words_of(*pair) for pair in zip(table["method"], table["settings"], strict=True)]
+    table["rate"] = table["robust_cells"] / table["cpu_seconds"]
     return table
 
 
+def words_of(method: str, settings: str) -> str:
+    """The name of a method on the page, with the settings that differ from its own."""
+    said = dict(word.split("=") for word in settings.split())
+    name = f"`{method}`" + (" for touch" if method == "aimed" and "aim_for" not in said else "")
+    usual = {"population": USUAL_POPULATION.get(method, "500"), "aim_for": "hold", "in_flight": "400"}
+    said = {"population": "500"} | said
+    other = [
+        f"{key}={said[key]}" for key in sorted(said) if key != "surface_seed" and said[key] != usual.get(key)
+    ]
+    return name + (f" ({', '.join(other)})" if other else "")
+
+
+def benchmark(runs: Runs) -> Runs:
+    """The runs of the benchmark."""
+    is_its = runs["settings"].str.contains("surface_seed=seed") & (runs["protocol"] == "physical in mujoco")
+    return runs[is_its]
+
+
 def part(heading: str) -> str:
-    """A section of the page, without its heading."""
+    """A section of the page, without its heading; empty if it is not there."""
     page = (RESULTS / "index.md").read_text(encoding="utf-8")
     found = re.search(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
-    assert found is not None, heading
-    return found[1]
+    return found[1] if found else ""
 
 
-def lines(text: str, first: str) -> list[list[str]]:
-    """The lines of tables whose first column begins in a way."""
-    cells = ([cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines())
-    return [line for line in cells if line[0].startswith(first)]
+def tables(text: str) -> Iterator[Lines]:
+    """The tables of a text, each as a list of lines by column."""
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        head, _, *lines = (
+            [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()
+        )
+        yield [dict(zip(head, line, strict=True)) for line in lines]
 
 
-def group_of(run: pandas.Series) -> str:
-    if run["gripper"] == "panda" and run["object"] in TUNING:
-        return "tuning"
-    return "held out, two fingers" if run["gripper"] in TWO_FINGERS else "held out, more fingers"
+def lines_with(text: str, column: str) -> Lines:
+    """The lines of all tables that have a column."""
+    return [line for table in tables(text) for line in table if column in line]
 
 
-def test_the_sums_over_the_benchmark_are_those_of_its_runs(runs: pandas.DataFrame) -> None:
-    chosen = runs[
-        (runs["protocol"] == "physical in mujoco") & runs["settings"].str.contains("surface_seed=seed")
-    ].copy()
-    shown = [line for first in ("held out", "tuning") for line in lines(part("Grasps that hold"), first)]
-    if chosen.empty:
-        assert shown == []
-        return
-    chosen["group"] = chosen.apply(group_of, axis=1)
-    chosen["rate"] = chosen["robust_cells"] / chosen["cpu_seconds"]
-    for group, method, hands, objects, count, cells, niches, seconds, rate, *_ in shown:
-        name, _, change = method.strip("*").replace("`", "").partition(" ")
-        mine = chosen[(chosen["group"] == group) & (chosen["method"] == name)]
-        usual = {"aimed": 50, "contact_cma_mae": 540, "antipodal_cma_mae": 540}.get(name, 500)
-        population = int(found[1]) if (found := re.search(r"population=(\d+)", change)) else usual
-        said = mine["settings"].str.extract(r"population=(\d+)")[0].fillna(500).astype(int)
-        is_of_the_sweep = (group == "tuning") & (mine["budget"] == SWEPT)
-        mine = mine[(said == population) & ~is_of_the_sweep]
-        per_scene = mine.groupby(["gripper", "object", "budget"])
-        medians = per_scene[["robust_cells", "robust_niches", "cpu_seconds", "rate"]].median().mean()
-        assert (int(hands), int(objects), int(count)) == (
+def spread(values: Values | pandas.Series, digits: int) -> str:
+    """Median and range as on the page."""
+    low, middle, high = (f"{value:.{digits}f}" for value in np.quantile(values, (0, 0.5, 1)))
+    return middle if len(values) == 1 else f"{middle} ({low} to {high})"
+
+
+def bootstrap(scenes: Scenes, is_ratio: bool) -> tuple[float, float, float]:
+    """Return the ends of the studentised interval of the mean effect over scenes, and its p-value."""
+
+    def estimate(drawn: Scenes) -> tuple[float, float]:
+        a, b = (np.array([np.mean(scene[arm]) for scene in drawn]) for arm in (0, 1))
+        of_a, of_b = (
+            np.array([np.var(scene[arm], ddof=1) / len(scene[arm]) for scene in drawn]) for arm in (0, 1)
+        )
+        if is_ratio:
+            effects, variances = a / (a + b), (b**2 * of_a + a**2 * of_b) / (a + b) ** 4
+        else:
+            effects, variances = a - b, of_a + of_b
+        among = effects.var(ddof=1) / len(drawn) if len(drawn) > 1 else 0.0
+        return effects.mean(), np.sqrt(max(variances.mean() / len(drawn), among))
+
+    random = np.random.default_rng(1)
+    value, error = estimate(scenes)
+    pivots = np.zeros(DRAWS // 5)
+    for place in range(len(pivots)):
+        chosen = [scenes[number] for number in random.integers(len(scenes), size=len(scenes))]
+        found, spread_of_it = estimate(
+            [tuple(random.choice(arm, len(arm)) for arm in scene) for scene in chosen]
+        )
+        pivots[place] = (found - value) / spread_of_it
+    low, high = value - np.quantile(pivots, (0.975, 0.025)) * error
+    found_pivot = (value - 0.5 * is_ratio) / error
+    beyond = min(np.mean(pivots >= found_pivot), np.mean(pivots <= found_pivot))
+    return low, high, min(1.0, 2 * beyond)
+
+
+def scenes_of(ours: Runs, theirs: Runs, figure: str) -> Scenes:
+    """A figure of the runs of two methods, for each scene that both have."""
+    by = ["gripper", "object", "budget"]
+    other = {scene: found[figure].to_numpy() for scene, found in theirs.groupby(by)}
+    return [(found[figure].to_numpy(), other[scene]) for scene, found in ours.groupby(by) if scene in other]
+
+
+def ratio(scenes: Scenes) -> float:
+    """The default over the other, each scene weighing the same."""
+    share = np.mean([a.mean() / (a.mean() + b.mean()) for a, b in scenes])
+    return share / (1 - share)
+
+
+def near(found: float, expected: float, width: float) -> bool:
+    """Whether an end of an interval is where other draws put it."""
+    return abs(found - expected) <= 0.15 * width
+
+
+@pytest.fixture(scope="module")
+def groups(runs: Runs) -> Groups:
+    chosen = benchmark(runs)
+    is_tuning = (chosen["gripper"] == "panda") & chosen["object"].isin(TUNING)
+    has_jaw = chosen["gripper"].isin(TWO_FINGERS)
+    return {
+        "tuning": chosen[is_tuning & (chosen["budget"] != SWEPT)],
+        "held out, two fingers": chosen[~is_tuning & has_jaw],
+        "held out, more fingers": chosen[~is_tuning & ~has_jaw],
+    }
+
+
+@pytest.fixture(scope="module")
+def summary() -> Lines:
+    return lines_with(part("Grasps that hold"), "niches that hold")
+
+
+def test_sums_are_means_over_scenes_of_medians_over_runs(groups: Groups, summary: Lines) -> None:
+    for line in summary:
+        group = groups[line["scenes"]]
+        mine = group[group["words"] == line["method"].strip("*")]
+        assert (int(line["hands"]), int(line["objects"]), int(line["runs"])) == (
             mine["gripper"].nunique(), mine["object"].nunique(), len(mine)
         )  # fmt: skip
-        found_here = [f"{medians['robust_cells']:.0f}", f"{medians['robust_niches']:.0f}"]
-        assert [cells, niches] == found_here
-        assert [seconds, rate] == [f"{medians['cpu_seconds']:.0f}", f"{medians['rate']:.1f}"]
+        per_scene = mine.groupby(["gripper", "object", "budget"])
+        means = per_scene[["robust_cells", "robust_niches", "cpu_seconds", "rate"]].median().mean()
+        assert line["cells that hold"] == f"{means['robust_cells']:.0f}"
+        assert line["niches that hold"] == f"{means['robust_niches']:.0f}"
+        assert line["CPU s"] == f"{means['cpu_seconds']:.0f}"
+        assert line["cells that hold a CPU s"] == f"{means['rate']:.1f}"
 
 
-def test_the_sweep_is_the_median_over_seeds_and_the_best_setting_stands_out(runs: pandas.DataFrame) -> None:
-    page = (RESULTS / "index.md").read_text(encoding="utf-8")
-    if "## Settings of the baselines" not in page:
-        pytest.skip("the sweep is not in yet")
-    shown = lines(part("Settings of the baselines"), "`")
-    swept = runs[
-        (runs["protocol"] == "physical in mujoco") & runs["settings"].str.contains("surface_seed=seed")
-        & (runs["gripper"] == "panda") & runs["object"].isin(TUNING) & (runs["budget"] == SWEPT)
-    ].copy()  # fmt: skip
+def test_ratios_have_the_weight_of_scenes_and_their_intervals(groups: Groups, summary: Lines) -> None:
+    for line in summary:
+        if not (said := line["default over it, equal evaluations"]):
+            continue
+        group = groups[line["scenes"]]
+        ours, theirs = (group[group["words"] == name] for name in ("`aimed`", line["method"]))
+        scenes = scenes_of(ours, theirs, "robust_cells")
+        value, *ends = re.findall(r"\d+\.\d+|inf", said)
+        assert value == f"{ratio(scenes):.2f}"
+        if ends and len(scenes) >= SOME_SCENES:
+            shown = [share / (1 + share) for share in map(float, ends)]
+            low, high, _ = bootstrap(scenes, is_ratio=True)
+            assert all(near(a, b, high - low) for a, b in zip(shown, (low, high), strict=True))
+
+
+def test_equal_cpu_is_after_the_most_seconds_that_all_runs_of_both_took(
+    groups: Groups, summary: Lines
+) -> None:
+    for line in summary:
+        if not (said := line["equal CPU"]):
+            continue
+        group, scenes = groups[line["scenes"]], []
+        ours, theirs = (group[group["words"] == name] for name in ("`aimed`", line["method"]))
+        for scene, mine in ours.groupby(["gripper", "object"]):
+            other = theirs[(theirs["gripper"] == scene[0]) & (theirs["object"] == scene[1])]
+            marks = (f"robust_cells_{mark}" for mark in CPU_MARKS)
+            figure = next((m for m in marks if mine[m].notna().all() and other[m].notna().all()), None)
+            if len(other) and figure and mine[figure].sum() + other[figure].sum():
+                scenes.append((mine[figure].to_numpy(), other[figure].to_numpy()))
+        assert said.split(" ")[0] == f"{ratio(scenes):.2f}"
+
+
+@pytest.mark.parametrize("heading", [BENCHMARK, TOUCH])
+def test_comparisons_are_those_of_the_runs(heading: str, runs: Runs) -> None:
+    is_physical = runs["protocol"] == "physical in mujoco"
+    known, default = (
+        (benchmark(runs), "`aimed`") if heading == BENCHMARK else (runs[~is_physical], "`aimed` for touch")
+    )
+    for title, text in re.findall(r"^### (.*?)\n(.*?)(?=^###|\Z)", part(heading), re.MULTILINE | re.DOTALL):
+        budget, counting = title.split(" evaluations, ")
+        other, _, own = counting.partition("; default: ")
+        here = known[known["budget"] == int(budget.replace(",", ""))]
+        ours = here[(here["words"] == default) & (here["overlaps"] == COUNTINGS[own or other])]
+        theirs = here[here["overlaps"] == COUNTINGS[other]]
+        compared = lines_with(text, "robust coverage, %")
+        for line in compared:
+            compare(
+                line, *(on_scene(found, line) for found in (ours, theirs[theirs["words"] == line["against"]]))
+            )
+        if compared:
+            verdicts = Counter(line["verdict"] for line in compared)
+            said = re.findall(r"(wins|losses|level|of few seeds) (\d+)", text)
+            assert dict(said) == {VERDICTS[verdict]: str(number) for verdict, number in verdicts.items()}
+        for line in lines_with(text, "objects"):
+            mine = [found[found["gripper"] == line["hand"]] for found in (ours, theirs)]
+            compare_over_objects(line, mine[0], mine[1][mine[1]["words"] == line["against"]])
+        for line in lines_with(text, "behind in"):
+            shown = re.findall(r"(`\w+`(?: \([^)]*\))?) (\d[\d.]*)", line["by a loss to"] + line["else to"])
+            assert shown
+            for method, by in shown:
+                column, scale, digits = ({name.removesuffix(", %"): of for name, of in BESIDE.items()})[
+                    line["behind in"]
+                ]
+                a, b = (
+                    on_scene(found, line)[column].mean()
+                    for found in (ours, theirs[theirs["words"] == method])
+                )
+                assert by == f"{scale * (b - a):.{digits}f}"
+
+
+def on_scene(runs: Runs, line: dict[str, str]) -> Runs:
+    """The runs on the scene of a line."""
+    return runs[(runs["gripper"] == line["hand"]) & (runs["object"] == line["object"])]
+
+
+def counted_runs(runs: Runs, line: dict[str, str], budget: str) -> Runs:
+    """The runs with the counting of a line and a budget."""
+    return runs[
+        (runs["overlaps"] == COUNTINGS[line["counting"]]) & (runs["budget"] == int(budget.replace(",", "")))
+    ]
+
+
+VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "few seeds": "of few seeds"}
+FIGURES = {
+    "coverage, %": ("coverage", 100, 1),
+    "cells": ("cells", 1, 0),
+    "cells that hold": ("robust_cells", 1, 0),
+}
+BESIDE = {
+    "robust coverage, %": ("robust_coverage", 100, 1),
+    "mean best fitness": ("mean_best", 1, 2),
+    "orientations": ("orientations", 1, 2),
+    "niches": ("niches", 1, 0),
+}
+
+
+def compare(line: dict[str, str], ours: Runs, theirs: Runs) -> None:
+    """Check a line that compares two methods on a scene."""
+    counts = {str(len(ours)), str(len(theirs))}
+    assert set(line["seeds"].split(" / ")) == counts
+    figure, scale, digits = FIGURES[line["of"]]
+    a, b = (scale * found[figure].to_numpy() for found in (ours, theirs))
+    assert [line["default"], line["other"]] == [spread(a, digits), spread(b, digits)]
+    assert line["difference"] == f"{a.mean() - b.mean():+.{digits}f}"
+    for name, (column, scale_here, digits_here) in BESIDE.items():
+        medians = (scale_here * found[column].median() for found in (ours, theirs))
+        assert line[name] == " / ".join("-" if np.isnan(m) else f"{m:.{digits_here}f}" for m in medians)
+    if min(len(a), len(b)) < 5:
+        assert (line["95% interval"], line["verdict"]) == ("", "few seeds")
+        return
+    low, high, p_value = bootstrap([(a, b)], is_ratio=False)
+    shown = map(float, line["95% interval"].split(" to "))
+    assert all(near(x, y, high - low + 1) for x, y in zip(shown, (low, high), strict=True))
+    adjusted = float(line["adjusted p"])
+    assert adjusted >= p_value - 0.01
+    assert line["verdict"] == ("level" if adjusted > 0.05 else "win" if a.mean() > b.mean() else "loss")
+
+
+def compare_over_objects(line: dict[str, str], ours: Runs, theirs: Runs) -> None:
+    """Check a line that compares two methods over the objects of a hand."""
+    figure, scale, digits = FIGURES[line["of"]]
+    scenes = [(scale * a, scale * b) for a, b in scenes_of(ours, theirs, figure)]
+    assert int(line["objects"]) == len(scenes)
+    assert line["difference"] == f"{np.mean([a.mean() - b.mean() for a, b in scenes]):+.{digits}f}"
+    if line["95% interval"] and len(scenes) >= SOME_SCENES:
+        low, high, _ = bootstrap(scenes, is_ratio=False)
+        shown = map(float, line["95% interval"].split(" to "))
+        assert all(near(x, y, high - low + 1) for x, y in zip(shown, (low, high), strict=True))
+
+
+def test_the_sweep_is_the_median_over_seeds_and_the_best_setting_stands_out(runs: Runs) -> None:
+    shown = lines_with(part("Settings of the baselines"), "share of the best")
+    swept = benchmark(runs)
+    swept = swept[
+        (swept["gripper"] == "panda") & swept["object"].isin(TUNING) & (swept["budget"] == SWEPT)
+    ].copy()
     swept["population"] = swept["settings"].str.extract(r"population=(\d+)")[0].fillna("500")
     sigma = swept["settings"].str.extract(r"mutation_sigma=(\S+)")[0].fillna("0.1")
     swept["sigma"] = sigma.where(~swept["method"].str.endswith("cma_mae"), "")
     medians = swept.groupby(["method", "population", "sigma", "object"])["robust_cells"].median().unstack()
     shares = (medians / medians.max())[TUNING].mean(axis=1)
     assert len(shown) == len(shares)
-    for method, population, sigma_said, _, *cells, share in shown:
-        setting = (method.strip("`"), population, sigma_said)
-        assert [cell.split()[0] for cell in cells] == [
+    for line in shown:
+        setting = (line["method"].strip("`"), line["population"], line["sigma"])
+        assert [line[scene].split()[0] for scene in TUNING] == [
             f"{medians.loc[setting, scene]:.0f}" for scene in TUNING
         ]
         is_best = shares[setting] == shares[setting[0]].max()
-        assert share == (f"**{shares[setting]:.0%}**" if is_best else f"{shares[setting]:.0%}")
+        assert line["share of the best"] == (
+            f"**{shares[setting]:.0%}**" if is_best else f"{shares[setting]:.0%}"
+        )
 
 
-def test_coverage_is_the_median_over_seeds(runs: pandas.DataFrame) -> None:
-    section = part("Coverage of S_G by the search for touch")
-    shown = [line for line in lines(section, "") if len(line) > len(COVERED)]
+def test_coverage_is_the_median_over_seeds(runs: Runs) -> None:
+    shown = lines_with(part("Coverage of S_G by the search for touch"), "budget")
     assert shown
-    for line in shown[2:]:
-        hand, target, protocol, counting, budget = line[: len(COVERED)]
-        overlaps = {"overlaps redrawn": "redraw", "every pose counted": "count"}[counting]
-        mine = runs[
-            (runs["gripper"] == hand) & (runs["object"] == target) & (runs["protocol"] == protocol)
-            & (runs["overlaps"] == overlaps) & (runs["budget"] == int(budget.replace(",", "")))
-            & (runs["method"] == "aimed") & (runs["settings"] == "population=50")
-        ]  # fmt: skip
-        assert line[shown[0].index("end")].split(" ")[0] == f"{100 * mine['coverage'].median():.1f}"
+    for line in shown:
+        mine = counted_runs(on_scene(runs, line), line, line["budget"])
+        mine = mine[(mine["words"] == "`aimed` for touch") & (mine["protocol"] == line["protocol"])]
+        assert int(line["runs"].split(" ")[0]) == len(mine)
+        for mark, column in COVERAGE_MARKS.items():
+            assert line[mark] == spread(100 * mine[f"coverage_{column}"], 1)
+        assert line["end"] == spread(100 * mine["coverage"], 1)
+        assert line["robust"] == spread(100 * mine["robust_coverage"], 1)
+        assert line["mean best fitness"] == spread(mine["mean_best"], 2)
+        assert line["orientations"] == spread(mine["orientations"], 2)
+
+
+def test_the_rate_of_coverage_is_that_of_a_cpu_second(runs: Runs) -> None:
+    shown = lines_with(part("Coverage for CPU time"), "a success, ms")
+    assert shown
+    for line in shown:
+        mine = counted_runs(on_scene(runs, line), line, line["evaluations"])
+        mine = mine[(mine["words"] == line["method"]) & mine["coverage"].notna()]
+        assert int(line["runs"].split(" ")[0]) == len(mine)
+        assert line["coverage, %"] == spread(100 * mine["coverage"], 1)
+        assert line["CPU s"] == spread(mine["cpu_seconds"], 0)
+        assert line["% of S_G a CPU s"] == spread(100 * mine["coverage"] / mine["cpu_seconds"], 3)
+
+
+def test_the_runs_that_are_in_are_those_of_the_table(runs: Runs) -> None:
+    section = part("Which runs are in")
+    counted = {line["evaluation code"].strip("`"): int(line["rows"]) for line in lines_with(section, "rows")}
+    assert counted == dict(runs["code"].value_counts())
+    assert section.strip().startswith(f"{len(runs)} of the ")
