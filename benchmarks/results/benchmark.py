@@ -227,6 +227,8 @@ def interval_words(found: ConfidenceInterval) -> str:
 
 
 PANEL = (3.6, 2.4)
+MIDDLE_HALF = (0.25, 0.75)
+"""Quantiles over scenes between which a curve is shaded."""
 AXES: Mapping[str, Mapping[str, int]] = {"evaluations": MILESTONES, "CPU seconds": CPU_MILESTONES}
 
 
@@ -245,11 +247,16 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
             axes = grid.axes(row, column)
             _dress(axes, list(milestones.values()))
             panel_heading(axes, group.words, f"share of the default's cells that hold, over {words}")
-            for method, at, values in _curves(group, known, milestones, words == "evaluations"):
+            for method, at, shares in _curves(group, known, milestones, words == "evaluations"):
                 style = styles[methods[method]]
-                axes.plot(at, values, color=style.colour, linestyle=style.dashes, marker="o", markersize=2.5)
+                means = [share.mean() for share in shares]
+                axes.plot(at, means, color=style.colour, linestyle=style.dashes, marker="o", markersize=2.5)
+                low, high = zip(*(np.quantile(share, MIDDLE_HALF) for share in shares), strict=True)
+                axes.fill_between(at, low, high, color=style.colour, alpha=0.12, linewidth=0)
+            axes.set_ylim(bottom=0)
     grid.title(
-        "Cells with a grasp that holds", "Mean over scenes of medians over runs; 1: the default's end."
+        "Cells with a grasp that holds",
+        "Mean over scenes of medians over runs; shaded: the middle half of the scenes; 1: the default's end.",
     )
     lines = [
         Line2D([], [], color=styles[arm].colour, linestyle=styles[arm].dashes, label=name.replace("`", ""))
@@ -265,13 +272,12 @@ def _dress(axes: Axes, ticks: Sequence[int]) -> None:
     axes.set_xticks(ticks)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_ylim(bottom=0)
 
 
 def _curves(
     group: SceneGroup, known: Sequence[Arm], milestones: Mapping[str, int], has_end: bool
-) -> Iterator[tuple[str, list[int], list[float]]]:
-    """For each method the milestones that all its runs reached, and the mean over scenes there.
+) -> Iterator[tuple[str, list[int], list[NDArray[np.float64]]]]:
+    """For each method the milestones that all its runs reached, and the shares of the scenes there.
 
     With `has_end` the budget is one, where it is the same on all scenes.
     """
@@ -282,22 +288,23 @@ def _curves(
         if ends.get(arm.key.scene):
             by_method.setdefault(arm.method, []).append(arm)
     for method, arms in by_method.items():
-        shares = {milestone: _share(arms, ends, name) for name, milestone in milestones.items()}
+        shares = {milestone: _shares(arms, ends, name) for name, milestone in milestones.items()}
         budgets = {arm.key.budget for arm in arms}
         if has_end and len(budgets) == 1:
-            shares[budgets.pop()] = _share(arms, ends, "")
+            shares[budgets.pop()] = _shares(arms, ends, "")
         reached = {milestone: share for milestone, share in shares.items() if share is not None}
-        yield method, list(reached), list(reached.values())
+        if reached:
+            yield method, list(reached), list(reached.values())
 
 
-def _share(arms: Sequence[Arm], ends: Mapping[tuple[str, str, str], float], name: str) -> float | None:
-    """Mean over scenes of the median at a milestone, or in the end, over the default's end.
+def _shares(
+    arms: Sequence[Arm], ends: Mapping[tuple[str, str, str], float], name: str
+) -> NDArray[np.float64] | None:
+    """For each scene the median at a milestone, or in the end, over the default's end (scenes,).
 
     None where not all runs got there.
     """
     values = [arm.values(f"robust_cells_{name}".rstrip("_")) for arm in arms]
     if any(len(found) < len(arm.rows) for arm, found in zip(arms, values, strict=True)):
         return None
-    return float(
-        np.mean([np.median(found) / ends[arm.key.scene] for arm, found in zip(arms, values, strict=True)])
-    )
+    return np.array([np.median(found) / ends[arm.key.scene] for arm, found in zip(arms, values, strict=True)])
