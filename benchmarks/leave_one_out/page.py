@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, Values
 from benchmarks.leave_one_out.refit import (
+    MARGIN,
     Refit,
     Refits,
     Runs,
@@ -58,9 +59,11 @@ act on one another is not looked at. If no constant had any effect, about two of
 """
 COMPARISON = f"""Each set of constants runs with {len(HELD_OUT_SEEDS)} seeds. Numbers are in percent of the
 mean of today's constants on each object, so that each object weighs the same. *Difference*: mean of the
-refitted constants less mean of today's, with the 95 % interval of a bootstrap over objects and over the runs
-on each ([how](../analysis.md#claims-and-their-intervals)). *Today's interval*: that of the mean of today's
-constants, less 100 %. The verdict is *less* where the difference lies within today's interval.
+refitted constants less mean of today's, with the 95 % interval of a bootstrap over the runs on these objects
+([how](../analysis.md#claims-and-their-intervals)). *Today's interval*: that of the mean of today's constants,
+less 100 %. The verdict is *less* where the difference lies within today's interval; noisy runs make this
+easier.
+*Equivalent*: the whole interval of the difference is within {MARGIN:.0%}; noisy runs make this harder.
 """
 
 
@@ -158,7 +161,10 @@ def _chosen_on(left_out: str) -> str:
 def _held_out(found: Runs, known: Refits) -> Iterator[str]:
     """The refitted sets compared with today's, and cells that hold by object."""
     if known:
-        heads = ("chosen on", "constants", "difference, %", "95 % interval", "today's interval", "verdict")
+        heads = (
+            "chosen on", "constants", "difference, %", "95 % interval", "today's interval", "verdict",
+            "equivalent",
+        )  # fmt: skip
         yield markdown_table(heads, [_comparison(found, *each) for each in known.items()])
     arms = dict.fromkeys((TODAY, *(one.variant for one in known.values())))
     lines = [(scene, *(_spread(found, name, scene) for name in arms)) for scene in HELD_OUT]
@@ -169,9 +175,9 @@ def _held_out(found: Runs, known: Refits) -> Iterator[str]:
 def _comparison(found: Runs, left_out: str, one: Refit) -> tuple[str, ...]:
     line = (_chosen_on(left_out), f"`{one.variant}`")
     if one.variant == TODAY:
-        return *line, "0", "", "", "less: the same constants"
+        return *line, "0", "", "", "less: the same constants", "yes"
     if not is_complete(found, one.variant):
-        return *line, "", "", "", "not all runs are in"
+        return *line, "", "", "", "not all runs are in", ""
     compared = compare(found, one.variant)
     return (
         *line,
@@ -179,6 +185,7 @@ def _comparison(found: Runs, left_out: str, one: Refit) -> tuple[str, ...]:
         _interval(compared.difference.low, compared.difference.high),
         _interval(compared.today.low - 1.0, compared.today.high - 1.0),
         "less" if compared.is_within else "**not less**",
+        "yes" if compared.is_equivalent else "**not shown**",
     )
 
 

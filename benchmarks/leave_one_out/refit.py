@@ -21,6 +21,8 @@ from qdgrasp_coordinator.report.bootstrap import (
     mean_interval,
 )
 
+MARGIN = 0.05
+"""A difference that is certainly less than this share changes nothing that matters."""
 Runs = Mapping[tuple[str, str], RunValues]
 """Numbers of the runs (n,) of a variant on an object, by seed."""
 
@@ -124,6 +126,11 @@ class HeldOutComparison:
     def is_within(self) -> bool:
         """True if the refitted mean lies in the interval of today's."""
         return self.today.low < 1.0 + self.difference.value < self.today.high
+
+    @property
+    def is_equivalent(self) -> bool:
+        """True if the whole interval of the difference is within `MARGIN` of 0."""
+        return max(-self.difference.low, self.difference.high) < MARGIN
 
 
 def compare(found: Runs, name: str) -> HeldOutComparison:

@@ -10,12 +10,13 @@ from functools import cached_property
 from itertools import chain
 
 import numpy as np
+from benchmarks.results.assets import HANDS, OBJECTS
 from benchmarks.results.comparison import (
     DEFAULT,
     ROBUST_CELLS,
+    SCREENED,
     Arm,
     MethodComparison,
-    Verdict,
     compare_methods,
     over_scenes,
     verdicts_of,
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.report.bootstrap import (
     CONFIDENCE_LEVEL,
+    LEAST_SCENES,
     ConfidenceInterval,
     ScenesOfRuns,
     ratio_interval,
@@ -47,8 +49,9 @@ FIGURE = "cells-that-hold"
 PROTOCOL = "physical in mujoco"
 TWO_FINGERS = ("panda", "robotiq_2f", "xarm", "pr2")
 SUMMARY_COLUMNS = (
-    "scenes", "method", "hands", "objects", "runs", "cells that hold", "niches that hold", "CPU s",
-    "cells that hold a CPU s", "default over it, equal evaluations", "equal CPU", "adjusted p",
+    "scenes", "method", "hands", "objects", "runs", "cells that hold", "niches that hold", "QD score",
+    SCREENED.words, "CPU s", "cells that hold a CPU s", "default over it, equal evaluations", "adjusted p",
+    "default over it, equal CPU", "its adjusted p",
 )  # fmt: skip
 LOSS_COLUMNS = (
     "hand",
@@ -85,6 +88,8 @@ GROUPS = (
     ),
     SceneGroup("tuning", is_tuning),
 )
+NEW = SceneGroup("new hands and objects", lambda arm: arm.key.object in OBJECTS or arm.key.gripper in HANDS)
+"""Those held-out scenes on which nothing had been run before the benchmark."""
 
 
 @dataclass(frozen=True)
@@ -107,18 +112,9 @@ class Contest:
     @cached_property
     def equal_cpu(self) -> ConfidenceInterval:
         """That ratio after as many CPU seconds; scenes where a run took too few are left out."""
-        pairs = [pair for one in self.scenes if (pair := after_equal_cpu(one)) is not None]
+        pairs = [found[1] for one in self.scenes if (found := one.equal_cpu()) is not None]
         upper: ScenesOfRuns = [ours for ours, _ in pairs]
         return ratio_interval(upper, [theirs for _, theirs in pairs])
-
-
-def after_equal_cpu(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Cells that hold of the runs of both, after the most CPU seconds that all of them took."""
-    runs = [*one.ours.rows.values(), *one.theirs.rows.values()]
-    for name in reversed(CPU_MILESTONES):
-        if all(getattr(row, f"robust_cells_{name}") is not None for row in runs):
-            return one.ours.values(f"robust_cells_{name}"), one.theirs.values(f"robust_cells_{name}")
-    return None
 
 
 def contests(group: SceneGroup, known: Sequence[Arm]) -> list[Contest]:
@@ -131,82 +127,111 @@ def contests(group: SceneGroup, known: Sequence[Arm]) -> list[Contest]:
 
 def benchmark_part(known: Sequence[Arm]) -> str:
     """The part of the page, from the arms of the benchmark's campaigns."""
-    found = [contest for group in GROUPS for contest in contests(group, known)]
+    found = [contest for group in (*GROUPS, NEW) for contest in contests(group, known)]
     if not found:
         return "## Grasps that hold\n\nNo runs of the benchmark are in yet.\n"
-    verdicts = list(verdicts_of([one.equal_evaluations for one in found]))
-    return "\n".join(["## Grasps that hold\n", *_losses(found), *_summary(known, found, verdicts)])
+    return "\n".join(
+        [
+            "## Grasps that hold\n",
+            *_losses([one for one in found if one.group is not NEW], known),
+            *_summary(known, found),
+        ]
+    )
 
 
-def _losses(found: Sequence[Contest]) -> Iterator[str]:
-    """Scenes on which the default is behind, before anything else is said."""
+def _losses(found: Sequence[Contest], known: Sequence[Arm]) -> Iterator[str]:
+    """Scenes on which the default is behind, before anything else is said; and how many scenes are in."""
     scenes = [one for contest in found for one in contest.scenes]
-    lines = []
-    for words, take in (("evaluations", _ends), ("CPU", after_equal_cpu)):
-        pairs = [(one, pair) for one in scenes if (pair := take(one)) is not None]
-        ratios = [ratio_interval([ours], [theirs]) for _, (ours, theirs) in pairs]
-        lines += [
-            (
-                one.ours.key.gripper, one.ours.key.object, one.theirs.method, f"equal {words}",
+    after = {
+        "equal evaluations": [(one, one.pair(ROBUST_CELLS)) for one in scenes],
+        "equal CPU": [(one, timed[1]) for one in scenes if (timed := one.equal_cpu()) is not None],
+    }
+    behind = {words: list(_behind(pairs, words)) for words, pairs in after.items()}
+    said = " and ".join(
+        f"in {len(behind[words]) or 'none'} of {counted(len(pairs), 'comparison')} after {words}"
+        for words, pairs in after.items()
+    )
+    untimed = len(scenes) - len(after["equal CPU"])
+    rest = (
+        f" ({untimed} more {'has' if untimed == 1 else 'have'} a run too short for that)" if untimed else ""
+    )
+    yield f"The default method is behind {said}{rest}{':' if any(behind.values()) else '.'}\n"
+    if any(behind.values()):
+        yield markdown_table(LOSS_COLUMNS, [line for lines in behind.values() for line in lines])
+    asked = {arm.key.scene: is_tuning(arm) for arm in known if arm.key.protocol == PROTOCOL}
+    here = {one.ours.key.scene for one in scenes}
+    counts = [
+        (sum(asked[scene] is tuning for scene in here), list(asked.values()).count(tuning))
+        for tuning in (False, True)
+    ]
+    yield (
+        f"In are {counts[0][0]} of {counts[0][1]} held-out scenes, the cheapest first, which is no fair draw "
+        f"of all, and {counts[1][0]} of {counts[1][1]} tuning scenes.\n"
+    )
+
+
+def _behind(
+    pairs: Sequence[tuple[MethodComparison, tuple[NDArray[np.float64], NDArray[np.float64]]]], after: str
+) -> Iterator[tuple[str, ...]]:
+    """A line for each comparison in which the default has fewer cells that hold."""
+    ratios = [ratio_interval([ours], [theirs]) for _, (ours, theirs) in pairs]
+    for (one, _), verdict in zip(pairs, verdicts_of(ratios), strict=True):
+        if verdict.found.value < 1:
+            yield (
+                one.ours.key.gripper, one.ours.key.object, one.theirs.method, after,
                 f"{verdict.found.value:.2f}", interval_words(verdict.found), verdict.words,
-            )
-            for (one, _), verdict in zip(pairs, verdicts_of(ratios), strict=True)
-            if verdict.found.value < 1
-        ]  # fmt: skip
-    places = {one.ours.key.scene for one in scenes}
-    compared = f"{counted(len(scenes), 'comparison')} on {counted(len(places), 'scene')}"
-    if lines:
-        yield f"**The default method is behind** in these of {compared}:\n"
-        yield markdown_table(LOSS_COLUMNS, lines)
-    else:
-        yield f"The default method is behind in none of {compared}.\n"
+            )  # fmt: skip
 
 
-def _ends(one: MethodComparison) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return one.pair(ROBUST_CELLS)
-
-
-def _summary(known: Sequence[Arm], found: Sequence[Contest], verdicts: Sequence[Verdict]) -> Iterator[str]:
+def _summary(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[str]:
     yield (
         f"Protocol `{PROTOCOL}`. *Cells that hold*: distinct 1 cm cells with a grasp that survived every "
-        "push; *niches that hold*: cells, orientations and synergies with one. Both, and CPU seconds of the "
+        "push, the figure that the default method searches for; no run can have more than its counted "
+        "evaluations. *Niches that hold*: cells, orientations and synergies with one. *QD score*: the best "
+        "fitness, 0 to 6, in each cell with a success, summed. *Poses screened* for a counted evaluation, "
+        "overlaps, and candidates that the default's models ranked lower. All these, and CPU seconds of the "
         "workers, are means over scenes of medians over runs, after equally many evaluations. *Default over "
         "it*: the ratio of cells that hold, each scene weighing the same, with its "
-        f"{CONFIDENCE_LEVEL:.0%} interval over scenes and runs; *equal CPU*: on each scene after the most "
-        f"CPU seconds of {', '.join(map(str, CPU_MILESTONES.values()))} that all runs of both took. "
-        "*Adjusted p*: of equal evaluations, by the method of Holm for all lines of this table.\n"
+        f"{CONFIDENCE_LEVEL:.0%} interval, from {LEAST_SCENES} scenes on over scenes and runs, before over "
+        "the runs on these scenes; *equal CPU*: on each scene after the most CPU seconds of "
+        f"{', '.join(map(str, CPU_MILESTONES.values()))} that all runs of both took. *Adjusted p*: by the "
+        "method of Holm for all lines of this table. *New hands and objects* are those held-out scenes on "
+        "which nothing was run before the benchmark.\n"
     )
-    yield markdown_table(SUMMARY_COLUMNS, [*_summary_lines(known, found, verdicts)])
+    yield markdown_table(SUMMARY_COLUMNS, [*_summary_lines(known, found)])
     yield f"![Cells with a grasp that holds over evaluations and over CPU seconds]({FIGURE}.png)\n"
 
 
-def _summary_lines(
-    known: Sequence[Arm], found: Sequence[Contest], verdicts: Sequence[Verdict]
-) -> Iterator[tuple[str, ...]]:
-    for group in GROUPS:
-        here = [(one, verdict) for one, verdict in zip(found, verdicts, strict=True) if one.group is group]
+def _summary_lines(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[tuple[str, ...]]:
+    judged = list(
+        zip(
+            found,
+            verdicts_of([one.equal_evaluations for one in found]),
+            verdicts_of([one.equal_cpu for one in found]),
+            strict=True,
+        )
+    )
+    for group in (*GROUPS, NEW):
+        here = [one for one in judged if one[0].group is group]
         ours = [arm for arm in group.arms(known) if arm.is_default]
         if here:
-            yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), "", "", "")
-        for contest, verdict in here:
-            yield (
-                group.words, contest.rival, *_sums([one.theirs for one in contest.scenes]),
-                ratio_words(contest.equal_evaluations), ratio_words(contest.equal_cpu),
-                "" if np.isnan(verdict.adjusted) else f"{verdict.adjusted:.2g}",
-            )  # fmt: skip
+            yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), *[""] * 4)
+        for contest, *verdicts in here:
+            ratios = (words for one in verdicts for words in (ratio_words(one.found), one.p_words))
+            yield group.words, contest.rival, *_sums([one.theirs for one in contest.scenes]), *ratios
 
 
 def _sums(arms: Sequence[Arm]) -> tuple[str, ...]:
     """Numbers of hands, objects and runs, and the figures of one method over its scenes."""
-    rows = [list(arm.rows.values()) for arm in arms]
-    hold, niches, seconds = (
-        np.mean([np.median([getattr(row, name) for row in runs]) for runs in rows])
-        for name in ("robust_cells", "robust_niches", "cpu_seconds")
+    hold, niches, score, screened, seconds = (
+        np.mean([np.median(arm.values(name)) for arm in arms])
+        for name in ("robust_cells", "robust_niches", "qd_score", SCREENED.name, "cpu_seconds")
     )
-    rate = np.mean([np.median([_rate(row) for row in runs]) for runs in rows])
+    rate = np.mean([np.median([_rate(row) for row in arm.rows.values()]) for arm in arms])
     return (
         str(len({arm.key.gripper for arm in arms})), str(len({arm.key.object for arm in arms})),
-        str(sum(map(len, rows))), f"{hold:.0f}", f"{niches:.0f}", f"{seconds:.0f}", f"{rate:.1f}",
+        str(sum(len(arm.rows) for arm in arms)), f"{hold:.0f}", f"{niches:.0f}", f"{score:.0f}",
+        f"{screened:.1f}", f"{seconds:.0f}", f"{rate:.1f}",
     )  # fmt: skip
 
 

@@ -6,17 +6,19 @@ from functools import cached_property
 
 import numpy as np
 from benchmarks.results.programme import Programme
-from benchmarks.results.table import Key, Row
+from benchmarks.results.table import CPU_MILESTONES, Key, Row
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.report.bootstrap import (
     CONFIDENCE_LEVEL,
     LEAST_RUNS,
+    LEAST_SCENES,
     RESAMPLES,
     ConfidenceInterval,
     ScenesOfRuns,
     difference_interval,
     holm,
+    ratio_interval,
 )
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.search.registry import method
@@ -128,19 +130,24 @@ COVERAGE = Figure("coverage", "coverage, %", 100)
 CELLS = Figure("cells", "cells", digits=0)
 ROBUST_CELLS = Figure("robust_cells", "cells that hold", digits=0)
 BESIDE = (
-    Figure("robust_coverage", "robust coverage, %", 100),
     Figure("mean_best", "mean best fitness", digits=2),
     Figure("orientations", "orientations", digits=2),
+)
+OF_TOUCH = (
+    Figure("robust_share", "robust share of S_G, %", 100),
+    *BESIDE,
     Figure("niches", "niches", digits=0),
 )
 """Further figures, which show if coverage comes with worse grasps."""
+OF_HOLD = (
+    Figure("robust_niches", "niches that hold", digits=0), Figure("qd_score", "QD score", digits=0), *BESIDE
+)  # fmt: skip
+"""Further figures under `physical`."""
+SCREENED = Figure("screened", "poses screened")
 SIGNIFICANT = 1 - CONFIDENCE_LEVEL
 """An adjusted p-value of at most this is a win or a loss."""
 VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "adjusted p", "verdict")
-COMPARISON_COLUMNS = (
-    "hand", "object", "against", "seeds", "of", "default", "other", *VERDICT,
-    *(figure.words for figure in BESIDE), "code",
-)  # fmt: skip
+COMPARED = ("hand", "object", "against", "seeds", "of", "default", "other", *VERDICT)
 POOLED = ("hand", "against", "objects", "of", *VERDICT)
 BEHIND = ("behind in", "hand", "object", "by a loss to", "else to")
 
@@ -186,6 +193,28 @@ class MethodComparison:
         return self.difference(self.figure)
 
     @property
+    def is_physical(self) -> bool:
+        """Whether it is about grasps that hold."""
+        return self.figure is ROBUST_CELLS
+
+    @property
+    def beside(self) -> tuple[Figure, ...]:
+        """Figures in which the default may be behind, other than the one that decides."""
+        return OF_HOLD if self.is_physical else OF_TOUCH
+
+    def equal_cpu(self) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.float64]]] | None:
+        """The most CPU seconds of the milestones that all runs of both took, and cells that hold after them.
+
+        None where a run took fewer than the first milestone.
+        """
+        runs = [*self.ours.rows.values(), *self.theirs.rows.values()]
+        for name, seconds in reversed(CPU_MILESTONES.items()):
+            if all(getattr(row, f"robust_cells_{name}") is not None for row in runs):
+                ours, theirs = (arm.values(f"robust_cells_{name}") for arm in (self.ours, self.theirs))
+                return seconds, (ours, theirs)
+        return None
+
+    @property
     def codes(self) -> str:
         """The evaluation code of both, the default's first where they differ."""
         ours, theirs = self.ours.codes, self.theirs.codes
@@ -207,15 +236,15 @@ def over_scenes(
     return interval(upper, lower)
 
 
-def compare_methods(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[MethodComparison]]:
-    """The default against each other method of its scene and budget; by both countings and the budget."""
-    groups: dict[tuple[str, str, int], list[MethodComparison]] = {}
+def compare_methods(known: Sequence[Arm]) -> dict[tuple[int, str], list[MethodComparison]]:
+    """The default against each other method of its scene, by budget and counting of both."""
+    groups: dict[tuple[int, str], list[MethodComparison]] = {}
     for ours in (arm for arm in known if arm.is_default):
         for theirs in known:
-            alike = (ours.key.scene, ours.key.budget) == (theirs.key.scene, theirs.key.budget)
-            countings = ours.key.overlaps, theirs.key.overlaps
-            if alike and not theirs.is_default and countings != ("count", "redraw"):
-                groups.setdefault((*countings, ours.key.budget), []).append(MethodComparison(ours, theirs))
+            work = ours.key.budget, ours.key.overlaps
+            alike = (ours.key.scene, *work) == (theirs.key.scene, theirs.key.budget, theirs.key.overlaps)
+            if alike and not theirs.is_default:
+                groups.setdefault(work, []).append(MethodComparison(ours, theirs))
     return groups
 
 
@@ -225,29 +254,30 @@ def comparison_part(known: Sequence[Arm], heading: str = "## The default method 
         return ""
     return (
         f"{heading}\n\n"
-        "After equally many counted evaluations. A difference is the mean of the default's runs less that "
-        "of the other's; runs of one seed share no random numbers, and are not paired. Its interval is a "
-        f"studentised bootstrap, {RESAMPLES:,} resamples (over several objects: of objects and of the runs "
-        "on each). *Win* and *loss*: the p-value, adjusted for all comparisons of its section by the method "
-        f"of Holm, is at most {SIGNIFICANT:g}. With fewer than {LEAST_RUNS} seeds there is no verdict. Of "
-        "the other figures the default's median stands first, then the other's; *orientations* is a mean "
-        "over all cells with a success, which a method that finds more cells lowers: read it beside "
-        "*niches*. *Code*: which evaluation code the runs are of; where it is not the same, the default's "
-        "stands first.\n\n" + "\n".join(_groups(known))
+        "After equally many counted evaluations. *Default* and *other* are medians over runs, with their "
+        "ranges; a difference is the mean of the default's runs less that of the other's, which are not "
+        f"paired. Its interval is a studentised bootstrap, {RESAMPLES:,} resamples; over {LEAST_SCENES} "
+        "objects or more these are drawn too, over fewer it is for these objects. *Win* and *loss*: the "
+        "p-value, adjusted for all comparisons of its table by the method of Holm, is at most "
+        f"{SIGNIFICANT:g}. With fewer than {LEAST_RUNS} seeds there is no verdict. The figures after it are "
+        "medians, the default's first. *Orientations* is a mean over all cells with a success: the default "
+        "takes a cell for done with the first grasp there (`grasps_per_cell`), and is behind in it by "
+        "design. *Code*: which evaluation code the runs are of, the default's first.\n\n"
+        + "\n".join(_groups(known))
     )
 
 
 def _groups(known: Sequence[Arm]) -> Iterator[str]:
-    for (ours, theirs, budget), group in sorted(
-        compare_methods(known).items(), key=lambda item: item[0][::-1]
-    ):
+    for (budget, counting), group in sorted(compare_methods(known).items()):
         done = [one for one in group if one.has_runs]
-        counting = COUNTING[ours] if ours == theirs else f"{COUNTING[theirs]}; default: {COUNTING[ours]}"
-        yield f"### {budget:,} evaluations, {counting}\n"
+        yield f"### {budget:,} evaluations, {COUNTING[counting]}\n"
         if done:
             verdicts = [*verdicts_of([one.found for one in done])]
+            columns = [*COMPARED, *(figure.words for figure in done[0].beside)]
+            if done[0].is_physical:
+                columns += ["equal CPU", SCREENED.words]
             yield markdown_table(
-                COMPARISON_COLUMNS, [_line(*pair) for pair in zip(done, verdicts, strict=True)]
+                [*columns, "code"], [_line(*pair) for pair in zip(done, verdicts, strict=True)]
             )
             yield "\n".join(_losses(done, verdicts)) + "\n"
         if over_objects := list(_pooled(done)):
@@ -273,12 +303,16 @@ class Verdict:
             return "level"
         return "win" if self.found.value > self.found.null else "loss"
 
+    @property
+    def p_words(self) -> str:
+        """The adjusted p-value, empty without one."""
+        return "" if np.isnan(self.adjusted) else f"{self.adjusted:.2g}"
+
     def cells(self, digits: int) -> tuple[str, str, str, str]:
         """The columns of `VERDICT`."""
         found = self.found
         interval = f"{found.low:+.{digits}f} to {found.high:+.{digits}f}" if found.is_known else ""
-        p_value = "" if np.isnan(self.adjusted) else f"{self.adjusted:.3g}"
-        return f"{found.value:+.{digits}f}", interval, p_value, self.words
+        return f"{found.value:+.{digits}f}", interval, self.p_words, self.words
 
 
 def verdicts_of(family: Sequence[ConfidenceInterval]) -> Iterator[Verdict]:
@@ -292,8 +326,17 @@ def _line(one: MethodComparison, verdict: Verdict) -> tuple[str, ...]:
     spreads = (arm.words(figure.name, figure.scale, figure.digits) for arm in (one.ours, one.theirs))
     return (
         one.ours.key.gripper, one.ours.key.object, one.theirs.method, one.seeds, figure.words, *spreads,
-        *verdict.cells(figure.digits), *(_beside(one, other) for other in BESIDE), one.codes,
+        *verdict.cells(figure.digits), *(_beside(one, other) for other in one.beside),
+        *((_equal_cpu(one), _beside(one, SCREENED)) if one.is_physical else ()), one.codes,
     )  # fmt: skip
+
+
+def _equal_cpu(one: MethodComparison) -> str:
+    """The ratio of cells that hold after as many CPU seconds, and these."""
+    if (found := one.equal_cpu()) is None:
+        return ""
+    seconds, (ours, theirs) = found
+    return f"{ratio_interval([ours], [theirs]).value:.2f} at {seconds} s"
 
 
 def _pooled(done: Sequence[MethodComparison]) -> Iterator[tuple[str, ...]]:
@@ -311,7 +354,7 @@ def _losses(done: Sequence[MethodComparison], verdicts: Sequence[Verdict]) -> It
     """How often the default won, and every figure in which it is behind: a table where there are any."""
     words = [verdict.words for verdict in verdicts]
     said = ", ".join(f"{plural} {words.count(one)}" for one, plural in VERDICTS.items() if one in words)
-    lost = {label(figure): list(_behind(done, figure)) for figure in (None, *BESIDE)}
+    lost = {label(figure): list(_behind(done, figure)) for figure in (None, *done[0].beside)}
     unlost = "; ".join(name for name, lines in lost.items() if not lines)
     yield f"In the figure that decides: {said}. Behind nowhere in: {unlost or 'no figure'}."
     if mixed := sum(one.is_mixed for one in done):

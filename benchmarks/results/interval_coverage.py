@@ -2,8 +2,10 @@
 
 Two arms with the same true mean in every scene of a population of scenes. Scenes differ by a skewed number of
 standard deviation 1, runs by a skewed number of standard deviation 0.5; the interval of the mean difference
-over scenes is of 95 %. Percentile and BCa intervals (Efron and Tibshirani 1993, chapter 14) of the same draws
-stand beside the studentised ones that this project uses.
+over scenes is of 95 %. With few scenes it is for these scenes, and the true value is their mean. Percentile
+and BCa intervals (Efron and Tibshirani 1993, chapter 14) of the same draws stand beside the studentised ones
+that this project uses; so do the interval of a ratio, of arms that half of these numbers multiply as
+exponents, and the shares of p-values of the difference up to 0.05 and 0.001.
 """
 
 import argparse
@@ -14,33 +16,50 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from qdgrasp_coordinator.report.bootstrap import difference_interval, resample
+from qdgrasp_coordinator.report.bootstrap import (
+    LEAST_SCENES,
+    difference_interval,
+    ratio_interval,
+    resample,
+)
 from qdgrasp_coordinator.report.tables import markdown_table
 
 Values = NDArray[np.float64]
-DESIGNS = ((1, 5), (1, 10), (3, 5), (3, 10), (7, 5), (20, 5))
+DESIGNS = ((1, 5), (1, 10), (3, 5), (3, 10), (10, 5), (20, 5), (50, 5))
 """Numbers of scenes, and of runs of each arm on each."""
+MEAN_SHARE = float((1 / (1 + np.exp((1 - np.random.default_rng(0).exponential(1, 10**6)) / 2))).mean())
+"""The mean over scenes of the upper arm's share in both, of arms that are exponents."""
+LEVELS = (0.05, 0.001)
+"""Shares of p-values that are at most so large are these, if p-values are right."""
 TAILS = np.array([0.025, 0.975])
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Runs of two arms: (scenes, 2, runs)."""
+    """Runs of two arms."""
 
     runs: Values
+    """(scenes, 2, runs)"""
+    effects: Values
+    """The true effect of each scene, of mean 0 over the population: (scenes,)."""
 
     @property
     def difference(self) -> float:
         """Mean over scenes of the difference of the arms' means."""
         return float((self.runs[:, 0] - self.runs[:, 1]).mean())
 
+    @property
+    def truth(self) -> float:
+        """The true difference: over the population, or over these scenes if there are few."""
+        return 0.0 if len(self.effects) >= LEAST_SCENES else float(self.effects.mean())
+
 
 def draw(scenes: int, runs: int, random: np.random.Generator) -> Sample:
-    """A sample whose true difference is 0."""
+    """A sample whose true difference over the population is 0."""
+    effects = random.exponential(1, scenes) - 1
     noise = random.exponential(0.5, (scenes, 2, runs)) - 0.5
-    if scenes > 1:  # of one scene the difference is asked for on that scene alone
-        noise[:, 0] += random.exponential(1, (scenes, 1)) - 1
-    return Sample(noise)
+    noise[:, 0] += effects[:, None]
+    return Sample(noise, effects)
 
 
 def studentised(sample: Sample, seed: int) -> tuple[float, float]:
@@ -49,8 +68,22 @@ def studentised(sample: Sample, seed: int) -> tuple[float, float]:
     return found.low, found.high
 
 
+def holds_ratio(sample: Sample, seed: int) -> bool:
+    """Whether the interval of a ratio holds the true one: of half of these numbers, as exponents."""
+    upper, lower = np.exp(np.moveaxis(sample.runs, 1, 0) / 2)
+    shares = 1 / (1 + np.exp(-sample.effects / 2))  # the arms' runs are alike but for the scene's effect
+    share = MEAN_SHARE if len(shares) >= LEAST_SCENES else shares.mean()
+    found = ratio_interval(list(upper), list(lower), seed)
+    return found.low <= share / (1 - share) <= found.high
+
+
 def _draws(sample: Sample, seed: int) -> Values:
-    means, _ = resample([tuple(scene) for scene in sample.runs], 2000, np.random.default_rng(seed))
+    means, _ = resample(
+        [tuple(scene) for scene in sample.runs],
+        2000,
+        np.random.default_rng(seed),
+        len(sample.runs) >= LEAST_SCENES,
+    )
     drawn: Values = (means[..., 0] - means[..., 1]).mean(axis=-1)
     return drawn
 
@@ -65,8 +98,11 @@ def bca(sample: Sample, seed: int) -> tuple[float, float]:
     """The BCa interval; its jackknife leaves out scenes, or runs where there is one scene."""
     draws = _draws(sample, seed)
     bias = norm.ppf(np.clip((draws < sample.difference).mean(), 1 / len(draws), 1 - 1 / len(draws)))
-    axis = 0 if len(sample.runs) > 1 else 2
-    left = [Sample(np.delete(sample.runs, i, axis)).difference for i in range(sample.runs.shape[axis])]
+    axis = 0 if len(sample.runs) >= LEAST_SCENES else 2
+    left = [
+        Sample(np.delete(sample.runs, i, axis), sample.effects).difference
+        for i in range(sample.runs.shape[axis])
+    ]
     influence = np.mean(left) - np.array(left)
     skew = (influence**3).sum() / (6 * (influence**2).sum() ** 1.5)
     shifted = bias + norm.ppf(TAILS)
@@ -75,16 +111,23 @@ def bca(sample: Sample, seed: int) -> tuple[float, float]:
 
 
 METHODS: tuple[Callable[[Sample, int], tuple[float, float]], ...] = (studentised, percentile, bca)
+COLUMNS = (*(method.__name__ for method in METHODS), "ratio", *(f"p <= {level:g}" for level in LEVELS))
 
 
 def shares(scenes: int, runs: int, samples: int) -> list[float]:
-    """The share of samples whose interval holds 0, for each method."""
+    """Shares of samples whose intervals hold the truth: of each method, of a ratio; and of low p-values."""
     random = np.random.default_rng((scenes, runs))
-    held = np.zeros(len(METHODS))
+    held = np.zeros(len(COLUMNS))
     for number in range(samples):
         sample = draw(scenes, runs, random)
         bounds = [method(sample, number) for method in METHODS]
-        held += [low <= 0 <= high for low, high in bounds]
+        shifted = sample.runs - np.array([[sample.truth], [0.0]])  # without an effect
+        p_value = difference_interval(list(shifted[:, 0]), list(shifted[:, 1]), number).p_value
+        held += [
+            *(low <= sample.truth <= high for low, high in bounds),
+            holds_ratio(sample, number),
+            *(p_value <= level for level in LEVELS),
+        ]
     return list(held / samples)
 
 
@@ -96,7 +139,7 @@ def main() -> None:
         (str(scenes), str(runs), *(f"{share:.1%}" for share in shares(scenes, runs, samples)))
         for scenes, runs in DESIGNS
     ]
-    print(markdown_table(("scenes", "runs", *(method.__name__ for method in METHODS)), lines))
+    print(markdown_table(("scenes", "runs", *COLUMNS), lines))
 
 
 if __name__ == "__main__":

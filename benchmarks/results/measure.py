@@ -154,7 +154,7 @@ def covered(found: SuccessHistory, known: ReferenceSet, evaluations: int) -> Fig
             if milestone <= evaluations
         },
         "coverage": reached.end / size,
-        "robust_coverage": found.found(known, Outcome.HELD).end / size,
+        "robust_share": found.found(known, Outcome.HELD).end / size,
         "outside": 1 - reached.end / distinct if distinct else None,
     }
 

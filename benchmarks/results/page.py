@@ -65,7 +65,7 @@ def _coverage_line(arm: Arm) -> tuple[str, ...]:
         f"{arm.key.budget:,}", arm.count,
         *(arm.words(f"coverage_{name}", 100) for name in SHOWN),
         arm.words("coverage", 100),
-        arm.words("robust_coverage", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
+        arm.words("robust_share", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
         _aim(arm), arm.codes,
     )  # fmt: skip
 
@@ -99,13 +99,11 @@ def _short(shown: Sequence[Arm]) -> Iterator[str]:
     yield ""
 
 
-AUTHORS = 0.079
-"""Percent of S_G a CPU second, the best of the authors' code: approach_rand, Panda on rubiks_cube, 10 000."""
-SCENE, BUDGET = ("panda", "ycb_rubiks_cube", "paper"), 10_000
-"""Scene of that comparison, and its number of evaluations."""
+SCENE = ("panda", "ycb_rubiks_cube", "paper")
+"""The scene that stands first."""
 CPU_COLUMNS = (
     "hand", "object", "method", "counting", "evaluations", "runs", "coverage, %", "CPU s", "% of S_G a CPU s",
-    f"x {AUTHORS}", "a success, ms", "ceiling, % a CPU s", "of the ceiling, %", "code",
+    "a success, ms", "ceiling, % a CPU s", "of the ceiling, %", "code",
 )  # fmt: skip
 
 
@@ -120,8 +118,7 @@ def cpu_part(known: Sequence[Arm]) -> str:
         "CPU seconds are those of the workers, shakes and screening included, on shared cores: take them as "
         "ratios. A run that goes on to twice as many evaluations covers less a second: compare equal ones, "
         "of one *code*. "
-        f"The authors' best is {AUTHORS} % of S_G a CPU second (approach_rand, Panda and rubiks_cube, 10 000 "
-        "evaluations, 62 CPU s). *A success* is what a success costs, fitted to the blocks of each journal; "
+        "*A success* is what a success costs, fitted to the blocks of each journal; "
         "at the *ceiling* every evaluation is a success in a new cell of S_G.\n\n"
         + markdown_table(CPU_COLUMNS, [_cpu_line(arm) for arm in order])
     )
@@ -136,16 +133,9 @@ def _cpu_line(arm: Arm) -> tuple[str, ...]:
     return (
         arm.key.gripper, arm.key.object, arm.method, COUNTING[arm.key.overlaps],
         f"{arm.key.budget:,}", arm.count, arm.words("coverage", 100), arm.words("cpu_seconds", 1, 0),
-        spread(rates, 3), _beside_authors(arm),
-        arm.words("success_ms", 1, 1), spread(ceilings, 2),
+        spread(rates, 3), arm.words("success_ms", 1, 1), spread(ceilings, 2),
         f"{100 * np.median(rates) / np.median(ceilings):.0f}" if len(ceilings) else "", arm.codes,
     )  # fmt: skip
-
-
-def _beside_authors(arm: Arm) -> str:
-    """The multiple of the authors' rate; empty for runs of another scene or budget."""
-    is_alike = (arm.key.scene, arm.key.budget) == (SCENE, BUDGET)
-    return f"{100 * _rate(arm) / AUTHORS:.1f}" if is_alike else ""
 
 
 def _ceilings(arm: Arm) -> NDArray[np.float64]:

@@ -23,8 +23,8 @@ MILESTONES = {
     f"{n // 1000}k" if n % 1000 == 0 else str(n): n for n in (500, 1000, 2000, 5000, 10_000, 50_000)
 }
 """Counted evaluations after which a row says how much was found, by the end of their columns' names."""
-CPU_MILESTONES = {f"{n}s": n for n in (5, 10, 20, 50, 100, 200)}
-"""CPU seconds of the workers after which it says so, in the same way."""
+CPU_MILESTONES = {f"{n}s": n for n in (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)}
+"""CPU seconds of the workers after which it says so, in the same way: a factor of the root of 2 apart."""
 
 
 class Key(NamedTuple):
@@ -100,8 +100,8 @@ class Row(Struct, frozen=True, kw_only=True):
     coverage_50k: float | None = None
     coverage: float | None = None
     """De-duplicated coverage of the reference set in the end."""
-    robust_coverage: float | None = None
-    """The share of the set's entries in which a success of fitness 2 was found."""
+    robust_share: float | None = None
+    """The share of the set's entries in which a grasp survived every disturbance."""
     outside: float | None = None
     """The share of the cells with a success that are not in the set, 0 to 1."""
     robust_cells: int | None = None
@@ -115,11 +115,18 @@ class Row(Struct, frozen=True, kw_only=True):
     robust_cells_50k: int | None = None
     robust_cells_5s: int | None = None
     """Robust cells after so many CPU seconds of the workers."""
+    robust_cells_7s: int | None = None
     robust_cells_10s: int | None = None
+    robust_cells_14s: int | None = None
     robust_cells_20s: int | None = None
-    robust_cells_50s: int | None = None
-    robust_cells_100s: int | None = None
-    robust_cells_200s: int | None = None
+    robust_cells_28s: int | None = None
+    robust_cells_40s: int | None = None
+    robust_cells_56s: int | None = None
+    robust_cells_80s: int | None = None
+    robust_cells_112s: int | None = None
+    robust_cells_160s: int | None = None
+    robust_cells_224s: int | None = None
+    robust_cells_320s: int | None = None
     qd_score: float | None = None
     """The best fitness in a cell with a success, summed over these cells."""
     mean_best: float | None = None
@@ -127,7 +134,7 @@ class Row(Struct, frozen=True, kw_only=True):
     niches: int | None = None
     """Niches of position, orientation and synergy with a success."""
     robust_niches: int | None = None
-    """Niches with a success of fitness 2."""
+    """Niches with a grasp that survived every disturbance."""
     orientations: float | None = None
     """Orientation bins with a success, of 60: mean over the cells with a success."""
     near_nu: float | None = None
@@ -143,6 +150,11 @@ class Row(Struct, frozen=True, kw_only=True):
     def key(self) -> Key:
         """The wanted run."""
         return Key(*(getattr(self, name) for name in Key._fields))
+
+    @property
+    def screened(self) -> float | None:
+        """Poses that were screened for a counted evaluation."""
+        return self.proposals / self.evaluations if self.evaluations else None
 
 
 COLUMNS = tuple(field.name for field in msgspec.structs.fields(Row))

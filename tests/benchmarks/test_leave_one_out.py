@@ -247,6 +247,7 @@ class TestComparison:
         assert compared.difference.low < gain / 1000 < compared.difference.high
         assert 0.98 < compared.today.low < 1.0 < compared.today.high < 1.02
         assert compared.is_within is is_within
+        assert compared.is_equivalent is is_within
 
 
 def lines(text: str, first: str) -> list[str]:
@@ -277,15 +278,15 @@ class TestPage:
         assert "**0.08**" in lines(text, "all three")[0]
         assert "**" not in lines(text, "all but ycb_mug")[0]
         assert lines(text, "all three")[1].startswith("| all three | `SCOUT_SHARE=0.08` | +5.0 | +")
-        assert lines(text, "all three")[1].endswith("| **not less** |")
-        assert lines(text, "all but ycb_mug")[1].endswith("| less: the same constants |")
+        assert lines(text, "all three")[1].endswith("| **not less** | **not shown** |")
+        assert lines(text, "all but ycb_mug")[1].endswith("| less: the same constants | yes |")
         assert lines(text, "ycb_bowl") == ["| ycb_bowl | 1000 ± 16 | 1050 ± 16 |"]
 
     def test_a_comparison_waits_for_all_its_runs(self) -> None:
         there = held_out("SCOUT_SHARE=0.08", 1)
         there.popitem()
         text = page(tuned(GAINS) | there, EVALUATIONS)
-        assert lines(text, "all three")[1].endswith("| not all runs are in |")
+        assert lines(text, "all three")[1].endswith("| not all runs are in |  |")
 
     def test_runs_of_another_budget_are_not_on_it(self) -> None:
         other = Key(TODAY, "ycb_mug", 1, 20)

@@ -75,8 +75,9 @@ vary its lateral friction by a factor of 0.6 to 1.4. *Unseen* are disturbances o
 """
 SURVIVED = """
 A grasp survives a disturbance if it is `HELD` under it; its *survival* is the share of the unseen ones that
-it survives. Intervals are 95 % bootstrap intervals over the grasps of each scene, {resamples:,} resamples.
-Seeds and objects are not drawn: they speak of these runs and objects alone.
+it survives. Intervals are 95 % percentile bootstrap intervals over the grasps of each scene, {resamples:,}
+resamples. Seeds and objects are not drawn: they are for these runs and objects alone. Where all n grasps
+survived an interval has no width; the true share may still be as low as 1 - 3 / n.
 """
 BEST = """
 *Eta* is the mean estimate that the best-ranked were chosen by, and so rather too high than too low. Rows of

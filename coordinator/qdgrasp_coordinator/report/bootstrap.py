@@ -1,9 +1,10 @@
 """Bootstrap intervals of means, differences and ratios over scenes and runs.
 
 A hierarchical bootstrap with studentised intervals (Efron and Tibshirani 1993, chapter 12; Davison and
-Hinkley 1997, section 3.8): scenes are drawn with replacement, and on each its runs. Percentile intervals,
-corrected for bias and acceleration or not, hold the true value less often than they say where there are five
-runs or few scenes (docs/analysis.md has how often each does).
+Hinkley 1997, section 3.8): scenes are drawn with replacement, and on each its runs. With few scenes only runs
+are drawn, and the interval is for these scenes: no interval of so few holds the true value for others as
+often as it says. Percentile intervals, corrected for bias and acceleration or not, hold it less often than
+studentised ones (docs/analysis.md has how often each does).
 
 Arms are never paired: searches that begin with the same seed share no stream of random numbers.
 """
@@ -19,6 +20,8 @@ CONFIDENCE_LEVEL = 0.95
 RESAMPLING_SEED = 0
 LEAST_RUNS = 5
 """Runs of each arm on each scene without which nothing is said of chance: of fewer, draws repeat one run."""
+LEAST_SCENES = 10
+"""Scenes without which nothing is said of other scenes than these."""
 RunValues = NDArray[np.float64]
 ScenesOfRuns = Sequence[RunValues]  # For each scene the values of its runs (n,)
 ArmEstimates = tuple[RunValues, RunValues]
@@ -74,14 +77,14 @@ def ratio_interval(
     """Ratio of two arms, their means in each scene scaled to a mean of 1 over both.
 
     So each scene weighs the same, however large its numbers are, and exchanging the arms gives the
-    reciprocal. The interval is that of the upper arm's share in the sum of both. Scenes where an arm has no
-    run, or where both found nothing, are left out. Infinite where the lower arm found nothing.
+    reciprocal. The interval is that of the ratio's logarithm. Scenes where an arm has no run, or where both
+    found nothing, are left out. Infinite where the lower arm found nothing.
     """
     some = [
         (a, b) for a, b in zip(upper, lower, strict=True) if len(a) and len(b) and a.mean() + b.mean() > 0
     ]
-    found = _interval(some, 2, _upper_share, seed, null=0.5)
-    ratio, low, high = (_ratio_of(share) for share in (found.value, found.low, found.high))
+    found = _interval(some, 2, _upper_share, seed, _log_odds)
+    ratio, low, high = (float(np.exp(number)) for number in (found.value, found.low, found.high))
     return ConfidenceInterval(ratio, low, high, found.scenes, found.runs, found.p_value, null=1.0)
 
 
@@ -95,32 +98,43 @@ def _upper_share(mean: RunValues, variance: RunValues) -> ArmEstimates:
     return share, spread
 
 
-def _ratio_of(share: float) -> float:
-    within = min(max(share, 0.0), 1.0)
-    return np.nan if np.isnan(share) else np.inf if within == 1 else within / (1 - within)
+def _log_odds(share: RunValues, error: RunValues) -> tuple[RunValues, RunValues]:
+    """The logarithm of the ratio of a share to the rest, and its standard error to first order."""
+    inside = (share > 0) & (share < 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(share / (1 - share)), np.where(inside, error / (share * (1 - share)), 0.0)
+
+
+def _unchanged(value: RunValues, error: RunValues) -> tuple[RunValues, RunValues]:
+    return value, error
 
 
 def _interval(
-    scenes: Sequence[tuple[RunValues, ...]], arms: int, effect: SceneEffect, seed: int, null: float = 0.0
+    scenes: Sequence[tuple[RunValues, ...]],
+    arms: int,
+    effect: SceneEffect,
+    seed: int,
+    scale: Callable[[RunValues, RunValues], tuple[RunValues, RunValues]] = _unchanged,
 ) -> ConfidenceInterval:
-    """The studentised interval of the mean effect over scenes, and its p-value against `null`."""
+    """The studentised interval of the mean effect on a scale, and its p-value against 0."""
     runs = tuple(sum(len(scene[arm]) for scene in scenes) for arm in range(arms))
     if not scenes:
         return ConfidenceInterval(np.nan, np.nan, np.nan, 0, runs)
     mean, variance = (
         np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _variance_of_mean)
     )
-    value, error = (float(number) for number in _estimate(*effect(mean, variance)))
+    of_others = len(scenes) >= LEAST_SCENES
+    value, error = (float(number) for number in scale(*_estimate(*effect(mean, variance), of_others)))
     if min(len(arm) for scene in scenes for arm in scene) < LEAST_RUNS:
         return ConfidenceInterval(value, np.nan, np.nan, len(scenes), runs)
-    drawn, errors = _estimate(*effect(*resample(scenes, RESAMPLES, np.random.default_rng(seed))))
-    pivots = _pivots(drawn - value, errors)
+    drawn = effect(*resample(scenes, RESAMPLES, np.random.default_rng(seed), of_others))
+    values, errors = scale(*_estimate(*drawn, of_others))
+    pivots = _pivots(values, value, errors)
     tail = (1 - CONFIDENCE_LEVEL) / 2
     least, most = np.quantile(pivots, (tail, 1 - tail), method="inverted_cdf")  # of infinite ones too
     low, high = (value - pivot * error if error else value for pivot in (most, least))
-    return ConfidenceInterval(
-        value, float(low), float(high), len(scenes), runs, _p_value(pivots, _pivots(value - null, error))
-    )
+    p_value = _p_value(pivots, _pivots(np.array([value]), 0.0, np.array([error])))
+    return ConfidenceInterval(value, float(low), float(high), len(scenes), runs, p_value)
 
 
 def _variance_of_mean(values: RunValues) -> float:
@@ -128,23 +142,26 @@ def _variance_of_mean(values: RunValues) -> float:
     return float(values.var(ddof=1) / len(values)) if len(values) > 1 else 0.0
 
 
-def _estimate(effects: RunValues, variances: RunValues) -> tuple[RunValues, RunValues]:
+def _estimate(effects: RunValues, variances: RunValues, of_others: bool) -> tuple[RunValues, RunValues]:
     """The mean over scenes (..., scenes) and its standard error.
 
-    The error is that of scenes as they differ, or that of their runs where this is greater.
+    The error is that of the scenes' runs; if it is also `of_others`, that of scenes as they differ where this
+    is greater.
     """
     scenes = effects.shape[-1]
     variance = variances.mean(axis=-1) / scenes
-    if scenes > 1:
+    if of_others:
         variance = np.maximum(variance, effects.var(axis=-1, ddof=1) / scenes)
     return effects.mean(axis=-1), np.sqrt(variance)
 
 
-def _pivots(differences: ArrayLike, errors: ArrayLike) -> RunValues:
-    """Differences in units of their standard errors; of an error of 0 infinite, or 0."""
-    some, units = np.asarray(differences, np.float64), np.asarray(errors, np.float64)
+def _pivots(values: RunValues, centre: float, errors: RunValues) -> RunValues:
+    """Distances from a centre in units of standard errors.
+
+    With an error of 0 they are infinite, or 0 at the centre.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where((some == 0) & (units == 0), 0.0, some / units)
+        return np.where(values == centre, 0.0, (values - centre) / errors)
 
 
 def _p_value(pivots: RunValues, found: RunValues) -> float:
@@ -154,10 +171,16 @@ def _p_value(pivots: RunValues, found: RunValues) -> float:
 
 
 def resample(
-    scenes: Sequence[tuple[RunValues, ...]], resamples: int, random: np.random.Generator
+    scenes: Sequence[tuple[RunValues, ...]], resamples: int, random: np.random.Generator, of_others: bool
 ) -> ArmEstimates:
-    """Draw scenes, and runs in each: (resamples, scenes, arms) means and variances of means."""
-    chosen = random.integers(len(scenes), size=(resamples, len(scenes)))
+    """Draw runs in each scene, and if `of_others` scenes.
+
+    Returns means and variances of means (resamples, scenes, arms).
+    """
+    if of_others:
+        chosen = random.integers(len(scenes), size=(resamples, len(scenes)))
+    else:
+        chosen = np.broadcast_to(np.arange(len(scenes)), (resamples, len(scenes)))
     means = np.zeros((*chosen.shape, len(scenes[0])))
     variances = np.zeros_like(means)
     for number, scene in enumerate(scenes):

@@ -9,7 +9,7 @@ import numpy as np
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
 from qdgrasp_coordinator.metrics.success_metrics import StepSeries
-from qdgrasp_coordinator.report.bootstrap import CONFIDENCE_LEVEL, LEAST_RUNS, RESAMPLES
+from qdgrasp_coordinator.report.bootstrap import CONFIDENCE_LEVEL, LEAST_RUNS, LEAST_SCENES, RESAMPLES
 from qdgrasp_coordinator.report.claims import ClaimEvidence, JudgedClaim
 from qdgrasp_coordinator.report.figures import RunVoxels
 from qdgrasp_coordinator.report.run_groups import (
@@ -320,9 +320,9 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
     )
     notes = (
         f"Intervals: studentised hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs "
-        f"in each. Where an arm has fewer than {LEAST_RUNS} runs on a scene there is none, and no verdict. "
-        "With one scene they speak of that scene alone. Methods are compared after as many evaluations, "
-        "with finished runs only where there are any.\n"
+        f"in each; with fewer than {LEAST_SCENES} scenes of the runs alone, for these scenes and no others. "
+        f"Where an arm has fewer than {LEAST_RUNS} runs on a scene there is none, and no verdict. Methods "
+        "are compared after as many evaluations, with finished runs only where there are any.\n"
     )
     return "\n".join([summary, numbers, notes])
 

@@ -4,6 +4,7 @@ import pytest
 from qdgrasp_coordinator.report import bootstrap
 from qdgrasp_coordinator.report.bootstrap import (
     LEAST_RUNS,
+    LEAST_SCENES,
     difference_interval,
     holm,
     mean_interval,
@@ -84,11 +85,18 @@ def test_of_nothing_there_is_no_number() -> None:
 
 
 def test_scenes_that_differ_widen_an_interval_beyond_that_of_their_runs() -> None:
-    scenes = [normal(50, seed, around=3.0 * seed) for seed in range(8)]
+    scenes = [normal(50, seed, around=3.0 * seed) for seed in range(LEAST_SCENES)]
     pooled = mean_interval([np.concatenate(scenes)])
     found = mean_interval(scenes)
     assert found.value == pytest.approx(pooled.value)
-    assert found.high - found.low > 3 * (pooled.high - pooled.low)
+    assert found.high - found.low > 2 * (pooled.high - pooled.low)
+
+
+def test_of_few_scenes_the_interval_is_for_these_scenes_however_they_differ() -> None:
+    apart = [normal(6, seed) + 30.0 * seed for seed in range(LEAST_SCENES - 1)]
+    alike = [normal(6, seed) for seed in range(LEAST_SCENES - 1)]
+    found, same = mean_interval(apart), mean_interval(alike)
+    assert found.high - found.low == pytest.approx(same.high - same.low)
 
 
 def test_a_scene_weighs_the_same_however_many_runs_and_however_large_its_numbers() -> None:
@@ -119,7 +127,8 @@ def test_the_same_runs_give_the_same_interval() -> None:
 
 
 def test_a_scene_that_is_drawn_twice_has_its_runs_drawn_twice() -> None:
-    means, variances = resample([(values(0, 1),), (values(0, 1),)], 1000, np.random.default_rng(0))
+    scenes = [(values(0, 1),), (values(0, 1),)]
+    means, variances = resample(scenes, 1000, np.random.default_rng(0), of_others=True)
     assert means.shape == variances.shape == (1000, 2, 1)
     assert abs(np.corrcoef(means[..., 0].T)[0, 1]) < 0.1
     assert set(np.unique(variances)) == {0.0, 0.25}
@@ -135,6 +144,11 @@ def test_the_p_value_of_a_ratio_is_against_one() -> None:
     alike, apart = ratio_interval([FIVE], [FIVE]), ratio_interval([FIVE + 20], [FIVE])
     assert alike.p_value > 0.9
     assert apart.p_value < 0.01 < apart.low
+
+
+def test_a_ratio_cannot_be_less_than_nothing_where_runs_differ_much() -> None:
+    found = ratio_interval([values(1, 1, 2, 1, 90)] * LEAST_SCENES, [values(1, 40, 1, 1, 1)] * LEAST_SCENES)
+    assert 0 < found.low < found.value < found.high < np.inf
 
 
 def test_holm_multiplies_each_p_value_by_those_that_are_not_smaller() -> None:
