@@ -144,6 +144,8 @@ OF_HOLD = (
 )  # fmt: skip
 """Further figures under `physical`."""
 SCREENED = Figure("screened", "poses screened")
+BOTH_CELLS = Figure("both_cells", "cells that hold in both", digits=0)
+"""Figures without a loss: the one is a cost, the other an estimate of few drawn grasps."""
 SIGNIFICANT = 1 - CONFIDENCE_LEVEL
 """An adjusted p-value of at most this is a win or a loss."""
 VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "adjusted p", "verdict")

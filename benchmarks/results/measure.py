@@ -72,8 +72,12 @@ def _reference(folder: RunFolder, targets: ReferenceLookup) -> ReferenceSet | No
 
 def row(values: Figures) -> Row:
     """A row of figures, as precise as the table is."""
-    said = {name: float(written(one)) if isinstance(one, float) else one for name, one in values.items()}
-    return msgspec.convert(said, Row)
+    return msgspec.convert(rounded(values), Row)
+
+
+def rounded(values: Figures) -> Figures:
+    """Figures as precise as the table is."""
+    return {name: float(written(one)) if isinstance(one, float) else one for name, one in values.items()}
 
 
 def _stops(spec: RunSpec, rows: Rows, budgets: set[int]) -> dict[int, int]:

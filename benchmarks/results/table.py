@@ -11,7 +11,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 from benchmarks.results.assets import asset_name, has_own_mass
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from qdgrasp_coordinator.storage import atomic_files, job_folder
 from qdgrasp_protocol.errors import InputError
@@ -139,6 +139,12 @@ class Row(Struct, frozen=True, kw_only=True):
     """Orientation bins with a success, of 60: mean over the cells with a success."""
     near_nu: float | None = None
     """Share of the successes that aim at a surface point with nu below pi / 4, 0 to 1."""
+    drawn: int | None = None
+    """Grasps drawn of the cells that hold, and evaluated again; None: none were yet."""
+    drawn_in_bullet: float | None = None
+    """The share of them that holds in Bullet too."""
+    drawn_eta: float | None = None
+    """The mean share of pushes that they survive in trials with small errors, in the run's engine."""
     cpu_seconds: float
     """CPU time of the workers."""
     coverage_per_cpu_second: float | None = None
@@ -152,12 +158,20 @@ class Row(Struct, frozen=True, kw_only=True):
         return Key(*(getattr(self, name) for name in Key._fields))
 
     @property
+    def both_cells(self) -> float | None:
+        """Cells that hold, times the share of drawn ones that holds in Bullet too, if some were drawn."""
+        if not self.robust_cells or self.drawn_in_bullet is None:
+            return self.robust_cells
+        return self.robust_cells * self.drawn_in_bullet
+
+    @property
     def screened(self) -> float | None:
         """Poses that were screened for a counted evaluation."""
         return self.proposals / self.evaluations if self.evaluations else None
 
 
 COLUMNS = tuple(field.name for field in msgspec.structs.fields(Row))
+OF_DRAWN = ("drawn", "drawn_in_bullet", "drawn_eta")
 NEEDED = tuple(field.name for field in msgspec.structs.fields(Row) if field.required)
 
 
@@ -271,7 +285,8 @@ def _plain(kind: Any) -> type:
 def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[Key, Row]:
     """A table with these rows, each in the place of the one of its key.
 
-    A row of the current evaluation code is not replaced by one of another.
+    A row of the current evaluation code is not replaced by one of another. Figures of drawn grasps stay with
+    the journal that they were drawn of.
 
     Parameters
     ----------
@@ -282,7 +297,10 @@ def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[
     for row in rows:
         old = whole.get(row.key)
         if old is None or row.code in current or old.code not in current:
-            whole[row.key] = row
+            is_same = old is not None and old.journal == row.journal and row.drawn is None
+            whole[row.key] = (
+                structs.replace(row, **{name: getattr(old, name) for name in OF_DRAWN}) if is_same else row
+            )
     return dict(sorted(whole.items()))
 
 

@@ -10,10 +10,12 @@ import msgspec
 from benchmarks.results import table as tables
 from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
-from benchmarks.results.measure import harvest
+from benchmarks.results.drawn_grasps import judge_all
+from benchmarks.results.measure import Figures, harvest, rounded
 from benchmarks.results.page import benchmark_arms, page
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
-from benchmarks.results.table import Key, Row
+from benchmarks.results.table import Key, Row, key
+from msgspec import structs
 
 import qdgrasp_coordinator
 from qdgrasp_assets.catalog import check_object, find_gripper
@@ -24,6 +26,7 @@ from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.report.figure_grid import FIGURE_DPI
+from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
@@ -105,6 +108,13 @@ class Store:
             whole=len(after),
         )
 
+    def put(self, key: Key, figures: Figures) -> None:
+        """Change figures of a row."""
+        with tables.held(self.file):
+            table = self.table
+            table[key] = structs.replace(table[key], **rounded(figures))
+            tables.write(self.file, table)
+
     def write_page(self) -> None:
         """Make the page again, its figure, and the table as Parquet."""
         whole = self.table
@@ -175,6 +185,31 @@ def carry_on(
             failures.append(error)
         _gather(store, place)
     return failures
+
+
+def judge(store: Store, asked: Programme, runs: Path, processes: int, stop: Stop) -> int:
+    """Evaluate drawn grasps of finished runs again, where the table lacks that; the number of those left.
+
+    Runs whose folders are not on this machine are left out, and so are those that are not of `physical`.
+    """
+    table, place = store.table, workplace(runs)
+    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
+    left = {
+        one: folders[one]
+        for one in asked.wanted
+        if one in table
+        and one in folders
+        and table[one].drawn is None
+        and one.protocol.startswith("physical")
+    }
+    count = len(left)
+    for one, figures in judge_all(left.items(), processes):
+        store.put(one, figures)
+        count -= 1
+        if stop.is_set:
+            break
+    store.write_page()
+    return count
 
 
 def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:

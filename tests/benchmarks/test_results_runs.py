@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.results import work
+from benchmarks import single_run
+from benchmarks.results import drawn_grasps, work
 from benchmarks.results.assets import NAME
 from benchmarks.results.measure import code_of, harvest
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
@@ -22,14 +23,17 @@ from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.campaign.campaign_file import make_campaign
 from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
+from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
+from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 BUNDLE = pack_scene(build_scene(RunSpec(gripper="panda", object="tennis_ball")))
@@ -41,8 +45,14 @@ def record(path: Path, rows: Rows = ROWS, platform: dict[str, str] = CODE, **set
     """A run's folder with these rows, in blocks of ten."""
     values = {"gripper": "panda", "object": "tennis_ball", "method": "me_rand", "population": 10}
     spec = RunSpec(**{**values, "evaluations": 300, "overlaps": "count", **settings})  # type: ignore[arg-type]
+    return record_run(path, rows, spec, SHAPE, platform)
+
+
+def record_run(
+    path: Path, rows: Rows, spec: RunSpec, shape: RowShape, platform: dict[str, str] = CODE
+) -> RunFolder:
     folder = RunFolder.create(path, spec, BUNDLE)
-    with JournalWriter.create(path, JournalIdentity("run", to_toml(spec), BUNDLE.digest, SHAPE)) as journal:
+    with JournalWriter.create(path, JournalIdentity("run", to_toml(spec), BUNDLE.digest, shape)) as journal:
         journal.set_platform(platform)
         journal.begin_epoch(1, 0.0)
         for first in range(0, len(rows), 10):
@@ -92,6 +102,67 @@ class TestHarvest:
         record(tmp_path / "run", evaluations=1000, overlaps="redraw")
         (row,) = rows_of(tmp_path / "run", 50)
         assert row.evaluations == row.simulated == 50
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A real run under `physical` in MuJoCo."""
+    values = {"gripper": "panda", "object": "tennis_ball", "method": "antipodal_rand", "evaluations": 25}
+    spec = full_spec({**values, "population": 25, "protocol": "physical", "engine": "mujoco"})
+    rows = single_run.run(spec).rows
+    path = tmp_path_factory.mktemp("drawn") / "run"
+    return record_run(path, rows, spec, row_shape(build_scene(spec), prior_of(spec)))
+
+
+class TestDrawnGrasps:
+    def test_the_first_grasp_that_holds_in_a_cell_is_drawn_and_none_twice(self) -> None:
+        rows = random_rows(300)
+        found = drawn_grasps.drawn(rows, seed=3, number=40)
+        assert len(found) == 40
+        assert (found["outcome"] == Outcome.HELD).all()
+        places = cells(found["base_to_object"][:, :3])
+        assert len(np.unique(places, axis=0)) == 40
+        held = rows[rows["outcome"] == Outcome.HELD]
+        firsts = {
+            tuple(place): i for i, place in reversed([*enumerate(cells(held["base_to_object"][:, :3]))])
+        }
+        assert [held[firsts[tuple(place)]] == one for place, one in zip(places, found, strict=True)] == [
+            True
+        ] * 40
+        assert (drawn_grasps.drawn(rows, seed=3, number=40) == found).all()
+        assert not (drawn_grasps.drawn(rows, seed=4, number=40) == found).all()
+
+    def test_drawn_grasps_are_judged_in_bullet_and_by_trials(self, run: RunFolder) -> None:
+        found = drawn_grasps.judged(run.path)
+        assert found["drawn"] == rows_of(run.path)[0].robust_cells
+        assert 0.5 < found["drawn_in_bullet"] <= 1
+        assert 0.3 < found["drawn_eta"] <= 1
+        assert found == drawn_grasps.judged(run.path)
+
+    def test_a_run_in_which_nothing_holds_has_no_share(self, tmp_path: Path) -> None:
+        rows = ROWS.copy()
+        rows["outcome"] = np.minimum(rows["outcome"], Outcome.SHAKEN)
+        record(tmp_path / "run", rows, protocol="physical", engine="mujoco")
+        assert drawn_grasps.judged(tmp_path / "run") == {
+            "drawn": 0,
+            "drawn_in_bullet": None,
+            "drawn_eta": None,
+        }
+
+    def test_judging_fills_the_rows_that_lack_it_and_keeps_the_others(
+        self, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        one = Wanted("run", run.spec)
+        (before,) = rows_of(run.path)
+        store = Store(tmp_path / "runs.csv", Programme({"c": (one,)}), {before.code})
+        store.add([run.path])
+        monkeypatch.setattr(work, "workplace", lambda home: run.path)
+        assert work.judge(store, store.known, tmp_path, 1, Stop()) == 0
+        (after,) = store.table.values()
+        assert after.drawn == before.robust_cells
+        assert replace(after, drawn=None, drawn_in_bullet=None, drawn_eta=None) == before
+        monkeypatch.setattr(work, "judge_all", lambda folders, processes: iter([*map(pytest.fail, folders)]))
+        assert work.judge(store, store.known, tmp_path, 1, Stop()) == 0
 
 
 class TestStore:

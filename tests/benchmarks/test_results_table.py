@@ -158,6 +158,12 @@ class TestMerging:
         new = row()
         assert list(table.merged({new.key: new}, [row(code=BEFORE)], {TODAY}).values()) == [new]
 
+    def test_figures_of_drawn_grasps_stay_with_their_journal(self) -> None:
+        judged = row(drawn=30, drawn_in_bullet=0.9, drawn_eta=0.8)
+        for found, number in ((row(wall_seconds=7.0), 30), (row(journal="another"), None)):
+            (merged,) = table.merged({judged.key: judged}, [found], {TODAY}).values()
+            assert (merged.drawn, merged.wall_seconds) == (number, found.wall_seconds)
+
     def test_a_run_done_again_takes_its_own_place(self) -> None:
         before, again = row(cells=1), row(cells=2)
         assert list(table.merged({before.key: before}, [again], {TODAY}).values()) == [again]
@@ -360,6 +366,11 @@ def bench_arms(*ends: tuple[str, str, str, float, float]) -> list[Arm]:
     return found
 
 
+def drawn_row(found: Row, share: float) -> Row:
+    """A row whose drawn grasps were judged again."""
+    return structs.replace(found, drawn=30, drawn_in_bullet=share, drawn_eta=0.9)
+
+
 class TestBenchmark:
     def test_the_default_of_the_benchmark_is_known_by_its_settings(self) -> None:
         ours, theirs = bench_arms(("panda", "ycb_mug", "aimed", 9, 9), ("panda", "ycb_mug", "me_scs", 9, 9))
@@ -421,6 +432,28 @@ class TestBenchmark:
         short = {seed: structs.replace(row, **none) for seed, row in theirs.rows.items()}
         text = benchmark_part([ours, replace(theirs, rows=short)])
         assert "none of 0 comparisons after equal CPU (1 more has a run too short for that)." in text
+
+    def test_grasps_judged_again_weigh_cells_by_the_share_that_holds_in_both_engines(self) -> None:
+        ours, theirs = bench_arms(
+            ("panda", "ycb_bowl", "aimed", 1000, 40), ("panda", "ycb_bowl", "me_scs", 100, 20)
+        )
+        assert "In the other engine" not in benchmark_part([ours, theirs])
+        arms = [
+            replace(arm, rows={seed: drawn_row(row, share) for seed, row in arm.rows.items()})
+            for arm, share in ((ours, 0.5), (theirs, 1.0))
+        ]
+        text = benchmark_part(arms).partition("### In the other engine")[2]
+        first, second = (line.split(" | ") for line in text.splitlines() if line.startswith("| held out"))
+        assert first[2:8] == ["1", "1", "150", "50", "0.90", "515"]
+        assert second[4:8] == ["150", "100", "0.90", "103"]
+        assert second[8].startswith("5.00 (")
+
+    def test_a_scene_that_is_judged_in_part_is_left_out(self) -> None:
+        ours, theirs = bench_arms(
+            ("panda", "ycb_bowl", "aimed", 1000, 40), ("panda", "ycb_bowl", "me_scs", 100, 20)
+        )
+        some = {seed: drawn_row(row, 1.0) if seed > 1 else row for seed, row in ours.rows.items()}
+        assert "In the other engine" not in benchmark_part([replace(ours, rows=some), theirs])
 
     def test_without_a_run_it_says_so_and_draws_nothing(self) -> None:
         assert "No runs of the benchmark are in yet" in benchmark_part([])

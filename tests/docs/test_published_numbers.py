@@ -198,6 +198,28 @@ def test_ratios_over_scenes_and_their_intervals(groups: Groups, summary: Lines) 
         check_ratio(line["default over it, equal CPU"], [pair for _, pair in timed])
 
 
+def test_drawn_grasps_weigh_the_cells_of_their_runs(runs: Runs, groups: Groups) -> None:
+    scenes = ["gripper", "object", "budget"]
+    for line in lines_with(part("Grasps that hold"), "grasps drawn"):
+        group, method = groups[line["scenes"]].copy(), line["method"].strip("*")
+        group["both"] = group["robust_cells"] * group["drawn_in_bullet"].fillna(0)
+        if method == "`aimed`":
+            mine = group[(group["words"] == method) & group["drawn"].notna()]
+        else:
+            ours, mine = both(group, method)
+            missing = pandas.concat([found[found["drawn"].isna()] for found in (ours, mine)])
+            left_out = pandas.MultiIndex.from_frame(missing[scenes])
+            ours, mine = (
+                found[~pandas.MultiIndex.from_frame(found[scenes]).isin(left_out)] for found in (ours, mine)
+            )
+            check_ratio(line["default over it"], scenes_of(ours, mine, "both"))
+        assert int(line["grasps drawn"]) == mine["drawn"].sum()
+        means = mine.groupby(scenes)[["drawn_in_bullet", "drawn_eta", "both"]].mean().mean()
+        assert line["hold in Bullet too, %"] == f"{100 * means['drawn_in_bullet']:.0f}"
+        assert line["eta"] == f"{means['drawn_eta']:.2f}"
+        assert line["cells that hold in both"] == f"{means['both']:.0f}"
+
+
 def check_ratio(said: str, scenes: Scenes) -> None:
     """Check a ratio and, where there are several scenes, its interval."""
     value, *ends = re.findall(r"\d+\.\d+|inf", said)

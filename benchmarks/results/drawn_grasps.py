@@ -1,0 +1,77 @@
+"""Grasps drawn of finished runs, evaluated again: in Bullet, and by trials with small errors.
+
+A run's engine judges the grasps that its search learned to find there. Another engine, and trials with a
+displaced object and other friction, say how much of that is the engine's. The grasps are drawn of the cells
+that hold, one of each cell, so that a share of them is a share of these cells.
+"""
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from benchmarks.physics.eta import Arrays, evaluated
+from benchmarks.results.table import Key
+from msgspec.structs import replace
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.evaluator import Evaluator
+
+DRAWN = 30
+"""Grasps drawn of a run."""
+TRIALS = 5
+"""Trials of each for eta."""
+OTHER_ENGINE = "bullet"
+Figures = dict[str, int | float | None]
+
+
+def drawn(rows: Rows, seed: int, number: int = DRAWN) -> Rows:
+    """Draw as many grasps that hold as there are cells for, the first found in each cell, by a seed."""
+    held = rows[rows["outcome"] == Outcome.HELD]
+    _, first = np.unique(cells(held["base_to_object"][:, :3]), axis=0, return_index=True)
+    places = np.random.default_rng(seed).permutation(np.sort(first))[:number]
+    return held[np.sort(places)]
+
+
+def judged(path: Path) -> Figures:
+    """Judge drawn grasps of a finished run of `physical`: their number, shares held in Bullet, and eta."""
+    folder = RunFolder(path)
+    spec = folder.spec
+    with folder.journal() as journal:
+        whole = np.concatenate([journal.shape.empty(0), *(one.rows for one in journal.slices())])
+    rows = drawn(whole, spec.seed)
+    if not len(rows):
+        return {"drawn": 0, "drawn_in_bullet": None, "drawn_eta": None}
+    genomes = as_given(folder.scene(), prior_of(spec), rows)
+
+    in_bullet = _evaluated(replace(spec, engine=OTHER_ENGINE), genomes, [0])["outcome"] == Outcome.HELD
+    trials = _evaluated(replace(spec, protocol="robust", base="physical"), genomes, range(1, TRIALS + 1))
+    return {
+        "drawn": len(rows),
+        "drawn_in_bullet": float(in_bullet.mean()),
+        "drawn_eta": float(trials["fitness"].mean()) / spec.disturbances,
+    }
+
+
+def _evaluated(spec: RunSpec, genomes: Genomes, trials: Iterable[int]) -> Arrays:
+    with closing(Evaluator(build_scene(spec))) as evaluator:
+        return evaluated(evaluator, genomes, trials)
+
+
+def judge_all(folders: Iterable[tuple[Key, Path]], processes: int) -> Iterator[tuple[Key, Figures]]:
+    """Judge drawn grasps of many runs, in several processes; each as it is done."""
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        waiting = {pool.submit(judged, path): key for key, path in folders}
+        try:
+            for done in as_completed(waiting):
+                yield waiting[done], done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
