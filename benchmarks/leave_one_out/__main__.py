@@ -1,8 +1,8 @@
 """Constants of the default search refitted without one object: `python -m benchmarks.leave_one_out --help`.
 
 Each finished run is a line of `leave-one-out.csv` in the folder that `--out` names, and is not carried out
-again: a stop costs at most one run. The page beside it says what is varied, how it is chosen, and what came
-of it.
+again: a stop costs at most one run a process. The page beside it says what is varied, how it is chosen, and
+the results.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from benchmarks.leave_one_out.runs import (
 from benchmarks.results.programme import TUNING
 from benchmarks.results.table import held
 
+from qdgrasp_coordinator.cli.options import cores
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.errors import QdgraspError
 
@@ -41,9 +42,9 @@ def measure(asked: argparse.Namespace) -> None:
     with held(file):
         try:
             if not asked.page:
-                carry_on(file, chosen(tuning_runs(asked.evaluations)), current)
+                carry_on(file, chosen(tuning_runs(asked.evaluations)), current, asked.processes)
                 sets = [one.variant for one in refits(read(file), asked.evaluations).values()]
-                carry_on(file, chosen(held_out_runs(sets, asked.evaluations)), current)
+                carry_on(file, chosen(held_out_runs(sets, asked.evaluations)), current, asked.processes)
         finally:
             atomic_files.replace(asked.out / PAGE, page(read(file), asked.evaluations).encode())
 
@@ -56,6 +57,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=objects, default=objects, help="objects to run")
     parser.add_argument("--seeds", nargs="+", type=int, default=HELD_OUT_SEEDS, help="seeds to run")
     parser.add_argument("--evaluations", type=int, default=EVALUATIONS, help="budget of each run")
+    parser.add_argument("--processes", type=int, default=cores(), help="runs at once; default: a core each")
     parser.add_argument(
         "--accept", nargs="+", default=(), help="digests of older code that gives the same runs"
     )

@@ -38,7 +38,7 @@ much? {len(GRID)} constants are chosen anew here, from runs on all three objects
 Then today's constants and the refitted ones run on {len(HELD_OUT)} objects that had no part in either choice.
 
 ```sh
-python -m benchmarks.leave_one_out          # what is missing, one run after another; can be stopped, goes on
+python -m benchmarks.leave_one_out          # what is missing; can be stopped, goes on
 python -m benchmarks.leave_one_out --page   # this page again, from leave-one-out.csv alone
 ```
 

@@ -13,6 +13,7 @@ from benchmarks import single_run
 from benchmarks.leave_one_out.grid import TODAY, VARIANTS, patched, values_of
 from benchmarks.results.programme import TUNING, TUNING_HAND
 from benchmarks.results.table import disk_text
+from benchmarks.side_by_side import side_by_side
 
 from qdgrasp_coordinator.scheduler.pipeline import Flight
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
@@ -125,7 +126,7 @@ def text(table: Table) -> str:
 
 
 def carry_out(asked: Key) -> Row:
-    """One run, in this process."""
+    """One run."""
     values = SCENE | {"object": asked.scene, "evaluations": asked.evaluations}
     spec = full_spec(values | {"seed": asked.seed, "surface_seed": asked.seed})
     with patched(values_of(asked.variant)):
@@ -135,12 +136,12 @@ def carry_out(asked: Key) -> Row:
     return Row(*asked, robust_cells=held, cells=cells, cpu_seconds=seconds, code=code_digest())
 
 
-def carry_on(file: Path, asked: Iterable[Key], current: Collection[str]) -> None:
+def carry_on(file: Path, asked: Iterable[Key], current: Collection[str], processes: int = 1) -> None:
     """Carry out the runs of current code that a file's table lacks; write each as it ends."""
     table = read(file)
     missing = [key for key in asked if key not in table or table[key].code not in current]
-    for number, key in enumerate(missing, 1):
-        table[key] = row = carry_out(key)
+    for number, (key, row) in enumerate(side_by_side(carry_out, missing, processes), 1):
+        table[key] = row
         atomic_files.replace(file, text(table).encode())
         sys.stderr.write(
             f"{number} of {len(missing)}: {key.variant}, {key.scene}, seed {key.seed}: "

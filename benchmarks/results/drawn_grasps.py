@@ -5,15 +5,12 @@ displaced object and other friction, say how much of that is the engine's. The g
 that hold, one of each cell, so that a share of them is a share of these cells.
 """
 
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable
 from contextlib import closing
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from benchmarks.physics.eta import Arrays, evaluated
-from benchmarks.results.table import Key
 from msgspec.structs import replace
 
 from qdgrasp_assets.catalog import build_scene
@@ -64,14 +61,3 @@ def judged(path: Path) -> Figures:
 def _evaluated(spec: RunSpec, genomes: Genomes, trials: Iterable[int]) -> Arrays:
     with closing(Evaluator(build_scene(spec))) as evaluator:
         return evaluated(evaluator, genomes, trials)
-
-
-def judge_all(folders: Iterable[tuple[Key, Path]], processes: int) -> Iterator[tuple[Key, Figures]]:
-    """Judge drawn grasps of many runs, in several processes; each as it is done."""
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        waiting = {pool.submit(judged, path): key for key, path in folders}
-        try:
-            for done in as_completed(waiting):
-                yield waiting[done], done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)

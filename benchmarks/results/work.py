@@ -10,11 +10,12 @@ import msgspec
 from benchmarks.results import table as tables
 from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
-from benchmarks.results.drawn_grasps import judge_all
+from benchmarks.results.drawn_grasps import judged
 from benchmarks.results.measure import Figures, harvest, rounded
 from benchmarks.results.page import benchmark_arms, page
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
 from benchmarks.results.table import Key, Row, key
+from benchmarks.side_by_side import side_by_side
 from msgspec import structs
 
 import qdgrasp_coordinator
@@ -195,7 +196,7 @@ def judge(store: Store, asked: Programme, runs: Path, processes: int, stop: Stop
     table, place = store.table, workplace(runs)
     folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
     left = {
-        one: folders[one]
+        folders[one]: one
         for one in asked.wanted
         if one in table
         and one in folders
@@ -203,8 +204,8 @@ def judge(store: Store, asked: Programme, runs: Path, processes: int, stop: Stop
         and one.protocol.startswith("physical")
     }
     count = len(left)
-    for one, figures in judge_all(left.items(), processes):
-        store.put(one, figures)
+    for path, figures in side_by_side(judged, left, processes):
+        store.put(left[path], figures)
         count -= 1
         if stop.is_set:
             break

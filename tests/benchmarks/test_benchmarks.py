@@ -1,6 +1,7 @@
 """The tools that the benchmarks measure with; their figures are not tested."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from benchmarks.scale.rig import (
 )
 from benchmarks.scale.slow_clients import Timed, compared, monitors, take_turns
 from benchmarks.scale.throughput import BATCH, Prepared, Watched, spec
+from benchmarks.side_by_side import side_by_side
 from tests.common import own_endpoint
 from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.search.synthetic_scene import plain
@@ -284,3 +286,13 @@ def test_a_run_that_is_put_back_is_the_next_one() -> None:
 )
 def test_a_figure_is_met_within_what_is_wanted(bounds: dict[str, float], is_met: bool | None) -> None:
     assert ScaleFigure("a", 2.0, "s", **bounds).is_met is is_met
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_work_side_by_side_has_all_results_and_says_what_fails(processes: int) -> None:
+    assert sorted(side_by_side(math.sqrt, [9.0, 1.0, 4.0], processes)) == [(1.0, 1.0), (4.0, 2.0), (9.0, 3.0)]
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
+        list(side_by_side(math.sqrt, [-1.0], processes))
+    begun = side_by_side(math.sqrt, map(float, range(200)), processes)
+    next(begun)
+    begun.close()

@@ -302,7 +302,7 @@ def test_the_program_carries_out_what_is_chosen_and_makes_the_page(
 ) -> None:
     found: list[Key] = []
     monkeypatch.setattr(runs, "carry_out", lambda key: found.append(key) or row(key))
-    words = ["--out", str(tmp_path), "--scenes", "ycb_mug", "ycb_bowl", "--seeds", "2"]
+    words = ["--out", str(tmp_path), "--scenes", "ycb_mug", "ycb_bowl", "--seeds", "2", "--processes", "1"]
     monkeypatch.setattr("sys.argv", ["-", *words])
     program.main()
     asked = [(name, "ycb_mug", 2, EVALUATIONS) for name in VARIANTS]
@@ -321,7 +321,7 @@ def test_a_program_that_is_stopped_says_so_and_has_made_the_page(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runs, "carry_out", stop)
-    monkeypatch.setattr("sys.argv", ["-", "--out", str(tmp_path)])
+    monkeypatch.setattr("sys.argv", ["-", "--out", str(tmp_path), "--processes", "1"])
     with pytest.raises(SystemExit) as ended:
         program.main()
     assert ended.value.code == 130

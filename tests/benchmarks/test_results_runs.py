@@ -161,7 +161,7 @@ class TestDrawnGrasps:
         (after,) = store.table.values()
         assert after.drawn == before.robust_cells
         assert replace(after, drawn=None, drawn_in_bullet=None, drawn_eta=None) == before
-        monkeypatch.setattr(work, "judge_all", lambda folders, processes: iter([*map(pytest.fail, folders)]))
+        monkeypatch.setattr(work, "judged", lambda path: pytest.fail(str(path)))
         assert work.judge(store, store.known, tmp_path, 1, Stop()) == 0
 
 
