@@ -74,8 +74,8 @@ class SceneGroup:
     has: Callable[[Arm], bool]
 
     def arms(self, known: Sequence[Arm]) -> list[Arm]:
-        """Its scenes that have runs, and are of one protocol."""
-        return [arm for arm in known if arm.rows and arm.key.protocol == PROTOCOL and self.has(arm)]
+        """Its arms whose runs are all in."""
+        return [arm for arm in known if arm.is_complete and arm.key.protocol == PROTOCOL and self.has(arm)]
 
 
 def is_tuning(arm: Arm) -> bool:

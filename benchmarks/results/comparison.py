@@ -57,6 +57,11 @@ class Arm:
         return self.key.method == DEFAULT and not changed(self.key)
 
     @property
+    def is_complete(self) -> bool:
+        """Whether all its runs are finished."""
+        return len(self.rows) == len(self.seeds)
+
+    @property
     def count(self) -> str:
         """The number of its finished runs, in words."""
         whole, here = len(self.seeds), len(self.rows)

@@ -151,7 +151,7 @@ SWEEP_COLUMNS = ("method", "population", "sigma", "runs", *TUNING, "share of the
 
 def sweep_part(known: Sequence[Arm]) -> str:
     """The section on the settings of the baselines; empty while a run of the sweep is missing."""
-    if not known or any(len(arm.rows) < len(arm.seeds) for arm in known):
+    if not known or not all(arm.is_complete for arm in known):
         return ""
     groups: dict[tuple[str, int, str], dict[str, Arm]] = {}
     for arm in known:
