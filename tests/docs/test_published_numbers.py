@@ -199,6 +199,18 @@ def test_ratios_over_scenes_and_their_intervals(groups: Groups, summary: Lines) 
         check_ratio(line["default over it, equal CPU"], [pair for _, pair in timed])
 
 
+def test_the_readme_says_how_far_the_default_is_ahead_of_the_best_of_the_others(summary: Lines) -> None:
+    readme = " ".join((RESULTS.parents[1] / "README.md").read_text(encoding="utf-8").split())
+    assert "about twice as many distinct grasps that hold" in readme
+    assert "about half as many again after as much CPU time" in readme
+    rivals = [
+        line for line in summary if line["scenes"] == "held out, two fingers" and "**" not in line["method"]
+    ]
+    for work, low, high in (("evaluations", 1.75, 2.5), ("CPU", 1.3, 1.75)):
+        ratios = [float(line[f"default over it, equal {work}"].split(" ")[0]) for line in rivals]
+        assert low <= min(ratios) <= high
+
+
 def test_drawn_grasps_weigh_the_cells_of_their_runs(runs: Runs, groups: Groups) -> None:
     scenes = ["gripper", "object", "budget"]
     for line in lines_with(part("Grasps that hold"), "grasps drawn"):
