@@ -191,13 +191,14 @@ def carry_on(
 def judge(store: Store, asked: Programme, runs: Path, processes: int, stop: Stop) -> int:
     """Evaluate drawn grasps of finished runs again, where the table lacks that; the number of those left.
 
-    Runs whose folders are not on this machine are left out, and so are those that are not of `physical`.
+    Scenes are judged one after another. Runs whose folders are not on this machine are left out, and so are
+    those that are not of `physical`.
     """
     table, place = store.table, workplace(runs)
     folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
     left = {
         folders[one]: one
-        for one in asked.wanted
+        for one in sorted(asked.wanted)
         if one in table
         and one in folders
         and table[one].drawn is None
