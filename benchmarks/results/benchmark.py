@@ -175,13 +175,13 @@ def _losses(found: Sequence[Contest], known: Sequence[Arm]) -> Iterator[str]:
         yield markdown_table(LOSS_COLUMNS, [line for lines in behind.values() for line in lines])
     asked = {arm.key.scene: is_tuning(arm) for arm in known if arm.key.protocol == PROTOCOL}
     here = {one.ours.key.scene for one in scenes}
-    counts = [
-        (sum(asked[scene] is tuning for scene in here), list(asked.values()).count(tuning))
-        for tuning in (False, True)
-    ]
+    held_out, tuning = (
+        f"{sum(asked[scene] is kind for scene in here)} of {list(asked.values()).count(kind)}"
+        for kind in (False, True)
+    )
     yield (
-        f"In are {counts[0][0]} of {counts[0][1]} held-out scenes, the cheapest first, which is no fair draw "
-        f"of all, and {counts[1][0]} of {counts[1][1]} tuning scenes.\n"
+        f"{held_out} held-out scenes are in, the cheapest first, so that they are no random sample of all; "
+        f"of tuning scenes {tuning}.\n"
     )
 
 

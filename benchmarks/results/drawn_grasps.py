@@ -6,11 +6,11 @@ that hold, one of each cell, so that a share of them is a share of these cells.
 """
 
 from collections.abc import Iterable
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 from benchmarks.physics.eta import Arrays, evaluated
+from benchmarks.results.measure import Figures
 from msgspec.structs import replace
 
 from qdgrasp_assets.catalog import build_scene
@@ -27,7 +27,6 @@ DRAWN = 30
 TRIALS = 5
 """Trials of each for eta."""
 OTHER_ENGINE = "bullet"
-Figures = dict[str, int | float | None]
 
 
 def drawn(rows: Rows, seed: int, number: int = DRAWN) -> Rows:
@@ -43,8 +42,7 @@ def judged(path: Path) -> Figures:
     folder = RunFolder(path)
     spec = folder.spec
     with folder.journal() as journal:
-        whole = np.concatenate([journal.shape.empty(0), *(one.rows for one in journal.slices())])
-    rows = drawn(whole, spec.seed)
+        rows = drawn(journal.rows(0, journal.count), spec.seed)
     if not len(rows):
         return {"drawn": 0, "drawn_in_bullet": None, "drawn_eta": None}
     genomes = as_given(folder.scene(), prior_of(spec), rows)
@@ -59,5 +57,5 @@ def judged(path: Path) -> Figures:
 
 
 def _evaluated(spec: RunSpec, genomes: Genomes, trials: Iterable[int]) -> Arrays:
-    with closing(Evaluator(build_scene(spec))) as evaluator:
+    with Evaluator(build_scene(spec)) as evaluator:
         return evaluated(evaluator, genomes, trials)

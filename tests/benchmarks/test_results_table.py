@@ -390,7 +390,8 @@ class TestBenchmark:
         assert "3.00 (2." in lines[0]
         said = re.findall(r"none of \d comparisons after equal \w+", text)
         assert said == [f"none of 3 comparisons after equal {work}" for work in ("evaluations", "CPU")]
-        assert "In are 2 of 2 held-out scenes" in text
+        assert "2 of 2 held-out scenes are in" in text
+        assert "of tuning scenes 1 of 1." in text
 
     def test_new_hands_and_objects_have_lines_of_their_own(self) -> None:
         known = bench_arms(

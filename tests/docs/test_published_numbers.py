@@ -434,6 +434,11 @@ def test_the_rate_of_coverage_is_that_of_a_cpu_second(runs: Runs) -> None:
         assert int(line["runs"].split(" ")[0]) == len(mine)
         assert line["coverage, %"] == spread(100 * mine["coverage"], 1)
         assert line["CPU s"] == spread(mine["cpu_seconds"], 0)
+        costs = mine[mine["success_ms"].notna()]
+        if len(costs):
+            ceilings = 100 / (costs["set_size"] * costs["success_ms"] / 1000)
+            assert line["a success, ms"] == spread(costs["success_ms"], 1)
+            assert line["ceiling, % a CPU s"] == spread(ceilings, 2)
         assert line["% of S_G a CPU s"] == spread(100 * mine["coverage"] / mine["cpu_seconds"], 3)
 
 
