@@ -117,11 +117,6 @@ class ObjectListing(RunTotals, frozen=True, kw_only=True):
         return self.successes / self.evaluations if self.evaluations else 0.0
 
     @property
-    def grasp_share(self) -> float:
-        """Grasps over evaluations, 0 to 1."""
-        return self.grasps / self.evaluations if self.evaluations else 0.0
-
-    @property
     def note(self) -> str:
         """All that is said about it, in words."""
         return "; ".join([self.little, *self.warnings] if self.little else self.warnings)

@@ -147,7 +147,9 @@ def group_runs(runs: Iterable[RunHistory]) -> list[RunGroup]:
     """
     arms: dict[tuple[SceneName, str], list[RunHistory]] = {}
     for run in runs:
-        arms.setdefault((scene_name(run.spec), run.spec.method), []).append(run)
+        spec = run.spec
+        scene = SceneName(Path(spec.gripper).stem, Path(spec.object).stem, spec.protocol_words)
+        arms.setdefault((scene, spec.method), []).append(run)
     known = list(registry.METHODS)
     order = {name: known.index(name) if name in known else len(known) for _, name in arms}
     ordered = sorted(arms, key=lambda arm: (*_scene_order(arm[0]), order[arm[1]], arm[1]))
@@ -175,11 +177,6 @@ def usual_settings(method: str) -> dict[str, Any]:
         "overlaps": own.overlaps,
         "population": own.population,
     }
-
-
-def scene_name(spec: RunSpec) -> SceneName:
-    """Return the scene that a spec asks for."""
-    return SceneName(Path(spec.gripper).stem, Path(spec.object).stem, spec.protocol_words)
 
 
 def _scene_order(scene: SceneName) -> tuple[Any, ...]:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import log
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -113,7 +112,8 @@ def _sweeps_of_scene(groups: Sequence[RunGroup]) -> list[SettingSweep]:
     lines: dict[tuple[str, str, str], dict[float, RunGroup]] = {}
     for group in groups:
         for name, value in group.settings.items():
-            if is_quantity(name, value) and group.finished_runs:
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if is_number and name not in NOT_AN_AXIS and group.finished_runs:
                 others = {key: other for key, other in group.settings.items() if key != name}
                 lines.setdefault((name, group.method, setting_words(others)), {})[value] = group
     swept = {key: by_value for key, by_value in lines.items() if len(by_value) > 1}
@@ -127,11 +127,6 @@ def _sweeps_of_scene(groups: Sequence[RunGroup]) -> list[SettingSweep]:
         ))
         for (name, _, variant), by_value in swept.items()
     ]  # fmt: skip
-
-
-def is_quantity(name: str, value: Any) -> bool:
-    """Return whether a setting's value is a number that can stand on an axis."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and name not in NOT_AN_AXIS
 
 
 def draw_sweeps(shown: Sequence[SettingSweep]) -> FigureGrid:

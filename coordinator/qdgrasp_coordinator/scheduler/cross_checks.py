@@ -204,7 +204,9 @@ class CrossChecks:
         needless = [
             name
             for name, check in self._checks.items()
-            if check.is_first and not check.is_disputed and self._confirmed.issuperset(_wids(check))
+            if check.is_first
+            and not check.is_disputed
+            and self._confirmed.issuperset(worker.wid for worker in check.answers)
         ]
         for name in needless:
             del self._checks[name]
@@ -235,7 +237,3 @@ class CrossChecks:
         for name in [name for name, check in self._checks.items() if check.run.run == run]:
             self._end(name)
         self.held = [result for result in self.held if result.run.run != run]
-
-
-def _wids(check: Check) -> set[str]:
-    return {worker.wid for worker in check.answers}

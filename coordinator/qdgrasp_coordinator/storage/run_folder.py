@@ -102,6 +102,11 @@ def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, st
     return {name: value for name, value in platform.items() if name not in others}
 
 
+def is_of_gpu(platform: Mapping[str, str]) -> bool:
+    """Return whether a platform has a GPU, on which the bits of rows are not fixed."""
+    return platform.get("warp_device", "CPU") != "CPU"
+
+
 def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
     """Entries of its engines that a platform lacks, on which rows were made; None: Bullet.
 

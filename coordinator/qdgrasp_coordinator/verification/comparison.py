@@ -64,7 +64,8 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
             which = f"another platform; here is {self.differences}" if self.differences else "this platform"
             if self.not_recorded:
                 which += f" ({', '.join(self.not_recorded)} was not recorded then)"
-        return f"{self.rows} of them were made on {which}"
+        bits = f"; {GPU_BITS}" if run_folder.is_of_gpu(self.platform) else ""
+        return f"{self.rows} of them were made on {which}{bits}"
 
 
 class VerificationReport(Struct, frozen=True, kw_only=True):
@@ -102,6 +103,7 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
         return "\n".join([*lines, *(origin.words for origin in self.origins)])
 
 
+GPU_BITS = "on a GPU rows have no fixed bits"
 PLATFORM_UNKNOWN = "On which platform it was recorded is not known."
 PLATFORM_SAME = "It was recorded on this very platform, on which it must be the same: please report it."
 
@@ -156,5 +158,7 @@ def platform_words(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
     if not recorded:
         return PLATFORM_UNKNOWN
     if not (differing := run_folder.platform_differences(recorded, now)):
-        return PLATFORM_SAME
+        return (
+            f"It was recorded on this platform; {GPU_BITS}." if run_folder.is_of_gpu(now) else PLATFORM_SAME
+        )
     return f"It was recorded on another platform; here is {differing}."

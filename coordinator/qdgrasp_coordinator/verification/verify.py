@@ -253,16 +253,14 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
     @property
     def table(self) -> str:
         """Lines for a person."""
-        lines = [f"recorded {name}: {join_counts(found)}" for name, found in self.outcomes.items()]
+        lines = [
+            f"recorded {name}: {', '.join(f'{number} {now}' for now, number in found.items())}"
+            for name, found in self.outcomes.items()
+        ]
         share = f"{self.same_verdict} of {counted(self.rows, 'success', 'successes')}"
         return "\n".join(
             [f"{share} have the same verdict in {self.engine}, robust or not", *lines, self.file]
         )
-
-
-def join_counts(found: dict[str, int]) -> str:
-    """Counts by name in words."""
-    return ", ".join(f"{number} {name}" for name, number in found.items())
 
 
 OF_TRIALS = ("base", "trials", "finalists")  # Keys of a spec that a comparison has no use for

@@ -191,6 +191,13 @@ def test_rows_that_are_the_same_are_told_with_how_they_ended() -> None:
     assert told.table == "2 of 2 rows the same: 1 held, 1 dead end\n2 of them were made on this platform"
 
 
+def test_rows_of_a_gpu_are_said_to_have_no_fixed_bits() -> None:
+    platforms = {"NVIDIA H100 90": "; on a GPU rows have no fixed bits", "CPU": ""}
+    for device, words in platforms.items():
+        origin = PlatformShare(rows=2, platform={"warp_device": device}, differences="")
+        assert origin.words == f"2 of them were made on this platform{words}"
+
+
 def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
     different = DifferentRow(
         folder="runs/mug", run="run", number=7, generation=0, index=7, trial=0,

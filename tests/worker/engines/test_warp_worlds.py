@@ -1,4 +1,6 @@
-"""The engine mujoco-warp on warp's CPU device (`make test-gpu`); other tests need no warp."""
+"""The engine mujoco-warp on a device (`make test-gpu`): warp's CPU device, or that of `QDGRASP_DEVICE`."""
+
+import os
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ warp_worlds = pytest.importorskip(
     "qdgrasp_worker.engines.warp_worlds", reason="it needs qdgrasp[gpu]", exc_type=ImportError
 )
 pytestmark = pytest.mark.timeout(900)  # kernels are compiled in the first test
-DEVICE = Device("cpu", 32)
+DEVICE = Device(os.environ.get("QDGRASP_DEVICE") or "cpu", 32)
 NOMINAL = np.zeros(PROBES, dtype=np.uint16)
 
 
@@ -53,6 +55,7 @@ def test_outcomes_and_settled_poses_are_those_of_mujoco(scene, evaluator, found)
     assert all(0 < used < size for each in used for used, size in zip(each, evaluator.buffers, strict=True))
 
 
+@pytest.mark.skipif(DEVICE.name != "cpu", reason="on a GPU the order of constraints is not fixed")
 def test_a_row_has_the_same_bits_in_any_batch(evaluator, found):
     order = np.random.default_rng(0).permutation(PROBES)[:5]
     shuffled = evaluator.evaluate("approach", probes()[order], NOMINAL[:5]).rows
@@ -75,7 +78,7 @@ def test_trials_differ_by_their_friction(evaluator, scene):
 
 def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
     def small(simulation, buffers: BufferSizes):
-        return warp_worlds.WarpWorlds(simulation, buffers._replace(constraints=8), "cpu")
+        return warp_worlds.WarpWorlds(simulation, buffers._replace(constraints=8), DEVICE.name)
 
     expected = Evaluator(scene).evaluate("approach", probes()[:4], NOMINAL[:4]).rows
     evaluator = LockstepEvaluator(scene, small)
@@ -87,7 +90,7 @@ def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
 
 def test_worlds_of_which_too_many_shapes_come_near_are_not_trusted(scene):
     def tiny(simulation, buffers: BufferSizes):
-        return warp_worlds.WarpWorlds(simulation, buffers._replace(contacts=1), "cpu")
+        return warp_worlds.WarpWorlds(simulation, buffers._replace(contacts=1), DEVICE.name)
 
     evaluator = LockstepEvaluator(scene, tiny)
     found = evaluator.evaluate("approach", probes()[:4], NOMINAL[:4]).rows
@@ -96,19 +99,30 @@ def test_worlds_of_which_too_many_shapes_come_near_are_not_trusted(scene):
     assert found.tobytes() == expected.tobytes()
 
 
+def test_too_little_memory_is_told_with_fewer_worlds(evaluator, monkeypatch):
+    def full(worlds, steps):
+        raise RuntimeError(f"Failed to allocate 385113599 bytes on device '{DEVICE.name}'")
+
+    monkeypatch.setattr(warp_worlds.WorldBatch, "move", full)
+    with pytest.raises(InputError, match=r"too little memory for 16 worlds of this scene.*--worlds 8"):
+        evaluator.evaluate("approach", probes(), NOMINAL)
+
+
 def test_the_platform_names_the_device_and_its_code():
     found = platform(DEVICE)
     assert {"mujoco-warp", "mujoco-warp_code", "warp", "warp_device", "mujoco_code"} <= found.keys()
-    assert found["warp_device"] == "CPU"
+    assert (found["warp_device"] == "CPU") == (DEVICE.name == "cpu")
     assert platform().items() < found.items()
 
 
 def test_a_device_that_evaluates_otherwise_is_not_used(monkeypatch):
     monkeypatch.setattr(warp_worlds, "NEAR", -1.0)  # it sees no contact
-    with pytest.raises(DeviceDiffers, match=r"On the device cpu only .* of 16 probes of mujoco-warp"):
+    with pytest.raises(
+        DeviceDiffers, match=rf"On the device {DEVICE.name} only .* of 16 probes of mujoco-warp"
+    ):
         platform(DEVICE)
 
 
 def test_a_device_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(InputError, match="Warp has no device 'tpu' here, it has cpu"):
+    with pytest.raises(InputError, match="Warp has no device 'tpu' here, it has c"):
         warp_worlds.device_entries(Device("tpu", 1))

@@ -1,8 +1,8 @@
 """Worlds of `physical` on a device of warp; the one module that imports it.
 
-MuJoCo Warp computes in float32. Contacts and constraints are put in a fixed order, so that a world's numbers
-do not depend on the worlds beside it. Buffers have the size measured for a scene; a row whose world
-overflows them is evaluated again in MuJoCo (`LockstepEvaluator`).
+MuJoCo Warp computes in float32. On warp's CPU device a world's numbers do not depend on the worlds beside it;
+on a GPU they do, as the order of constraints is not fixed there. Buffers have the size measured for a scene;
+a row whose world overflows them is evaluated again in MuJoCo (`LockstepEvaluator`).
 """
 
 from dataclasses import replace
@@ -155,7 +155,8 @@ class WarpWorlds(BatchWorlds):
         self._simulation, self._buffers, self._device = simulation, buffers, device
         with warp.ScopedDevice(device):
             self._model = mujoco_warp.put_model(simulation.model)
-        self._model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
+            if not warp.get_device().is_cuda:  # there it takes gigabytes, and does not fix the bits
+                self._model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
         self._model.opt.warn_overflow = 0
         self._sized: dict[int, WorldBatch] = {}
 
@@ -163,13 +164,21 @@ class WarpWorlds(BatchWorlds):
         """Step n worlds `steps` times; 0: find the contacts at the present poses."""
         n = len(states["qpos"])
         size = next_power(n)
-        with warp.ScopedDevice(self._device):
-            if size not in self._sized:
-                self._sized[size] = WorldBatch(self._simulation, self._model, size, self._buffers)
-            worlds = self._sized[size]
-            worlds.write(states)
-            worlds.move(steps)
-            return worlds.read(n)
+        try:
+            with warp.ScopedDevice(self._device):
+                if size not in self._sized:
+                    self._sized[size] = WorldBatch(self._simulation, self._model, size, self._buffers)
+                worlds = self._sized[size]
+                worlds.write(states)
+                worlds.move(steps)
+                return worlds.read(n)
+        except RuntimeError as error:
+            if "Failed to allocate" not in str(error):
+                raise
+            raise InputError(
+                f"The device {self._device} has too little memory for {size} worlds of this scene: start "
+                f"`qdgrasp-worker` with fewer, --worlds {size // 2}."
+            ) from None
 
     @property
     def buffers_used(self) -> BufferSizes:

@@ -161,7 +161,10 @@ def grasp_view(
     ends = np.concatenate([alone["base_to_object"].astype(np.float64), settled_poses(alone)])
     postures = np.array([find["pregrasp"], find["joints"]], dtype=np.float64)
     names, is_settled = [joint.name for joint in hand.gripper.joints], bool(settled_mask(alone)[0])
-    commanded, settled = (_pose_view(pose, scene) for pose in ends)
+    commanded, settled = (
+        PoseView(pose[:3].tolist(), (pose[:3] + scene.com_in_mesh).tolist(), pose[3:].tolist())
+        for pose in ends
+    )
     moved, turned = (_known(value) for value in object_motion(alone)[0])
     return GraspView(
         number=int(find["number"]),
@@ -186,10 +189,6 @@ def grasp_view(
         contacts=_contacts(find, hand),
         commands=commands,
     )
-
-
-def _pose_view(pose: Floats, scene: BrowserScene) -> PoseView:
-    return PoseView(pose[:3].tolist(), (pose[:3] + scene.com_in_mesh).tolist(), pose[3:].tolist())
 
 
 def _known(value: float) -> float | None:
