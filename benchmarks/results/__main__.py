@@ -7,7 +7,7 @@ import typer
 from benchmarks.results.assets import FILES, NAME, make_asset
 from benchmarks.results.measure import HEX, codes_here
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
-from benchmarks.results.work import Store, carry_on, judge
+from benchmarks.results.work import Store, carry_on
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
@@ -44,7 +44,10 @@ def run(
     runs: Runs = RUNS,
     workers: options.Workers = None,
 ) -> None:
-    """Carry out missing runs, the cheapest scene first; if stopped, the same command goes on."""
+    """Carry out missing runs, the cheapest scene first, and judge drawn grasps of the benchmark's.
+
+    If stopped, the same command goes on.
+    """
     store = _store(table, home, accept)
     asked = chosen(store.known, campaigns or (), cell or ())
     with lifetime("qdgrasp results") as stop:
@@ -57,26 +60,6 @@ def run(
         typer.echo(str(other), err=True)
     if failures:
         raise failures[0]
-
-
-@app.command("judge")
-def judge_drawn(
-    campaigns: Campaigns = None,
-    cell: Cells = None,
-    accept: Accept = None,
-    table: Table = TABLE,
-    home: Home = HOME,
-    runs: Runs = RUNS,
-    workers: options.Workers = None,
-) -> None:
-    """Evaluate grasps drawn of finished runs again, in Bullet and by trials; a stop loses one a core."""
-    store = _store(table, home, accept)
-    asked = chosen(store.known, campaigns or (), cell or ())
-    with lifetime("qdgrasp results") as stop:
-        left = judge(store, asked, runs, workers or options.cores(), stop)
-    typer.echo(f"{left} runs are left to be judged.")
-    if stop.is_set:
-        raise typer.Exit(stop.exit_code)
 
 
 @app.command("list")

@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from benchmarks.results.assets import NAME as BENCHMARK
 from benchmarks.results.benchmark import benchmark_part
 from benchmarks.results.comparison import (
     ANY,
@@ -18,7 +17,7 @@ from benchmarks.results.comparison import (
 )
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.paper_claims import claims_part
-from benchmarks.results.programme import TUNING, Programme
+from benchmarks.results.programme import BENCHMARK, SWEEP, TUNING, Programme
 from benchmarks.results.table import MILESTONES, Key, Row
 from numpy.typing import NDArray
 
@@ -144,7 +143,6 @@ def _ceilings(arm: Arm) -> NDArray[np.float64]:
     return np.array([100 / (size * cost / 1000) for size, cost in known if size and cost])
 
 
-SWEEP = f"{BENCHMARK}-sweep"
 """The campaign that chooses the settings of the baselines."""
 SWEEP_COLUMNS = ("method", "population", "sigma", "runs", *TUNING, "share of the best")
 
@@ -209,36 +207,20 @@ campaigns in [deploy/results](../../deploy/results) ask for; `make results` carr
 
 def page(known: Programme, table: Mapping[Key, Row]) -> str:
     """The whole page."""
-    benchmark = benchmark_arms(known, table)
-    here = _arms(known, table, "", without=(BENCHMARK, CLAIMS))
+    benchmark = arms(known.benchmark, table)
+    here = arms(known.part("", without=(BENCHMARK, CLAIMS)), table)
     parts = [
         INTRODUCTION,
         benchmark_part(benchmark),
         comparison_part(benchmark, "## The benchmark, scene by scene"),
-        sweep_part(_arms(known, table, SWEEP)),
-        claims_part(_arms(known, table, CLAIMS)),
+        sweep_part(arms(known.part(SWEEP), table)),
+        claims_part(arms(known.part(CLAIMS), table)),
         coverage_part(here),
         comparison_part(here, "## First touches: the search for touch against the others"),
         cpu_part(here),
         _standing(known, table),
     ]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts if part)
-
-
-def benchmark_arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
-    """The arms of the benchmark's campaigns of methods; those of its sweep have a section of their own."""
-    return _arms(known, table, BENCHMARK, without=(SWEEP,))
-
-
-def _arms(
-    known: Programme, table: Mapping[Key, Row], prefix: str, without: tuple[str, ...] = ()
-) -> list[Arm]:
-    """The arms of campaigns whose names begin with one text, and with none of some others."""
-    campaigns = known.campaigns.items()
-    chosen = {
-        name: runs for name, runs in campaigns if name.startswith(prefix) and not name.startswith(without)
-    }
-    return arms(Programme(chosen), table)
 
 
 def _standing(known: Programme, table: Mapping[Key, Row]) -> str:

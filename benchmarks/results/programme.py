@@ -17,6 +17,9 @@ from qdgrasp_protocol.spec import RunSpec
 HOME = Path(__file__).resolve().parents[2] / "deploy" / "results"
 
 
+BENCHMARK = assets.NAME
+SWEEP = f"{BENCHMARK}-sweep"
+"""Names with which the benchmark's campaigns begin, and the one that chooses its baselines' settings."""
 TUNING_HAND, TUNING = "panda", ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")
 """The hand and objects on which constants of searches are chosen; all other scenes are held out."""
 
@@ -40,6 +43,22 @@ class Programme:
     """Runs by the campaign that asks for them; two may ask for the same one."""
 
     campaigns: Mapping[str, tuple[Wanted, ...]]
+
+    def part(self, prefix: str, without: tuple[str, ...] = ()) -> "Programme":
+        """The campaigns whose names begin with one text, and with none of some others."""
+        campaigns = self.campaigns.items()
+        return Programme(
+            {
+                name: runs
+                for name, runs in campaigns
+                if name.startswith(prefix) and not name.startswith(without)
+            }
+        )
+
+    @property
+    def benchmark(self) -> "Programme":
+        """The benchmark's campaigns of methods; its sweep has a section of its own."""
+        return self.part(BENCHMARK, without=(SWEEP,))
 
     @cached_property
     def wanted(self) -> dict[Key, Wanted]:

@@ -10,9 +10,10 @@ import msgspec
 from benchmarks.results import table as tables
 from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
+from benchmarks.results.comparison import arms
 from benchmarks.results.drawn_grasps import judged
 from benchmarks.results.measure import Figures, harvest, rounded
-from benchmarks.results.page import benchmark_arms, page
+from benchmarks.results.page import page
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
 from benchmarks.results.table import Key, Row, key
 from benchmarks.side_by_side import side_by_side
@@ -119,7 +120,7 @@ class Store:
     def write_page(self) -> None:
         """Make the page again, its figure, and the table as Parquet."""
         whole = self.table
-        figure = draw(benchmark_arms(self.known, whole))
+        figure = draw(arms(self.known.benchmark, whole))
         with atomic_files.writing(self.file.parent):
             atomic_files.write(self.file.with_name(PAGE), page(self.known, whole).encode())
             atomic_files.write(self.file.with_suffix(".parquet"), tables.parquet(whole))
@@ -150,7 +151,7 @@ SEARCHING = ("metrics/cells", "metrics/run_stats", "scheduler/pipeline")
 def carry_on(
     store: Store, asked: Programme, runs: Path, team: LocalJobConfig, stop: Stop
 ) -> list[QdgraspError]:
-    """Carry out missing runs, stage by stage, and add the finished runs of each.
+    """Carry out missing runs, stage by stage, add the finished runs of each, and judge drawn grasps of them.
 
     Parameters
     ----------
@@ -174,8 +175,9 @@ def carry_on(
     while not stop.is_set:
         place = workplace(runs)
         _gather(store, place)
+        judge(store, asked, place, team.workers, stop)
         left = [one for one in store.missing(asked) if one.key not in tried]
-        if not left:
+        if not left or stop.is_set:
             break
         costs = Costs(store.table.values())
         stage = next(stages(ordered(left, costs), costs))
@@ -188,30 +190,22 @@ def carry_on(
     return failures
 
 
-def judge(store: Store, asked: Programme, runs: Path, processes: int, stop: Stop) -> int:
-    """Evaluate drawn grasps of finished runs again, where the table lacks that; the number of those left.
+def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Stop) -> None:
+    """Evaluate drawn grasps of the benchmark's finished runs again, where the table lacks that.
 
-    Scenes are judged one after another. Runs whose folders are not on this machine are left out, and so are
-    those that are not of `physical`.
+    A stop loses those of one run a process.
     """
-    table, place = store.table, workplace(runs)
-    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
-    left = {
-        folders[one]: one
-        for one in sorted(asked.wanted)
-        if one in table
-        and one in folders
-        and table[one].drawn is None
-        and one.protocol.startswith("physical")
-    }
-    count = len(left)
+    table = store.table
+    unjudged = {one for one in asked.benchmark.wanted if one in table and table[one].drawn is None}
+    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)} if unjudged else {}
+    left = {folders[one]: one for one in sorted(unjudged & folders.keys())}
+    if not left:
+        return
     for path, figures in side_by_side(judged, left, processes):
         store.put(left[path], figures)
-        count -= 1
         if stop.is_set:
             break
     store.write_page()
-    return count
 
 
 def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:

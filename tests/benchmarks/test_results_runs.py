@@ -154,15 +154,14 @@ class TestDrawnGrasps:
     ) -> None:
         one = Wanted("run", run.spec)
         (before,) = rows_of(run.path)
-        store = Store(tmp_path / "runs.csv", Programme({"c": (one,)}), {before.code})
+        store = Store(tmp_path / "runs.csv", Programme({"grasp-bench-1": (one,)}), {before.code})
         store.add([run.path])
-        monkeypatch.setattr(work, "workplace", lambda home: run.path)
-        assert work.judge(store, store.known, tmp_path, 1, Stop()) == 0
+        work.judge(store, store.known, run.path, 1, Stop())
         (after,) = store.table.values()
         assert after.drawn == before.robust_cells
         assert replace(after, drawn=None, drawn_in_bullet=None, drawn_eta=None) == before
         monkeypatch.setattr(work, "judged", lambda path: pytest.fail(str(path)))
-        assert work.judge(store, store.known, tmp_path, 1, Stop()) == 0
+        work.judge(store, store.known, run.path, 1, Stop())
 
 
 class TestStore:
