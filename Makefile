@@ -18,7 +18,7 @@ help:
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make test-mujoco   quick tests of what works without PyBullet; CI runs them in a later Python too (.ci/later)"
-	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device: no GPU is needed (.venv-gpu)"
+	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device or that of QDGRASP_DEVICE (.venv-gpu)"
 	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"

@@ -28,7 +28,7 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.device import Device
 from qdgrasp_worker.engines.lockstep import BatchWorlds
-from qdgrasp_worker.engines.warp_worlds import WarpEvaluator
+from qdgrasp_worker.engines.warp_worlds import WarpEvaluator, device_entries
 from qdgrasp_worker.evaluator import BatchEvaluator, Evaluator
 
 OBJECTS = ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")
@@ -81,7 +81,7 @@ def touching_rows(target: str, n: int, processes: int) -> tuple[Rows, float]:
 
 
 class Stopwatch:
-    """Measures the time that worlds are stepped on a device, apart from all else."""
+    """Measures the wall time of `BatchWorlds.advance`, with the copies from and to the device."""
 
     def __init__(self, *worlds: BatchWorlds) -> None:
         self.seconds = 0.0
@@ -101,6 +101,7 @@ def figures(device: str, target: str, sizes: Sequence[int], processes: int) -> d
     started = time.perf_counter()
     with WarpEvaluator(scene_of(target, "mujoco-warp"), Device(device, max(sizes))) as evaluator:
         row: dict[str, Any] = {"object": target, "a core in mujoco": core, "cores": processes}
+        row |= device_entries(Device(device, max(sizes)))
         row["seconds to start"] = time.perf_counter() - started
         say(f"{target}: {core:.0f} a second on a core in mujoco, {len(expected)} rows that touch")
         watch = Stopwatch(evaluator._fixed, evaluator._free)
@@ -119,8 +120,8 @@ def figures(device: str, target: str, sizes: Sequence[int], processes: int) -> d
             row[f"{size}: share of stepping"] = watch.seconds / sum(took)
             row[f"{size}: evaluated again"] = agreement(found[size], again)
             say(f"{target}: {size} worlds, {first:.1f} s at first, then {rate:.0f} a second")
-        whole = found[max(sizes)]
-        row["in other batches"] = {size: agreement(whole[:size], rows) for size, rows in found.items()}
+        whole = found[sizes[-1]]
+        row["in other batches"] = {size: agreement(whole[:size], found[size]) for size in sizes[:-1]}
         row["again in mujoco"] = evaluator.redone
         row["buffers used"] = [worlds.buffers_used for worlds in (evaluator._fixed, evaluator._free)]  # type: ignore[attr-defined]
         row["buffers"] = evaluator.buffers
@@ -128,7 +129,11 @@ def figures(device: str, target: str, sizes: Sequence[int], processes: int) -> d
 
 
 def agreement(expected: Rows, found: Rows) -> dict[str, Any]:
-    """Shares of rows that are held, and with the same outcome, verdict and bits; distances where settled."""
+    """Shares of rows that are held, and with the same outcome, verdict and bits.
+
+    `mm apart` are the median, the 90th percentile and the greatest of the distances [mm] between the settled
+    objects of rows that both hold.
+    """
     held = [rows["outcome"] == Outcome.HELD for rows in (expected, found)]
     both = held[0] & held[1]
     apart = 1e3 * np.linalg.norm(
@@ -153,7 +158,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="also append the lines to this file")
     asked = parser.parse_args()
     for target in asked.objects:
-        line = json.dumps(figures(asked.device, target, asked.worlds, asked.processes), default=str)
+        line = json.dumps(figures(asked.device, target, sorted(asked.worlds), asked.processes))
         print(line, flush=True)
         if asked.out:
             with asked.out.open("a", encoding="utf-8") as file:

@@ -143,7 +143,6 @@ def _ceilings(arm: Arm) -> NDArray[np.float64]:
     return np.array([100 / (size * cost / 1000) for size, cost in known if size and cost])
 
 
-"""The campaign that chooses the settings of the baselines."""
 SWEEP_COLUMNS = ("method", "population", "sigma", "runs", *TUNING, "share of the best")
 
 

@@ -18,8 +18,9 @@ HOME = Path(__file__).resolve().parents[2] / "deploy" / "results"
 
 
 BENCHMARK = assets.NAME
+"""The text with which the names of the benchmark's campaigns begin."""
 SWEEP = f"{BENCHMARK}-sweep"
-"""Names with which the benchmark's campaigns begin, and the one that chooses its baselines' settings."""
+"""The campaign that chooses the settings of its baselines."""
 TUNING_HAND, TUNING = "panda", ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")
 """The hand and objects on which constants of searches are chosen; all other scenes are held out."""
 

@@ -110,6 +110,12 @@ class Store:
             whole=len(after),
         )
 
+    def unjudged(self, asked: Programme) -> set[Key]:
+        """The runs of a programme with a row of today's code that lacks drawn grasps."""
+        table = self.table
+        rows = [table[one] for one in asked.wanted if one in table]
+        return {row.key for row in rows if row.drawn is None and row.code in self._current}
+
     def put(self, key: Key, figures: Figures) -> None:
         """Change figures of a row."""
         with tables.held(self.file):
@@ -172,10 +178,11 @@ def carry_on(
         for key, one in asked.wanted.items()
         if not lacks.keys().isdisjoint((one.spec.gripper, one.spec.object))
     }
+    unjudged: dict[Key, QdgraspError] = {}
     while not stop.is_set:
         place = workplace(runs)
         _gather(store, place)
-        judge(store, asked, place, team.workers, stop)
+        unjudged |= judge(store, asked, place, team.workers, stop)
         left = [one for one in store.missing(asked) if one.key not in tried]
         if not left or stop.is_set:
             break
@@ -187,25 +194,48 @@ def carry_on(
         except QdgraspError as error:
             failures.append(error)
         _gather(store, place)
-    return failures
+    return [*failures, *unjudged.values()]
 
 
-def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Stop) -> None:
+def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Stop) -> dict[Key, QdgraspError]:
     """Evaluate drawn grasps of the benchmark's finished runs again, where the table lacks that.
 
     A stop loses those of one run a process.
+
+    Parameters
+    ----------
+    place
+        The folder of the runs; there may be none yet.
+
+    Returns
+    -------
+    failures
+        Why drawn grasps of some runs could not be evaluated; those of the others were.
     """
-    table = store.table
-    unjudged = {one for one in asked.benchmark.wanted if one in table and table[one].drawn is None}
-    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)} if unjudged else {}
+    failures: dict[Key, QdgraspError] = {}
+    unjudged = store.unjudged(asked.benchmark)
+    if stop.is_set or not unjudged or not JobFolder.is_job(place):
+        return failures
+    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
     left = {folders[one]: one for one in sorted(unjudged & folders.keys())}
     if not left:
-        return
-    for path, figures in side_by_side(judged, left, processes):
-        store.put(left[path], figures)
+        return failures
+    for path, found in side_by_side(_judged, left, processes):
+        if isinstance(found, QdgraspError):
+            failures[left[path]] = found
+        else:
+            store.put(left[path], found)
         if stop.is_set:
             break
     store.write_page()
+    return failures
+
+
+def _judged(path: Path) -> Figures | QdgraspError:
+    try:
+        return judged(path)
+    except QdgraspError as error:
+        return error
 
 
 def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:

@@ -163,6 +163,23 @@ class TestDrawnGrasps:
         monkeypatch.setattr(work, "judged", lambda path: pytest.fail(str(path)))
         work.judge(store, store.known, run.path, 1, Stop())
 
+    def test_only_rows_of_todays_code_whose_runs_are_here_are_judged(
+        self, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(path: Path) -> None:
+            raise InputError(f"{path} is gone")
+
+        monkeypatch.setattr(work, "judged", fail)
+        one = Wanted("run", run.spec)
+        known = Programme({"grasp-bench-1": (one,)})
+        store = Store(tmp_path / "runs.csv", known, {rows_of(run.path)[0].code})
+        store.add([run.path])
+        assert work.judge(store, known, tmp_path / "none", 1, Stop()) == {}
+        assert work.judge(Store(store.file, known, {"other"}), known, run.path, 1, Stop()) == {}
+        assert work.judge(store, Programme({"methods": (one,)}), run.path, 1, Stop()) == {}
+        failures = work.judge(store, known, run.path, 1, Stop())
+        assert [str(error) for error in failures.values()] == [f"{run.path} is gone"]
+
 
 class TestStore:
     def store(self, path: Path, *current: str) -> Store:

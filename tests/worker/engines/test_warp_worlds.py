@@ -78,7 +78,7 @@ def test_trials_differ_by_their_friction(evaluator, scene):
 
 def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
     def small(simulation, buffers: BufferSizes):
-        return warp_worlds.WarpWorlds(simulation, buffers._replace(constraints=8), DEVICE.name)
+        return warp_worlds.WarpWorlds(simulation, buffers._replace(constraints=8), DEVICE)
 
     expected = Evaluator(scene).evaluate("approach", probes()[:4], NOMINAL[:4]).rows
     evaluator = LockstepEvaluator(scene, small)
@@ -90,7 +90,7 @@ def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
 
 def test_worlds_of_which_too_many_shapes_come_near_are_not_trusted(scene):
     def tiny(simulation, buffers: BufferSizes):
-        return warp_worlds.WarpWorlds(simulation, buffers._replace(contacts=1), DEVICE.name)
+        return warp_worlds.WarpWorlds(simulation, buffers._replace(contacts=1), DEVICE)
 
     evaluator = LockstepEvaluator(scene, tiny)
     found = evaluator.evaluate("approach", probes()[:4], NOMINAL[:4]).rows
@@ -104,7 +104,7 @@ def test_too_little_memory_is_told_with_fewer_worlds(evaluator, monkeypatch):
         raise RuntimeError(f"Failed to allocate 385113599 bytes on device '{DEVICE.name}'")
 
     monkeypatch.setattr(warp_worlds.WorldBatch, "move", full)
-    with pytest.raises(InputError, match=r"too little memory for 16 worlds of this scene.*--worlds 8"):
+    with pytest.raises(MemoryError, match=r"has no room for 32 worlds of this scene: .*--worlds 16"):
         evaluator.evaluate("approach", probes(), NOMINAL)
 
 

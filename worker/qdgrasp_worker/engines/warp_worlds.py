@@ -1,8 +1,9 @@
 """Worlds of `physical` on a device of warp; the one module that imports it.
 
 MuJoCo Warp computes in float32. On warp's CPU device a world's numbers do not depend on the worlds beside it;
-on a GPU they do, as the order of constraints is not fixed there. Buffers have the size measured for a scene;
-a row whose world overflows them is evaluated again in MuJoCo (`LockstepEvaluator`).
+on a GPU they differ from one evaluation to the next, as the order of constraints is not fixed there. Buffers
+have the size measured for a scene; a row whose world overflows them is evaluated again in MuJoCo
+(`LockstepEvaluator`).
 """
 
 from dataclasses import replace
@@ -149,13 +150,13 @@ class WorldBatch:
 
 
 class WarpWorlds(BatchWorlds):
-    """Worlds of a model on a device of warp, any number of them."""
+    """Any number of worlds of a model on a device of warp; a MemoryError if they do not fit."""
 
-    def __init__(self, simulation: Simulation, buffers: BufferSizes, device: str) -> None:
+    def __init__(self, simulation: Simulation, buffers: BufferSizes, device: Device) -> None:
         self._simulation, self._buffers, self._device = simulation, buffers, device
-        with warp.ScopedDevice(device):
+        with warp.ScopedDevice(device.name):
             self._model = mujoco_warp.put_model(simulation.model)
-            if not warp.get_device().is_cuda:  # there it takes gigabytes, and does not fix the bits
+            if not warp.get_device().is_cuda:  # on a GPU it takes gigabytes, and does not fix the bits
                 self._model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
         self._model.opt.warn_overflow = 0
         self._sized: dict[int, WorldBatch] = {}
@@ -165,7 +166,7 @@ class WarpWorlds(BatchWorlds):
         n = len(states["qpos"])
         size = next_power(n)
         try:
-            with warp.ScopedDevice(self._device):
+            with warp.ScopedDevice(self._device.name):
                 if size not in self._sized:
                     self._sized[size] = WorldBatch(self._simulation, self._model, size, self._buffers)
                 worlds = self._sized[size]
@@ -173,12 +174,11 @@ class WarpWorlds(BatchWorlds):
                 worlds.move(steps)
                 return worlds.read(n)
         except RuntimeError as error:
-            if "Failed to allocate" not in str(error):
+            if "Failed to allocate" not in str(error) and "out of memory" not in str(error):
                 raise
-            raise InputError(
-                f"The device {self._device} has too little memory for {size} worlds of this scene: start "
-                f"`qdgrasp-worker` with fewer, --worlds {size // 2}."
-            ) from None
+            name, most = self._device
+            fewer = f"start `qdgrasp-worker` with fewer, --worlds {max(1, most // 2)}"
+            raise MemoryError(f"{name} has no room for {most} worlds of this scene: {fewer}.") from None
 
     @property
     def buffers_used(self) -> BufferSizes:
@@ -198,7 +198,7 @@ class WarpEvaluator(LockstepEvaluator):
     weight = 4  # Worlds of each size have buffers of their own, on the device
 
     def __init__(self, scene: Scene, device: Device, *, shortcuts: bool = True) -> None:
-        super().__init__(scene, partial(WarpWorlds, device=device.name), shortcuts=shortcuts)
+        super().__init__(scene, partial(WarpWorlds, device=device), shortcuts=shortcuts)
         self.at_once = device.worlds
 
 
@@ -212,5 +212,5 @@ def device_entries(device: Device) -> dict[str, str]:
     return {
         DEVICE_ENGINE: version("mujoco-warp"),
         "warp": version("warp-lang"),
-        "warp_device": f"{found.name} {found.arch}" if found.is_cuda else found.name,
+        "warp_device": f"{found.name} {found.arch}" if found.is_cuda else "CPU",
     }
