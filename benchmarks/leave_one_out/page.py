@@ -51,11 +51,13 @@ the same.
 CHOICE = f"""One constant at a time has another value, with {len(TUNING_SEEDS)} seeds. The *score* of a run is
 its number of cells that hold, divided by the mean over all variants on that object.
 
-**Rule**: of the other values of a constant, the one with the better mean score over the objects in use
-replaces today's if it is better by more than one standard error of the difference of two variants. That error
-follows from the spread of seeds within a variant, pooled over all variants of an object. Ties and smaller
-differences leave today's value. A refitted set has all values that replace today's, together; how constants
-act on one another is not looked at. If no constant had any effect, about two of seven would change by chance.
+**Rule**: of the values of a constant, the one with the best mean score over the objects in use is taken,
+however small the difference is: so the choice depends on these objects as much as it can. A refitted set has
+all values that replace today's, together; how constants act on one another is not looked at. A constant
+without any effect would change in two of three cases. *Standard error*: of the difference of two variants,
+from the spread of seeds within a variant, pooled over all variants of an object; *beyond it*: the constants
+whose new value is better by more than that. A rule that asks for more than one standard error would change
+these alone.
 """
 COMPARISON = f"""Each set of constants runs with {len(HELD_OUT_SEEDS)} seeds. Numbers are in percent of the
 mean of today's constants on each object, so that each object weighs the same. *Difference*: mean of the
@@ -146,11 +148,14 @@ def _refitted(known: Refits) -> str:
         return f"**{_number(values[name])}**" if name in values else _number(GRID[name].today)
 
     lines = [
-        (_chosen_on(left_out), *(cell(name, one.values) for name in GRID), f"{one.error:.4f}")
+        (
+            _chosen_on(left_out), *(cell(name, one.values) for name in GRID), f"{one.error:.4f}",
+            ", ".join(f"`{name}`" for name in one.clear) or "none",
+        )
         for left_out, one in known.items()
-    ]
-    today = ("today", *(_number(one.today) for one in GRID.values()), "")
-    heads = ("chosen on", *(f"`{name}`" for name in GRID), "standard error")
+    ]  # fmt: skip
+    today = ("today", *(_number(one.today) for one in GRID.values()), "", "")
+    heads = ("chosen on", *(f"`{name}`" for name in GRID), "standard error", "beyond it")
     return "Values that replace today's are in bold.\n\n" + markdown_table(heads, [today, *lines])
 
 

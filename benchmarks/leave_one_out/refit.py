@@ -71,7 +71,9 @@ class Refit:
     values: Values
     """Constants that replace today's."""
     error: float
-    """The standard error of a difference that the choice went by."""
+    """The standard error of the difference of two mean scores."""
+    clear: tuple[str, ...]
+    """Names of constants whose value is better than today's by more than that."""
 
     @property
     def variant(self) -> str:
@@ -79,19 +81,19 @@ class Refit:
 
 
 def refit(known: Scores) -> Refit:
-    """Choose each constant by the mean scores of its values, with the others as they are today.
+    """Choose the value of each constant with the best mean score, with the others as they are today.
 
-    The best of the other values replaces today's if it is better by more than a standard error of the
-    difference (the rule of one standard error, Breiman et al. 1984, chapter 3).
+    However small the difference is, so that the choice depends on the objects as much as it can. Of equal
+    ones today's stays.
     """
-    error = standard_error(known)
-    chosen = {}
+    error, today = standard_error(known), mean_score(known, TODAY)
+    gains, chosen = {}, {}
     for name, one in GRID.items():
         found = {value: mean_score(known, variant({name: value})) for value in one.others}
         best = max(found, key=found.__getitem__)
-        if found[best] > mean_score(known, TODAY) + error:
-            chosen[name] = best
-    return Refit(chosen, error)
+        if found[best] > today:
+            chosen[name], gains[name] = best, found[best] - today
+    return Refit(chosen, error, tuple(name for name, gain in gains.items() if gain > error))
 
 
 Refits = Mapping[str, Refit]

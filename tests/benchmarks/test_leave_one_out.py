@@ -203,13 +203,16 @@ class TestRefit:
         assert standard_error(known) == pytest.approx(np.sqrt(2 * 400 / len(TUNING_SEEDS) / 3) / 1020)
 
     @pytest.mark.parametrize(
-        ("gain", "values"), [(0, {}), (9, {}), (10, {"WANTED": 0.7}), (-90, {})], ids=str
+        ("gain", "values", "clear"),
+        [(0, {}, ()), (9, {"WANTED": 0.7}, ()), (10, {"WANTED": 0.7}, ("WANTED",)), (-90, {}, ())],
+        ids=str,
     )
-    def test_a_value_gives_way_to_one_that_is_more_than_an_error_better(
-        self, gain: int, values: dict[str, float]
+    def test_a_value_gives_way_to_a_better_one_which_is_clear_beyond_an_error(
+        self, gain: int, values: dict[str, float], clear: tuple[str, ...]
     ) -> None:
         """The error is 9.4 cells."""
-        assert refits(tuned({"WANTED=0.7": on(gain, *TUNING)}), EVALUATIONS)[""].values == values
+        found = refits(tuned({"WANTED=0.7": on(gain, *TUNING)}), EVALUATIONS)[""]
+        assert (found.values, found.clear) == (values, clear)
 
     def test_of_two_better_values_the_best_one_is_taken(self) -> None:
         table = tuned({"DEAD_END=0.25": on(50, *TUNING), "DEAD_END=1": on(80, *TUNING)})
