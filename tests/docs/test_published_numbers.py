@@ -211,6 +211,23 @@ def test_the_readme_says_how_far_the_default_is_ahead_of_the_best_of_the_others(
         assert low <= min(ratios) <= high
 
 
+def test_refitted_constants_differ_from_todays_as_the_page_and_the_results_say() -> None:
+    page = (RESULTS / "leave-one-out.md").read_text(encoding="utf-8")
+    table = pandas.read_csv(RESULTS / "leave-one-out.csv")
+    means = table.pivot_table(index="scene", columns="variant", values="robust_cells")
+    on_others = means.drop(["ycb_rubiks_cube", "ycb_mug", "ycb_power_drill"])
+    lines = {line["chosen on"]: line for line in lines_with(page, "difference, %")}
+    for line in lines.values():
+        ratio = on_others[line["constants"].strip("`")] / on_others["today"]
+        assert float(line["difference, %"]) == pytest.approx(100 * (ratio.mean() - 1), abs=0.051)
+        low, high = map(float, line["today's interval"].split(" to "))
+        assert ("not" in line["verdict"]) != (low < float(line["difference, %"]) < high)
+    assert {name for name, line in lines.items() if "not" in line["verdict"]} == {"all but ycb_power_drill"}
+    assert {line["beyond it"] for line in lines_with(page, "beyond it")[1:]} == {"none"}
+    without = on_others[lines["all but ycb_power_drill"]["constants"].strip("`")] / on_others["today"] - 1
+    assert without.idxmin() == "ycb_cracker_box"
+
+
 def test_drawn_grasps_weigh_the_cells_of_their_runs(runs: Runs, groups: Groups) -> None:
     scenes = ["gripper", "object", "budget"]
     for line in lines_with(part("Grasps that hold"), "grasps drawn"):
