@@ -83,8 +83,8 @@ class Refit:
 def refit(known: Scores) -> Refit:
     """Choose the value of each constant with the best mean score, with the others as they are today.
 
-    However small the difference is, so that the choice depends on the objects as much as it can. Of equal
-    ones today's stays.
+    A difference counts however small it is, so that the choice depends on the objects as much as it can. Of
+    equal values today's stays.
     """
     error, today = standard_error(known), mean_score(known, TODAY)
     gains, chosen = {}, {}

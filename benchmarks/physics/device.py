@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -149,20 +148,16 @@ def agreement(expected: Rows, found: Rows) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print a line of JSON for each object."""
+    """Print a line of JSON for each object, and progress on stderr."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("device", help="a device of warp: cuda, cpu")
     parser.add_argument("--objects", nargs="+", default=OBJECTS)
     parser.add_argument("--worlds", nargs="+", type=int, default=[64, 512, 4096])
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, help="also append the lines to this file")
     asked = parser.parse_args()
     for target in asked.objects:
-        line = json.dumps(figures(asked.device, target, sorted(asked.worlds), asked.processes))
-        print(line, flush=True)
-        if asked.out:
-            with asked.out.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+        found = figures(asked.device, target, sorted(asked.worlds), asked.processes)
+        print(json.dumps(found), flush=True)
 
 
 if __name__ == "__main__":
