@@ -1,7 +1,7 @@
 """Checks of mesh files as objects, remembered by content.
 
-What was found for the bytes of a file, at a scale, with the same changes, by the same version of the checking
-code, is found again without reading triangles. Entries lie in the cache folder; any of them may be deleted,
+Findings for the bytes of a file, at a scale, with the same changes, by the same version of the checking
+code, are read again without reading triangles. Entries lie in the cache folder; any of them may be deleted,
 and one that cannot be read is made again.
 """
 

@@ -296,8 +296,8 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
 def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    What time did not suffice for is not kept, so that the next command tries again. `tell`, errors and
-    warnings are those of `read_object`.
+    A shape for which the time did not suffice is not stored, so that the next command tries again. `tell`,
+    errors and warnings are those of `read_object`.
     """
     path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec, OWN_LIMITS)
     if task and (known := store.get(task.key)):

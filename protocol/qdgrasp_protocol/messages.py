@@ -135,7 +135,7 @@ class Join(Message, frozen=True, kw_only=True, omit_defaults=True):
     versions: list[Count]
     wid: Wid
     key: WorkerKey
-    """What `wid` is made of: it shows that the id is the asking worker's own."""
+    """The secret from which `wid` is derived: it shows that the id is the asking worker's own."""
     number: Count
     """Counter of this worker's joins; the coordinator drops leases of older ones."""
     credit: Annotated[int, Meta(ge=0, le=64)]

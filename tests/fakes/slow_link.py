@@ -17,7 +17,7 @@ PIECE = 1 << 16
 class SlowLink:
     """A link to a port on loopback whose round trip takes so many seconds; a part of its pieces is lost once.
 
-    What comes after a lost piece waits for it, as in a TCP stream. A connection costs a round trip too.
+    Pieces after a lost one wait for it, as in a TCP stream. A connection costs a round trip too.
     """
 
     def __init__(self, port: int, round_trip: float, loss: float = 0.0, seed: int = 0) -> None:

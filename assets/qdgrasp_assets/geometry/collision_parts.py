@@ -1,9 +1,9 @@
 """Convex collision parts of a mesh: as few as leave a finger its clearance.
 
 One hull where that will do, else what CoACD finds, coarse to fine
-(docs/decisions/0008-collision-decomposition.md). What parts fill beyond the mesh, no finger can reach: the
-hollow of a mug and the eye of its handle are what most of its grasps need. CoACD runs in a process of its
-own, which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
+(docs/decisions/0008-collision-decomposition.md). A finger cannot reach space that the parts fill beyond the
+mesh: most grasps of a mug need its hollow and the eye of its handle. CoACD runs in a process of its own,
+which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
 THRESHOLD OUT.obj [SECONDS MEMORY]`) this is that process. Where it has limits, and cannot keep them, coarser
 parts are taken (`limited_parts`).
 

@@ -74,7 +74,7 @@ def simplify_mesh(mesh: Mesh, triangles: int) -> Mesh:
 def remesh(mesh: Mesh) -> Mesh:
     """Return a closed surface around all triangles of a mesh, wound outward.
 
-    What cannot be reached from outside through gaps of more than 1.6 cells is inside; spaces within are
+    Space that cannot be reached from outside through gaps of more than 1.6 cells is inside; spaces within are
     filled. A sheet that is open becomes a wall of half a cell.
     """
     from scipy.spatial import KDTree

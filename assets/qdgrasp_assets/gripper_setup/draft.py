@@ -374,8 +374,8 @@ ORIGINAL_BASE_REASON = (
     "be used with that URDF"
 )
 TOML_HEAD = """\
-What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
-What the keys mean: docs/grippers.md.
+Guessed by `qdgrasp gripper new` from '{urdf}': look at each line, and correct the wrong ones.
+Meaning of the keys: docs/grippers.md.
 After a change: qdgrasp gripper check {name} --picture pictures"""
 PLAIN_KEYS = (
     "licence", "base_link", "approach_axis", "palm_offset", "standoff", "finger_links", "ratings_source",

@@ -137,9 +137,9 @@ JobName = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qd
 def pause(
     job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
 ) -> None:
-    """Hand out no more work of a job until `qdgrasp continue`; what is out still counts.
+    """Hand out no more work of a job until `qdgrasp continue`; batches that are out still count.
 
-    What a run finds does not depend on it. A coordinator that is started again goes on by itself.
+    The results of a run do not depend on it. A coordinator that is started again goes on by itself.
 
     Example: qdgrasp pause mugs
     """

@@ -228,8 +228,8 @@ class Dispatcher:
     def join(self, join: Join, now: float) -> list[bytes]:
         """Admit a worker, or admit it again; returns the batches that it is to drop.
 
-        What it was leased and does not hold is queued again. A join older than the latest changes nothing.
-        Raises Refused if it is not admitted.
+        Batches leased to it that it does not hold are queued again. A join older than the latest changes
+        nothing. Raises Refused if it is not admitted.
         """
         before = self._workers.join(join, now)
         self._first_join = min(self._first_join, now)

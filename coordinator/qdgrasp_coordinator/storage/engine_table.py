@@ -59,7 +59,7 @@ def write_table(
 ) -> Path:
     """Write both verdicts of rows by number (n,).
 
-    What the table has of other rows stays.
+    Verdicts of other rows stay in the table.
     """
     made = np.zeros(len(numbers), TABLE)
     made["row"] = numbers

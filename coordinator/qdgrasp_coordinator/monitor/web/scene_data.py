@@ -350,7 +350,7 @@ def _voxels_of(found: SuccessTable, tables: Mapping[str, EngineTable]) -> NDArra
 def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
     """Return one number for each cell, outcome and synergy: (n,), packed into bit fields.
 
-    What holds in all engines is an outcome of its own, 0.
+    A grasp that holds in all engines has an outcome of its own, 0.
     """
     cell = voxels["cell"].astype(np.int64) + MAX_CELL
     synergy = voxels["synergy"].astype(np.int64) - NO_SYNERGY
