@@ -2,7 +2,7 @@
 
 Numbers and bands are those of `qdgrasp analyse` (report/claims.py), taken from runs of one budget, every
 method with its own settings. A verdict is stable from the least budget, and from the fewest seeds, from
-which on it stays what it is with all of them.
+which on it is the same as with all of them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,8 +21,9 @@ from qdgrasp_coordinator.report.bootstrap import (
     mean_interval,
     ratio_interval,
 )
-from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim
+from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim, agreement_of_all
 from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_protocol.text import counted
 
 CAMPAIGN = "claims"
 """Beginning of the names of the campaigns that the claims are judged from."""
@@ -50,9 +51,12 @@ class ClaimNumber:
 
     @property
     def budgets(self) -> list[int]:
-        """Milestones before the budget, and it, ascending."""
+        """Milestones before the budget, and it, ascending: those after which the number is known."""
         end = self.scenes[0][0].key.budget
-        return [*(milestone for milestone in MILESTONES.values() if milestone < end), end]
+        found = [*(milestone for milestone in MILESTONES.values() if milestone < end), end]
+        if self.claim.measure is claims.late_share:
+            return [budget for budget in found if budget // 2 in MILESTONES.values()]
+        return [end] if self.claim.measure is claims.near_nu_share else found
 
     def interval(self, budget: int, seeds: int) -> ConfidenceInterval:
         """The number after so many evaluations, of the first seeds alone."""
@@ -97,17 +101,14 @@ def _ratio(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
 
 
 def _late(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
-    """The share that the second half added, where half of the budget is a milestone."""
-    if budget // 2 not in MILESTONES.values():
-        return mean_interval([])
+    """The share that the second half added; half of the budget is a milestone."""
     pairs = [(_reached(arm, budget), _reached(arm, budget // 2)) for (arm,) in scenes]
     return mean_interval([1 - halves[ends > 0] / ends[ends > 0] for ends, halves in pairs if len(halves)])
 
 
 def _near(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
     """The share of successes with nu below pi / 4, in the end."""
-    ends = [arm.values("near_nu") for (arm,) in scenes if budget == arm.key.budget]
-    return mean_interval(ends)
+    return mean_interval([arm.values("near_nu") for (arm,) in scenes])
 
 
 MEASURES: Mapping[Callable[..., object], Callable[[Sequence[Sequence[Arm]], int], ConfidenceInterval]] = {
@@ -119,7 +120,10 @@ MEASURES: Mapping[Callable[..., object], Callable[[Sequence[Sequence[Arm]], int]
 
 
 def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
-    """The numbers of all claims whose methods are on a scene together, by budget."""
+    """The numbers of all claims whose methods are on a scene together, by budget.
+
+    Left out are those that are not known in the end: half of the budget is no milestone.
+    """
     budgets: dict[int, dict[tuple[str, str, str], dict[str, Arm]]] = {}
     for arm in known:
         if arm.rows and not changed(arm.key):
@@ -127,11 +131,13 @@ def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
     for claim in CLAIMS:
         judged = [(methods, True) for methods in claim.methods]
         for methods, is_judged in judged + [(methods, False) for methods in claim.beside]:
-            for _, scenes in sorted(budgets.items()):
+            for budget, scenes in sorted(budgets.items()):
                 both = [arms for arms in scenes.values() if {*methods} <= {*arms}]
                 if both:
                     here = tuple(tuple(arms[name] for name in methods) for arms in both)
-                    yield ClaimNumber(claim, methods, here, is_judged)
+                    one = ClaimNumber(claim, methods, here, is_judged)
+                    if one.budgets[-1:] == [budget]:
+                        yield one
 
 
 def claims_part(known: Iterable[Arm]) -> str:
@@ -139,13 +145,35 @@ def claims_part(known: Iterable[Arm]) -> str:
     found = list(numbers(known))
     head = (
         "## The paper's claims\n\n"
-        "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A verdict is *stable* "
-        "from the least budget with all seeds, and from the fewest seeds at the end, from which on it stays "
-        f"what it is. With fewer than {LEAST_RUNS} seeds there is none.\n"
+        "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A claim agrees when all "
+        "its numbers do (in brackets: how many), and does not when one does not. A verdict is *stable* from "
+        "the least budget with all seeds, and from the fewest seeds at the end, from which on it stays the "
+        f"same. With fewer than {LEAST_RUNS} seeds there is none.\n"
     )
     if not found:
         return f"{head}\nNo runs of the claims' campaigns are in yet.\n"
-    return head + "\n" + markdown_table(COLUMNS, [_line(one) for one in found])
+    return "\n".join((head, _summary(found), markdown_table(COLUMNS, [_line(one) for one in found])))
+
+
+def _summary(found: Sequence[ClaimNumber]) -> str:
+    """Each claim with its verdict after each budget."""
+    budgets = sorted({one.budgets[-1] for one in found})
+    columns = ("", "claim", "agrees when", *(f"after {budget:,} evaluations" for budget in budgets))
+    lines = []
+    for claim in CLAIMS:
+        judged = [one for one in found if one.claim is claim and one.is_judged]
+        by_budget = ([one for one in judged if one.budgets[-1] == budget] for budget in budgets)
+        lines.append((claim.letter, claim.words, claim.criterion, *map(_overall, by_budget)))
+    return markdown_table(columns, lines)
+
+
+def _overall(judged: Sequence[ClaimNumber]) -> str:
+    """The verdict on the numbers of a claim, and how many of these agree."""
+    if not judged:
+        return ""
+    verdicts = [one.verdict(one.budgets[-1], one.seeds) for one in judged]
+    agreeing = verdicts.count(ClaimAgreement.AGREES)
+    return f"**{agreement_of_all(verdicts).value}** ({agreeing} of {counted(len(judged), 'number')})"
 
 
 def _line(one: ClaimNumber) -> tuple[str, ...]:

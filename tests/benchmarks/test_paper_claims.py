@@ -43,15 +43,30 @@ def test_a_verdict_is_stable_from_where_it_stays() -> None:
 
 def test_with_four_seeds_there_is_no_verdict() -> None:
     text = claims_part([arm("contact_me_scs", *FIVE[:4]), arm("approach_me_scs", *FIVE)])
-    (line,) = [line for line in text.splitlines() if line.startswith("| b |")]
-    assert line.split("|")[5].strip() == "4"
+    summary, line = (line.split(" | ") for line in text.splitlines() if line.startswith("| b |"))
+    assert summary[3].startswith("**cannot be said** (0 of 1 number)")
+    assert line[4] == "4"
     assert "few seeds" in line
+
+
+def test_a_claim_agrees_when_all_its_numbers_do() -> None:
+    ends = {"contact_me_scs": 1.0, "approach_me_scs": 1.2, "contact_rand": 0.3, "approach_rand": 1.1}
+    text = claims_part([arm(name, *(end * value for value in FIVE)) for name, end in ends.items()])
+    verdicts = dict(
+        line.split(" | ")[::3] for line in text.splitlines() if line.startswith("| ") and "**" in line
+    )
+    assert verdicts | {"| d": ""} == {
+        "| d": "",
+        "| a": "**does not** (3 of 4 numbers) |",
+        "| b": "**agrees** (1 of 1 number) |",
+    }
 
 
 def test_the_second_half_is_taken_where_half_of_the_budget_is_a_milestone() -> None:
     found = number("c", arm("antipodal_rand", *FIVE))
     assert found.interval(10_000, 5).value == pytest.approx(0.5)
-    assert not found.interval(5000, 5).is_known
+    assert found.budgets == [1000, 2000, 10_000]
+    assert not [*numbers([arm("antipodal_rand", *FIVE, budget=5000)])]
 
 
 def test_nu_is_that_of_the_end() -> None:
