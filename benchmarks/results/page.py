@@ -1,4 +1,4 @@
-"""The page of results, `docs/results/index.md`, made of the table and of nothing else."""
+"""The page of results, `docs/results/index.md`, made of the table and the reference sets beside it."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +18,7 @@ from benchmarks.results.comparison import (
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.paper_claims import claims_part
 from benchmarks.results.programme import BENCHMARK, SWEEP, TUNING, Programme
+from benchmarks.results.reference_sets import SceneSet, sets_part
 from benchmarks.results.table import MILESTONES, Key, Row
 from numpy.typing import NDArray
 
@@ -198,13 +199,14 @@ def _setting(arm: Arm) -> tuple[str, int, str]:
 INTRODUCTION = """# Results
 
 Made by `make results-page` from [runs.csv](runs.csv), which has a line for each finished run
-([its columns](../results.md#the-table-of-runs); [as Parquet](runs.parquet)). The runs are those that the
+([its columns](../results.md#the-table-of-runs); [as Parquet](runs.parquet)), and from the
+[reference sets](#reference-sets-of-our-own) beside it. The runs are those that the
 campaigns in [deploy/results](../../deploy/results) ask for; `make results` carries out what is missing.
 [How the results are made](methods.md): scenes, work, measures and statistics.
 """
 
 
-def page(known: Programme, table: Mapping[Key, Row]) -> str:
+def page(known: Programme, table: Mapping[Key, Row], sets: Sequence[SceneSet] = ()) -> str:
     """The whole page."""
     benchmark = arms(known.benchmark, table)
     here = arms(known.part("", without=(BENCHMARK, CLAIMS)), table)
@@ -214,6 +216,7 @@ def page(known: Programme, table: Mapping[Key, Row]) -> str:
         comparison_part(benchmark, "## The benchmark, scene by scene"),
         sweep_part(arms(known.part(SWEEP), table)),
         claims_part(arms(known.part(CLAIMS), table)),
+        sets_part(sets),
         coverage_part(here),
         comparison_part(here, "## First touches: the search for touch against the others"),
         cpu_part(here),

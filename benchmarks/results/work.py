@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from benchmarks.results import reference_sets
 from benchmarks.results import table as tables
 from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
@@ -14,6 +15,7 @@ from benchmarks.results.comparison import arms
 from benchmarks.results.drawn_grasps import judged
 from benchmarks.results.measure import Figures, harvest, rounded
 from benchmarks.results.page import page
+from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
 from benchmarks.results.table import Key, Row, key
 from benchmarks.side_by_side import side_by_side
@@ -32,6 +34,7 @@ from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec, to_values
@@ -79,6 +82,11 @@ class Store:
         self._current = current
 
     @property
+    def sets(self) -> Path:
+        """The folder of the reference sets that the runs make."""
+        return self.file.with_name(reference_sets.FOLDER)
+
+    @property
     def table(self) -> dict[Key, Row]:
         """The table as it is now; raises as `table.read`."""
         return tables.read(self.file)
@@ -87,8 +95,10 @@ class Store:
         """The runs of a programme that the table lacks, of today's code."""
         return asked.missing(self.table, self._current)
 
-    def add(self, directories: Iterable[Path], *, again: bool = True) -> Added:
+    def add(self, directories: Collection[Path], *, again: bool = True) -> Added:
         """Add the finished runs in folders, and make the page again if that changes anything.
+
+        Runs of the benchmark and of the paper's claims go into the reference sets of their scenes, too.
 
         Parameters
         ----------
@@ -100,8 +110,11 @@ class Store:
         with tables.held(self.file):
             before = self.table
             after = tables.merged(before, found, self._current)
-            if after != before or not self.file.exists():
+            if is_more := after != before or not self.file.exists():
                 tables.write(self.file, after)
+            in_sets = {**self.known.benchmark.wanted, **self.known.part(CLAIMS).wanted}
+            rows = {one: after[one] for one in in_sets if one in after and after[one].code in self._current}
+            if reference_sets.gather(self.sets, folders_by_key(directories), rows) or is_more:
                 self.write_page()
         return Added(
             new=sum(before.get(key) != row for key, row in after.items()),
@@ -126,9 +139,9 @@ class Store:
     def write_page(self) -> None:
         """Make the page again, its figure, and the table as Parquet."""
         whole = self.table
-        figure = draw(arms(self.known.benchmark, whole))
+        figure, sets = draw(arms(self.known.benchmark, whole)), reference_sets.read(self.sets)
         with atomic_files.writing(self.file.parent):
-            atomic_files.write(self.file.with_name(PAGE), page(self.known, whole).encode())
+            atomic_files.write(self.file.with_name(PAGE), page(self.known, whole, sets).encode())
             atomic_files.write(self.file.with_suffix(".parquet"), tables.parquet(whole))
             if figure is not None:
                 figure.figure.savefig(self.file.with_name(f"{FIGURE}.png"), dpi=FIGURE_DPI)
@@ -216,8 +229,8 @@ def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Sto
     unjudged = store.unjudged(asked.benchmark)
     if stop.is_set or not unjudged or not JobFolder.is_job(place):
         return failures
-    folders = {key(folder.spec): folder.path for folder in search_run_folders(place)}
-    left = {folders[one]: one for one in sorted(unjudged & folders.keys())}
+    folders = folders_by_key([place])
+    left = {folders[one].path: one for one in sorted(unjudged & folders.keys())}
     if not left:
         return failures
     for path, found in side_by_side(_judged, left, processes):
@@ -261,6 +274,11 @@ def _gather(store: Store, place: Path) -> None:
     """Add the new rows of a workplace."""
     if JobFolder.is_job(place):
         store.add([place], again=False)
+
+
+def folders_by_key(directories: Iterable[Path]) -> dict[Key, RunFolder]:
+    """The runs in folders by their keys."""
+    return {key(folder.spec): folder for path in directories for folder in search_run_folders(path)}
 
 
 def workplace(home: Path) -> Path:

@@ -16,6 +16,7 @@ from benchmarks.results.benchmark import benchmark_part, draw
 from benchmarks.results.comparison import Arm, MethodComparison, arms, comparison_part
 from benchmarks.results.page import coverage_part, cpu_part, page
 from benchmarks.results.programme import Programme, Wanted, programme
+from benchmarks.results.reference_sets import FOLDER, read
 from benchmarks.results.table import COLUMNS, Row, key
 from msgspec import structs
 
@@ -201,7 +202,9 @@ def cells(text: str, first: str) -> list[str]:
 
 def test_the_page_that_lies_beside_the_table_is_the_one_it_makes() -> None:
     whole = tables.read(RESULTS / "runs.csv")
-    assert (RESULTS / "index.md").read_text(encoding="utf-8") == page(programme(), whole)
+    assert (RESULTS / "index.md").read_text(encoding="utf-8") == page(
+        programme(), whole, read(RESULTS / FOLDER)
+    )
 
 
 def test_a_page_of_nothing_says_that_everything_is_missing() -> None:

@@ -1,4 +1,4 @@
-"""Claims of Huber et al. 2024, section V and Figure 2, held against runs, with bootstrap intervals."""
+"""Claims of Huber et al. 2024, section V, held against runs, with bootstrap intervals."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -116,7 +116,7 @@ class ClaimAgreement(Enum):
 
 
 def agreement_of_all(verdicts: Iterable[ClaimAgreement]) -> ClaimAgreement:
-    """Verdict on a claim by those on its numbers: all agree, one does not, or neither can be said."""
+    """Verdict on a claim: all its numbers agree, one does not, or neither can be said."""
     found = {*verdicts}
     if not found:
         return ClaimAgreement.ABSENT
