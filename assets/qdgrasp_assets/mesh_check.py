@@ -2,7 +2,7 @@
 
 Findings for the bytes of a file, at a scale, with the same changes, by the same version of the checking
 code, are read again without reading triangles. Entries lie in the cache folder; any of them may be deleted,
-and one that cannot be read is made again.
+and one that cannot be read is made again. A file that could not be read is tried again each time.
 """
 
 import hashlib
@@ -38,7 +38,6 @@ def check_mesh(
 
     Bodies with air between them are a fault unless they are said to be glued.
     """
-    entry = None
     try:
         check_header(path, preparation)
         entry = cache_folder() / "checked" / f"{_content_key(path, repr((scale, preparation)))}.json"
@@ -46,14 +45,13 @@ def check_mesh(
             return msgspec.json.decode(entry.read_bytes(), type=MeshCheck)
         found = _check(read_draft(path, scale, preparation), preparation)
     except AssetError as error:
-        found = MeshCheck(faults=(str(error).replace(f"'{path}' ", "").rstrip("."),))
+        return MeshCheck(faults=(str(error).replace(f"'{path}' ", "").rstrip("."),))
     except OSError as error:
         return MeshCheck(faults=(f"it cannot be read: {error.strerror or error}",))
     except Exception as error:  # noqa: BLE001  # one mesh of thousands ends no campaign
         return MeshCheck(faults=(f"its check failed: {type(error).__name__}: {error}; draw it again",))
-    if entry is not None:
-        with suppress(OSError):  # a cache that cannot be written is no error
-            write_whole(entry, msgspec.json.encode(found))
+    with suppress(OSError):  # a cache that cannot be written is no error
+        write_whole(entry, msgspec.json.encode(found))
     return found
 
 

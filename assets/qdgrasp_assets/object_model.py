@@ -47,12 +47,6 @@ class ObjectDraft:
         gap = gap_note(self.mesh)
         return (gap,) if gap else ()
 
-    @classmethod
-    def unreadable(cls, why: str) -> "ObjectDraft":
-        """Return the draft of a file that cannot be read."""
-        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
-        return cls(nothing, 0, (), (why.rstrip("."),))
-
 
 MOST_PREPARED = MOST_READ  # Most triangles of a mesh that is made smaller
 AS_IT_IS = MeshPreparation()
@@ -73,17 +67,16 @@ def read_draft(
     its header, which is looked at before it is read.
     """
     asked = preparation or AS_IT_IS
-    is_changed = asked.simplify is not None or asked.remesh or asked.hull
     check_header(path, preparation)
     file = read_mesh_file(path)
     check_stated(str(path), file.unit, scale)
     mesh = file.mesh if scale is None else file.mesh.scaled(scale)
-    if len(mesh.faces) > MOST_TRIANGLES and not is_changed:
+    if len(mesh.faces) > MOST_TRIANGLES and not asked.changes_mesh:
         return ObjectDraft(mesh, file.geometries, (), surface_faults(mesh))
     repairs: tuple[str, ...] = ()
     if not asked.hull:
         mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes or asked.remesh)
-    if is_changed:
+    if asked.changes_mesh:
         try:
             mesh, changes = prepare_mesh(mesh, asked)
         except AssetError as error:
@@ -103,7 +96,7 @@ def check_header(path: Path, preparation: MeshPreparation | None = None) -> None
     """
     check_file(path)
     stated = stated_triangles(path) or 0
-    if preparation and (preparation.simplify or preparation.remesh or preparation.hull):
+    if preparation and preparation.changes_mesh:
         most, advice = MOST_PREPARED, "in the program that made it"
     else:
         most, advice = MOST_TRIANGLES, "for example with --simplify 20000"

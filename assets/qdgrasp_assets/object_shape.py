@@ -8,11 +8,10 @@ part of it.
 import hashlib
 import os
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -21,7 +20,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.asset_paths import UNFINISHED, cache_folder, named_path, write_whole
+from qdgrasp_assets.asset_paths import cache_folder, named_path, remove_unfinished, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import (
     COACD,
@@ -50,7 +49,7 @@ from qdgrasp_assets.object_model import (
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
-from qdgrasp_protocol.errors import AssetError, MessageError
+from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
 from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted, printable
@@ -274,10 +273,11 @@ def is_in_catalog(name: str) -> bool:
 def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
     """Build a shape from the files in a folder, which have their names in the task.
 
-    Raises `AssetError` if they are not those of the task, or are no mesh that can be used.
+    Raises `AssetError` if they are not those of the task, or are no mesh that can be used; `QdgraspError` if
+    it is to be built by other code than this.
     """
     if task.code != building_code():
-        raise AssetError("The shape is to be built by another version of qdgrasp, or of its packages.")
+        raise QdgraspError("The shape is to be built by another version of qdgrasp, or of its packages.")
     for file in task.files:
         if file_digest(folder / file.name) != file.sha256:
             raise AssetError(f"The file '{file.name}' is not the one that the shape is to be built of.")
@@ -315,7 +315,6 @@ def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
 
 
 DIGEST, SUFFIX = 32, ".shape"  # Each file begins with the sha256 of the rest
-ABANDONED = 86400.0  # Seconds after which a file that is being written is one that a process left behind
 
 
 class ShapeStore:
@@ -363,12 +362,9 @@ class ShapeStore:
 
     def _sweep(self, now: float) -> None:
         """Remove the shapes that were not used for longest, where all of them are too large."""
+        remove_unfinished(self._folder, now)
         with os.scandir(self._folder) as entries:
-            found = {entry.path: entry.stat() for entry in entries}
-        for path, stat in found.items():
-            if PurePath(path).name.startswith(UNFINISHED) and now - stat.st_mtime > ABANDONED:
-                shutil.rmtree(path, ignore_errors=True)
-        shapes = {path: stat for path, stat in found.items() if path.endswith(SUFFIX)}
+            shapes = {entry.path: entry.stat() for entry in entries if entry.name.endswith(SUFFIX)}
         total = sum(stat.st_size for stat in shapes.values())
         if total <= self._most_bytes:
             return

@@ -34,11 +34,15 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-def limit_memory(size: int) -> None:
-    """Let this process have at most `size` bytes of memory of its own; requests for more fail."""
+def limit_memory(size: int) -> bool:
+    """Let this process have at most `size` bytes of memory of its own; requests for more fail.
+
+    False if a lower limit was set from outside, which stays.
+    """
     with suppress(ValueError, OSError):  # a lower limit stands already
         resource.setrlimit(resource.RLIMIT_DATA, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    return resource.getrlimit(resource.RLIMIT_DATA)[0] == size
 
 
 def lower_priority(nice: int) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from qdgrasp_assets.asset_paths import data_folder
+from qdgrasp_assets.asset_paths import data_folder, write_whole
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.geometry.mesh_repair import surface_faults
 from qdgrasp_assets.ycb import (
@@ -31,7 +31,6 @@ from qdgrasp_assets.ycb import (
     read_pin,
     scan_differences,
     users_lock,
-    write_atomically,
     write_pin,
 )
 from qdgrasp_protocol.errors import AssetError, UnknownName, WrongScan
@@ -290,10 +289,9 @@ def _accept(name: str, scan: Scan, archive: Path, known: ArchivePin) -> FetchedS
         raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
     lock = write_pin(scan.archive, found) if known.sha256 is None else None
     mesh = fetched_mesh(name)
-    mesh.parent.mkdir(parents=True, exist_ok=True)
     attribution = f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n"
-    write_atomically(mesh.with_name("ATTRIBUTION.txt"), attribution.encode())
-    write_atomically(mesh, content)
+    write_whole(mesh.with_name("ATTRIBUTION.txt"), attribution.encode(), is_synced=True)
+    write_whole(mesh, content, is_synced=True)
     return FetchedScan(name, mesh, found, lock)
 
 

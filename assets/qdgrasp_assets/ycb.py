@@ -5,8 +5,6 @@ sizes and hashes of the archives.
 """
 
 import json
-import os
-import tempfile
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,9 +12,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import tomli_w
-from msgspec import Struct, ValidationError, convert
+from msgspec import Struct, convert
 
-from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched
+from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched, write_whole
 from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
@@ -141,22 +139,8 @@ def write_pin(archive: str, found: ArchivePin) -> Path:
     """Write an archive's size and hashes to the user's lock file; return its path."""
     path = users_lock()
     pins = {**_read_lock(path), archive: found}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, tomli_w.dumps(msgspec.to_builtins(pins)).encode())
+    write_whole(path, tomli_w.dumps(msgspec.to_builtins(pins)).encode(), is_synced=True)
     return path
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file atomically."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
 
 
 def _read_lock(path: Path) -> dict[str, ArchivePin]:
@@ -235,7 +219,7 @@ def _reference_entry(folder: Path) -> ReferenceEntry:
         raise AssetError(
             f"No table of the scans can be read at '{index}': {error.strerror or error}."
         ) from None
-    except (ValueError, KeyError, ValidationError, RecursionError) as error:
+    except (ValueError, KeyError, RecursionError) as error:
         raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None
 
 

@@ -28,6 +28,11 @@ class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Bodies that are apart are meant to be one rigid object."""
 
     @property
+    def changes_mesh(self) -> bool:
+        """True if the object has another mesh than that in the file."""
+        return bool(self.simplify or self.remesh or self.hull)
+
+    @property
     def words(self) -> tuple[str, ...]:
         """The changes, for the provenance."""
         said = {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued}

@@ -34,7 +34,7 @@ WorkerKey = Annotated[bytes, Meta(min_length=32, max_length=32)]
 """Random bytes behind a worker's id (`worker_id`); only it and coordinators see them."""
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 ShownKey = Annotated[bytes, Meta(max_length=32)]
-"""The same, in what a worker answers: only its own shows that it is of this worker."""
+"""A worker's key in its answers; empty: not shown."""
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 RowCount = Annotated[int, Meta(ge=1, le=4096)]
 Width = Annotated[int, Meta(ge=0, le=256)]

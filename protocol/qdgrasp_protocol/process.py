@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from traceback import TracebackException
 from types import FrameType
@@ -172,7 +172,8 @@ def configure_logging(role: str, *, level: int = logging.INFO) -> None:
 
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed
-GRACE_MARGIN = 0.5  # of them, those that it is not told of, so that it is not killed while it stops
+GRACE_MARGIN = 0.5
+"""A member is told to stop within the grace less this margin [s], so that it ends before it is killed."""
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment that limits each process to one thread."""
@@ -187,14 +188,20 @@ class GroupMember:
     arguments: list[str]
     log: Path | None
     """Log file; None: this process's standard error."""
-    process: subprocess.Popen[bytes]
-    started: float
+    core: int | None
+    """Core that it is pinned to; None: any."""
+    process: subprocess.Popen[bytes] = field(init=False)
+    started: float = field(init=False)
+    log_start: int = field(init=False)
+    """Byte of the log at which this process began to write."""
     restarts: int = 0
     restart_at: float | None = None
-    log_start: int = 0
-    """Byte of the log at which this process began to write."""
-    core: int | None = None
-    """Core that it is pinned to; None: any."""
+
+    def start(self, now: float) -> None:
+        """Start its process, for the first time or again."""
+        self.log_start = self.log.stat().st_size if self.log is not None and self.log.exists() else 0
+        self.process, self.started = _start(self.arguments, self.log, self.core), now
+        self.restart_at = None
 
 
 @dataclass(frozen=True)
@@ -238,15 +245,12 @@ class ProcessGroup:
     def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
-        log, log_start = None, 0
         if self._logs is not None:
             self._logs.mkdir(parents=True, exist_ok=True)
-            log = self._logs / f"{name}.log"
-            log_start = log.stat().st_size if log.exists() else 0
-        started = time.monotonic()
-        self._members[name] = GroupMember(
-            name, command, log, _start(command, log, core), started, log_start=log_start, core=core
-        )
+        log = None if self._logs is None else self._logs / f"{name}.log"
+        member = GroupMember(name, command, log, core)
+        member.start(time.monotonic())
+        self._members[name] = member
 
     def exits(self) -> list[ProcessExit]:
         """Return the processes that ended since the last call and are not yet to be restarted."""
@@ -272,8 +276,7 @@ class ProcessGroup:
         """Restart the processes whose back-off is over."""
         for member in self._members.values():
             if member.restart_at is not None and member.restart_at <= now:
-                member.process, member.started = _start(member.arguments, member.log, member.core), now
-                member.restart_at = None
+                member.start(now)
 
     def restart_with(self, flag: str, value: str) -> None:
         """Start members with this flag again, with another value; those that left stay away."""
@@ -286,10 +289,7 @@ class ProcessGroup:
         leave_by = time.monotonic() + self._grace
         for member in running:
             _end_by(member.process, leave_by)
-            member.process, member.started = (
-                _start(member.arguments, member.log, member.core),
-                time.monotonic(),
-            )
+            member.start(time.monotonic())
 
     def last_error(self, name: str) -> str:
         """Return the error sentence with which a process ended; empty where it ended without one."""

@@ -75,7 +75,7 @@ class Outcome(IntEnum):
 
 
 TRIALS = 100
-"""Trials of two shakes (Huber et al. 2024); the sum of their fitness is at most 200."""
+"""Trials of a success (Huber et al. 2024), each with the disturbances of the base protocol."""
 TRIAL_COUNTS = {"robust": TRIALS}
 
 
@@ -241,7 +241,7 @@ JOINT = 1e6  # [rad or m]
 LIMITS: Mapping[str, tuple[float, float]] = {
     "genome": (-JOINT, JOINT),  # in [-1, 1], except that genes of the prior `GIVEN` are poses and joints
     "outcome": (0, max(Outcome)),
-    "fitness": (0, SHAKES * TRIALS),  # as a search hears it of a success with trials
+    "fitness": (0, SHAKES * TRIALS),  # more disturbances than any protocol has
     "descriptor": (-LENGTH, LENGTH),
     "base_to_object": (-LENGTH, LENGTH),
     "joints": (-JOINT, JOINT),

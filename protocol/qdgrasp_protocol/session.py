@@ -110,8 +110,8 @@ def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
         return
     if not insecure:
         raise EndpointError(
-            f"Anyone who reaches {endpoint.text} could read everything and forge results; listen on "
-            f"tls/{endpoint.host}:{endpoint.port} with --security DIR (`qdgrasp security init` writes one), "
+            f"Anyone who reaches {endpoint.text} could read everything and forge results; listen on tls/"
+            f"{endpoint.text.partition('/')[2]} with --security DIR (`qdgrasp security init` writes one), "
             "or, on a network that you trust, add --insecure."
         )
     log.warning("not encrypted: anyone who gets here can read and forge everything", endpoint=endpoint.text)

@@ -17,6 +17,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets import object_shape
+from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_assets.catalog import assemble_scene, build_scene, carried_hand
 from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.collision_parts import ProcessLimits
@@ -35,7 +36,7 @@ from qdgrasp_assets.object_shape import (
 )
 from qdgrasp_assets.scene import Scene, SceneObject, pack_scene, vector
 from qdgrasp_protocol.build_messages import MeshPreparation, ShapeTask
-from qdgrasp_protocol.errors import AssetError, MessageError
+from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 
 SIDES = (0.02, 0.03, 0.05)
@@ -308,8 +309,9 @@ def test_a_shape_is_built_of_the_files_of_its_task_by_its_code_alone(tmp_path):
     task = shape_task(spec)
     assert task is not None
     folder = folder_of(task, spec, tmp_path / "elsewhere")
-    with pytest.raises(AssetError, match="another version of qdgrasp"):
+    with pytest.raises(QdgraspError, match="another version of qdgrasp") as caught:
         build_shape(msgspec.structs.replace(task, code="0" * 64), folder)
+    assert not isinstance(caught.value, AssetError)
     (folder / "mesh.stl").write_bytes(b"another")
     with pytest.raises(AssetError, match=r"The file 'mesh\.stl' is not the one"):
         build_shape(task, folder)
@@ -493,7 +495,7 @@ def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monke
     for age, key in enumerate(KEYS[:3]):
         store.put(key, payload)
         os.utime(tmp_path / f"{key}.shape", (age, age))
-    abandoned, recent = (tmp_path / f"{object_shape.UNFINISHED}{name}" for name in ("old", "new"))
+    abandoned, recent = (tmp_path / f"{UNFINISHED}{name}" for name in ("old", "new"))
     for folder in (abandoned, recent):
         folder.mkdir()
     os.utime(abandoned, (0, 0))

@@ -135,10 +135,16 @@ def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
     assert process.poll() is not None
 
 
-def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(processes):
-    talk = r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)"
+def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(processes, tmp_path):
+    mark = str(tmp_path / "mark")
+    said = r"os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n')"
+    talk = f"import os; os.path.exists({mark!r}) or {said}; open({mark!r}, 'w'); os._exit(2)"
     start(processes, talk, "talker").wait(PATIENCE)
     assert processes.last_error("talker") == "at: last"
+    assert len(processes.exits()) == 1
+    processes.restart_due(processes.restart_later("talker", now=0.0))
+    assert processes.process("talker").wait(PATIENCE) == 2
+    assert processes.last_error("talker") == ""  # of the second process, which says nothing
 
 
 ORPHAN = """

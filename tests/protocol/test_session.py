@@ -68,6 +68,7 @@ def test_where_strangers_get_to_nobody_listens_unless_it_is_meant(text: str) -> 
     with pytest.raises(EndpointError, match=r"--security DIR .* add --insecure") as caught:
         check_open(endpoint, insecure=False)
     assert caught.value.exit_code == 2
+    assert f"listen on tls/{text.partition('/')[2]} with" in str(caught.value)
     with capture_logs() as said:
         check_open(endpoint, insecure=True)
     assert [(line["log_level"], line["endpoint"]) for line in said] == [("warning", text)]

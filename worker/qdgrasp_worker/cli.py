@@ -14,7 +14,7 @@ from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo, run_command
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE
-from qdgrasp_protocol.process import configure_logging, lifetime
+from qdgrasp_protocol.process import ONE_THREAD, configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_worker.device import MOST_WORLDS, Device
 
@@ -98,9 +98,7 @@ def worker(
     Example: qdgrasp-worker --connect tls/head:7447 --security security --workers 4
     """
     with lifetime("qdgrasp-worker") as stop:
-        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ.setdefault(threads, "1")
-
+        os.environ.update(ONE_THREAD | os.environ)
         found = Device.find(device, worlds) if device else None
         if self_test:
             from qdgrasp_worker.platform import platform

@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.asset_paths import cache_folder, path_problem
+from qdgrasp_assets.asset_paths import cache_folder, path_problem, write_whole
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
 from qdgrasp_assets.geometry.primitives import heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
@@ -140,7 +140,7 @@ COACD_ITERATIONS = 50
 COACD_TRIANGLES = 30_000
 """Most triangles that CoACD is given: a denser mesh, which takes it minutes, is simplified for it."""
 CORNERS_AT_ONCE = 1 << 17
-"""Corners compared at once: their distances from `CORNERS` and their faces fill 300 MB."""
+"""Corners compared at once: their distances from the faces of the hull fill some 300 MB."""
 MANY_CORNERS, SHARE = 20_000, 32
 """Corners of a part above which one in so many is looked at first: the search takes as long as there are."""
 OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
@@ -181,7 +181,6 @@ class ProcessLimits:
 
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "Cannot allocate memory")
 """Words with which a process ends that asked for more memory than it may have."""
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 PATIENCE = 30  # Multiple of its limit of CPU time that a process may take by the clock
 
 
@@ -203,6 +202,8 @@ def decompose(
         command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
         if limits is not None:
             command += [str(math.ceil(limits.seconds)), str(limits.memory)]
+        from qdgrasp_protocol.process import ONE_THREAD  # it imports structlog, which no simulator loads
+
         environment = os.environ if limits is None else os.environ | ONE_THREAD
         pipe, null = subprocess.PIPE, subprocess.DEVNULL
         with (
@@ -334,13 +335,8 @@ def collision_parts(
     if not is_final:
         return COACD, _unfinished.setdefault(_cache_key(mesh), parts)
     content = parts_to_obj(parts)
-    with _keeping(cached.parent, name), tempfile.TemporaryDirectory(dir=cached.parent) as folder:
-        file = Path(folder) / cached.name
-        with file.open("wb") as stream:
-            stream.write(content + _digest_line(content))
-            stream.flush()
-            os.fsync(stream.fileno())
-        file.replace(cached)
+    with _keeping(cached.parent, name):
+        write_whole(cached, content + _digest_line(content), is_synced=True)
     return COACD, read_parts(cached)
 
 

@@ -66,7 +66,7 @@ def ray_scene(corners: Floats) -> Any:
 
 
 MOST_PIECES = 200_000  # Most pieces of triangles in `come_within`, which is undecided with more
-ENOUGH_PIECES = 50_000  # Most pieces in `nearest`, which is not refined further
+ENOUGH_PIECES = 50_000  # Most pieces in `surface_distance`, which is not refined further
 FINEST_PIECE = 1e-6  # Size of the smallest pieces [m]
 ACCURACY = 0.3  # Relative accuracy of a distance
 SLACK = 0.1  # Relative error allowed in the search for the nearest piece, for speed

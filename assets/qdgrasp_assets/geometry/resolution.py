@@ -10,7 +10,7 @@ from qdgrasp_assets.geometry.surface_points import sample_surface
 
 PART_MARGIN = 1e-3  # Distance outside its surface at which a convex part is met, in both engines [m]
 THINNEST = 2 * PART_MARGIN
-"""Thickness of a wall that is met twice as thick [m]: of thinner ones the margins of both sides are most."""
+"""Walls thinner than this consist mostly of the margins of the convex parts on both sides [m]."""
 SMALLEST_SIDE = 0.01  # Side of the cells by which archives tell poses apart [m]
 MOST_THIN = 0.1  # Share of the surface above which walls are said to be thin; edges of solids have less
 WALL_POINTS = 10_000  # Points of the surface at which walls are measured

@@ -58,9 +58,7 @@ def resting_poses(collision: bytes) -> tuple[RestingPose, ...]:
     return tuple(pose for pose in found if pose.probability >= LEAST_PROBABILITY) or tuple(found[:1])
 
 
-def chosen_resting_poses(
-    collision: bytes, number: int | str | None, name: str = "OBJECT"
-) -> dict[int, RestingPose]:
+def chosen_resting_poses(collision: bytes, number: int | str | None, name: str) -> dict[int, RestingPose]:
     """Return the resting poses by number that a number, "any" or None stands for.
 
     None: none. `collision` are the object's convex parts as one OBJ text. Raises ImpossibleValue if it has no

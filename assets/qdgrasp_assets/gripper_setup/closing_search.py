@@ -367,17 +367,14 @@ class ClosingSearch:
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
         """Return whether an open finger is in neither palm nor other fingers.
 
-        The link that it hangs on is left out. It may not be in the palm on the first half of its way either.
+        Neighbours of its links are left out. It may not be in the palm on the first half of its way either.
         """
         motion = self.motion(choices, {**self.resting, **resting})
-        links, pieces = self.fingers[number].links, self.body.rigid_piece
-        arms = {pieces[joint.child]: pieces[joint.parent] for joint in self.body.robot.joints if joint.moves}
+        links = self.fingers[number].links
         for share in CLEAR_SHARES:
             placed = self.body.parts_at(motion.posture(share))
             others = [each for each in placed if each not in links and (not share or self._is_palm(each))]
-            pairs = [
-                (link, other) for link in links for other in others if arms.get(pieces[link]) != pieces[other]
-            ]
+            pairs = [pair for pair in product(links, others) if not self.body.are_neighbours(*pair)]
             if any(are_deep(placed[link], placed[other], DEEP_OVERLAP) for link, other in pairs):
                 return False
         followed = {name for name, each in self.body.followers.items() if each.leader in resting}

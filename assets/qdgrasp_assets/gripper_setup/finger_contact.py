@@ -113,16 +113,12 @@ def closing_leaders(body: HandModel, finger: Finger, closed: Mapping[str, float]
 
 def _pairs(closing: ClosingMotion) -> Iterator[tuple[str, str, float]]:
     """Yield the pairs of links that may meet, with the allowed depth [m]."""
-    body, pieces = closing.body, closing.body.rigid_piece
-    arms = {pieces[joint.child]: pieces[joint.parent] for joint in body.robot.joints if joint.moves}
+    body, rows = closing.body, closing.rows()
     numbers = {link: number for number, finger in enumerate(closing.fingers) for link in finger.links}
-    rows = closing.rows()
     opened = body.parts_at(closing.posture(0.0))
     for one, other in combinations(body.parts, 2):
         first, second = numbers.get(one, -1), numbers.get(other, -2)
-        pair = {pieces[one], pieces[other]}
-        are_near = len(pair) == 1 or any({link, arms.get(link, link)} == pair for link in pair)
-        if first == second or (first < 0 and second < 0) or are_near:
+        if first == second or (first < 0 and second < 0) or body.are_neighbours(one, other):
             continue
         limit = CROSSED if any({first, second} <= row for row in rows) else DEEP_OVERLAP
         if not are_deep(opened[one], opened[other], DEEP_OVERLAP):

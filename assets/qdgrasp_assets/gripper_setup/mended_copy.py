@@ -87,8 +87,8 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand, folder, tell, time_limit)
-    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.mend(hand)]
-    changes += splitter.copy_visuals(hand)
+    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.mend()]
+    changes += splitter.copy_visuals()
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 

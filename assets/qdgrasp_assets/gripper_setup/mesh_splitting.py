@@ -22,7 +22,7 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, stl_triangl
 from qdgrasp_assets.geometry.primitives import hull
 from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
 from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
-from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
+from qdgrasp_assets.grippers.urdf import Urdf, add_file, parse_origin
 from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import counted
@@ -97,9 +97,9 @@ class MeshSplitter:
         self._done: dict[tuple[str, str], tuple[str, str]] = {}
         """New file and change in words, by mesh and scale."""
 
-    def mend(self, hand: Urdf) -> Iterator[str]:
-        """Rewrite the meshes of a hand for the simulator, in its element; yields the changes."""
-        for link, shape in collision_elements(hand):
+    def mend(self) -> Iterator[str]:
+        """Rewrite the meshes of the hand for the simulator, in its element; yields the changes."""
+        for link, shape in collision_elements(self._hand):
             mesh = shape.find("geometry/mesh")
             if mesh is None:
                 continue
@@ -112,10 +112,10 @@ class MeshSplitter:
             if words:
                 yield f"the mesh '{key[0]}' of the link '{link}' {words}"
 
-    def copy_visuals(self, hand: Urdf) -> Iterator[str]:
+    def copy_visuals(self) -> Iterator[str]:
         """Copy the meshes of visual shapes as they are, for pictures; yields those left out."""
         missing = 0
-        for link in hand.element.findall("link"):
+        for link in self._hand.element.findall("link"):
             for visual in link.findall("visual"):
                 mesh = visual.find("geometry/mesh")
                 if mesh is None:
@@ -128,17 +128,10 @@ class MeshSplitter:
                     missing += 1
                     continue
                 path = PurePosixPath(name)
-                mesh.set("filename", self._add(f"{path.stem}_visual", path.suffix, content))
+                stem = f"{self._folder}/{path.stem}_visual"
+                mesh.set("filename", add_file(self.files, stem, path.suffix, content))
         if missing:
             yield f"{counted(missing, 'visual shape')} left out, of which the meshes are missing"
-
-    def _add(self, stem: str, suffix: str, content: bytes) -> str:
-        """Add a file of this name, numbered where another one has it; return its path."""
-        file, number = f"{self._folder}/{stem}{suffix}", 1
-        while self.files.get(file, content) != content:
-            file, number = f"{self._folder}/{stem}_{number}{suffix}", number + 1
-        self.files[file] = content
-        return file
 
     def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
         """Return the corners (v, 3) of the mended link's convex parts [m], link frame."""
@@ -164,11 +157,8 @@ class MeshSplitter:
             mesh = mesh.scaled(MILLIMETRES)
             words.append(f"was {side:.4g} m large, and is taken for millimetres")
         parts, change = self._parts(link, name, element, mesh)
-        stem, number = PurePosixPath(name).stem, 1
-        file = f"{self._folder}/{stem}.obj"
-        while file in self.files:
-            file, number = f"{self._folder}/{stem}_{number}.obj", number + 1
-        self.files[file] = parts_to_obj(parts)
+        stem = f"{self._folder}/{PurePosixPath(name).stem}"
+        file = add_file(self.files, stem, ".obj", parts_to_obj(parts))
         return file, " and ".join([*words, *([change] if change else [])])
 
     def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
@@ -182,6 +172,7 @@ class MeshSplitter:
             return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
         thin, percent = thin_mesh(mesh), f"{100 * filled:.0f} %"
+        found, more = tuple[Mesh, ...](), ""
         try:
             for threshold in THRESHOLDS:
                 found = decompose(thin, name, threshold, self._time_limit)
@@ -189,11 +180,13 @@ class MeshSplitter:
                 if left <= MUCH_FILLED:
                     break
         except DecompositionTimeout:
-            words = f"stays a hull that fills the room before {percent} of its surface"
-            return own, f"{words}: no parts were found in time"
+            if not found:
+                words = f"stays a hull that fills the room before {percent} of its surface"
+                return own, f"{words}: no parts were found in time"
+            more = "; no finer ones were found in time"
         return found, (
             f"was split into {len(found)} convex parts: its hull would fill the room before {percent} of its "
-            f"surface, they fill {100 * left:.0f} %"
+            f"surface, they fill {100 * left:.0f} %{more}"
         )
 
     def _hulls_of(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:

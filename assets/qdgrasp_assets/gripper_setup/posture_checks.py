@@ -104,12 +104,8 @@ def is_always_deep(hand: HandPostures, one: str, other: str) -> bool:
 
 def deep_pairs(hand: HandPostures, share: float) -> Iterator[tuple[str, str, float]]:
     """Yield pairs of links that are not neighbours and are deep in each other."""
-    pieces = hand.body.rigid_piece
-    arms = {pieces[joint.child]: pieces[joint.parent] for joint in hand.body.robot.joints if joint.moves}
     for one, other in combinations(hand.body.parts, 2):
-        first, second = pieces[one], pieces[other]
-        are_near = first == second or arms.get(first) == second or arms.get(second) == first
-        deep = 0.0 if are_near else depth_at(hand, one, other, share)
+        deep = 0.0 if hand.body.are_neighbours(one, other) else depth_at(hand, one, other, share)
         if deep > DEEP_OVERLAP:
             yield one, other, deep
 

@@ -218,6 +218,17 @@ class HandModel:
             pieces[joint.child] = joint.child if joint.moves else pieces[joint.parent]
         return pieces
 
+    @cached_property
+    def _joined_pieces(self) -> frozenset[frozenset[str]]:
+        """Pairs of rigid pieces that a joint moves against each other."""
+        ends = ((joint.parent, joint.child) for joint in self.robot.joints if joint.moves)
+        return frozenset(frozenset(self.rigid_piece[link] for link in pair) for pair in ends)
+
+    def are_neighbours(self, one: str, other: str) -> bool:
+        """Return whether two links are of one rigid piece, or of two that a joint connects."""
+        pair = {self.rigid_piece[one], self.rigid_piece[other]}
+        return len(pair) == 1 or pair in self._joined_pieces
+
     def parts_at(
         self, posture: Mapping[str, float], links: Iterable[str] | None = None
     ) -> dict[str, tuple[ConvexSolid, ...]]:

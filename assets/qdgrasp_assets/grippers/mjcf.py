@@ -10,7 +10,6 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj
 from qdgrasp_assets.geometry.primitives import geodesic, hull
 from qdgrasp_assets.grippers.mjcf_couplings import Mechanism, command_ranges, efforts, find_couplings
-from qdgrasp_assets.grippers.urdf import MOST_LINKS, Urdf, UrdfJoint, parse_robot
+from qdgrasp_assets.grippers.urdf import MOST_LINKS, Urdf, UrdfJoint, add_file, parse_robot
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import counted, first_few, quoted
 
@@ -98,9 +97,18 @@ def _check_source(path: Path) -> None:
         raise AssetError(f"'{path}' is not XML ({error}), and an MJCF file is.") from None
     if soft := sorted({each.tag for each in root.iter() if each.tag in SOFT and len(each.attrib)}):
         raise AssetError(f"'{path}' has soft bodies (<{'>, <'.join(soft)}>), and hands are rigid here.")
-    counts = [each.get("count", "1") for each in root.iter("replicate")]
-    if prod(int(count) for count in counts if count.isdecimal()) > MOST_LINKS:
-        raise AssetError(f"'{path}' replicates bodies {' x '.join(counts)} times, more than {MOST_LINKS}.")
+    if _copies(root) > MOST_LINKS:
+        raise AssetError(f"'{path}' replicates bodies more than {MOST_LINKS} times.")
+
+
+def _copies(root: ET.Element) -> int:
+    """Return the copies that `<replicate>` elements make: products of nested ones, added up."""
+    made: dict[ET.Element, int] = {}
+    for each in reversed(list(root.iter())):  # the inner ones before the outer ones
+        inner = sum(made.pop(child) for child in each)
+        count = each.get("count", "") if each.tag == "replicate" else ""
+        made[each] = int(count) * max(inner, 1) if count.isdecimal() else inner
+    return made[root]
 
 
 def _leave_out_looks(spec: Any, mujoco: Any) -> None:
@@ -317,12 +325,7 @@ class _Translation:
 
     def _file(self, name: str, mesh: Mesh) -> str:
         """Write a mesh, and return its file's name, which is like `name`."""
-        stem, number = re.sub(r"[^\w.-]+", "_", name), 1
-        file = f"{stem}.obj"
-        while file in self.meshes:
-            file, number = f"{stem}_{number}.obj", number + 1
-        self.meshes[file] = parts_to_obj([mesh])
-        return file
+        return add_file(self.meshes, re.sub(r"[^\w.-]+", "_", name), ".obj", parts_to_obj([mesh]))
 
 
 def _round_solid(kind: Any, size: Floats) -> Mesh:

@@ -283,6 +283,15 @@ def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
         yield Path(place) / rest
 
 
+def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) -> str:
+    """Add a file, with a number where its path has another content; return its path."""
+    path, number = f"{stem}{suffix}", 1
+    while files.get(path, content) != content:
+        path, number = f"{stem}_{number}{suffix}", number + 1
+    files[path] = content
+    return path
+
+
 MOST_LINKS = 1000  # Links of a robot
 FARTHEST = 1000.0  # Greatest length in a file [m], and factor of a mesh
 LENGTHS = {

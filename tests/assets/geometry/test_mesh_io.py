@@ -293,6 +293,19 @@ def test_a_large_mesh_is_simplified_where_that_is_asked_for(tmp_path, monkeypatc
     assert (found.faults, found.repairs) == ((), ("simplified from 5120 to 800 triangles",))
 
 
+def test_a_file_that_could_not_be_read_is_checked_again(tmp_path, monkeypatch):
+    def failing(*_given, **_named):
+        raise MemoryError
+
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    file = tmp_path / "block.stl"
+    trimesh.creation.box(BLOCK).export(file)
+    with monkeypatch.context() as context:
+        context.setattr(trimesh, "load_scene", failing)
+        assert "MemoryError" in check_mesh(file).faults[0]
+    assert check_mesh(file).faults == ()
+
+
 def test_files_beside_a_gltf_are_part_of_its_content(tmp_path, monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
     for name, content in trimesh.exchange.gltf.export_gltf(trimesh.creation.box(BLOCK).scene()).items():

@@ -10,9 +10,10 @@ from tests.assets import synthetic_hands
 from tests.assets.example_hands import BOX, INERTIA, write_arch
 
 from qdgrasp_assets.asset_report import examine, hand_faults
+from qdgrasp_assets.geometry.collision_parts import DecompositionTimeout
 from qdgrasp_assets.geometry.mesh import join, parts_to_obj
 from qdgrasp_assets.geometry.primitives import hull
-from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup import grasp_inference, mesh_splitting
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
@@ -138,6 +139,22 @@ def test_a_hollow_mesh_for_which_there_is_no_time_stays_a_hull(jaw_urdf, edit):
     robot, toml = read_urdf(jaw_urdf), jaw_urdf.parent / "own.toml"
     with mended_copy(robot, "palm", toml, lambda _: None, may_centre=False, time_limit=0.0) as copy:
         assert "stays a hull" in copy.changes[0]
+
+
+def test_parts_of_a_hollow_mesh_are_kept_where_there_is_no_time_for_finer_ones(jaw_urdf, edit, monkeypatch):
+    tried = []
+
+    def coarse(mesh, name, threshold, seconds):
+        tried.append(threshold)
+        if len(tried) > 1:
+            raise DecompositionTimeout(name, seconds)
+        return (hull(mesh.vertices),)
+
+    monkeypatch.setattr(mesh_splitting, "decompose", coarse)
+    write_arch(jaw_urdf.parent / "arch.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
+    assert mended(jaw_urdf).changes[0].endswith(" %; no finer ones were found in time")
+    assert len(tried) == 2
 
 
 def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw_urdf, edit):

@@ -160,7 +160,7 @@ ENTITIES = '<!DOCTYPE m [<!ENTITY a "aaaaaaaaaa">{}]>'.format(
         (BODY.format("").replace("<w", '<include file="hand.xml"/><w'), "'hand.xml' already included"),
         (BODY.format("").replace("<w", '<include file="none.xml"/><w'), "none.xml"),
         (ENTITIES + BODY.format('<body name="&i;"/>'), "is not XML"),
-        (BODY.format(COPIES), "100 x 100"),
+        (BODY.format(COPIES), "replicates bodies more than 1000 times"),
         (BODY.format('<flexcomp name="f" type="grid"/>'), "soft bodies (<flexcomp>)"),
         (BODY.format("".join("<body/>" for _ in range(1001))), "has 1003 bodies, and at most 1000"),
         (BODY.format("</geom>"), "is not XML"),
@@ -190,6 +190,12 @@ def test_what_the_simulator_does_not_take_is_a_fault_of_the_hand(tmp_path, monke
     found, _ = examine_urdf(example_mjcf.write(tmp_path, BODY.format(inner)), "hand")
     assert fault in "; ".join(found.faults)
     assert [each.name for each in tmp_path.iterdir()] == ["hand.xml"]  # MuJoCo wrote no log
+
+
+def test_copies_of_replicates_beside_each_other_add_up(tmp_path):
+    taxels = COPIES.replace("100", "4")
+    robot, _ = read_mjcf(example_mjcf.write(tmp_path, BODY.format(6 * taxels)))
+    assert len(robot.element.findall("link/collision")) == 1 + 6 * 16
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path):

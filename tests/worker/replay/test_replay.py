@@ -1,6 +1,7 @@
 """A replay gives the recorded verdict, and its pictures agree with the numbers."""
 
 import xml.etree.ElementTree as ET
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from qdgrasp_assets.grippers.hand_surface import HandKinematics
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import scene_protocol
@@ -202,6 +204,12 @@ def test_a_part_that_did_not_happen_is_refused(on_the_cube):
     row = on_the_cube.one(Outcome.OVERLAP)
     with pytest.raises(InputError, match="no shakes to show: its outcome is overlap"):
         drawn(EpisodeReplay(on_the_cube.scene, request(row, "shakes")))
+
+
+def test_a_request_that_cannot_be_read_is_not_taken_for_a_full_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(replay, "lifetime", lambda _title: nullcontext(Stop()))
+    with pytest.raises(FileNotFoundError):
+        replay.replay_folder(tmp_path)
 
 
 def test_convex_parts_are_drawn_where_they_are_asked_for(on_the_cube):

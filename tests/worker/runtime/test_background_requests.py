@@ -9,6 +9,7 @@ from unittest.mock import Mock, call
 import pytest
 from tests.fakes.coordinator import LeasingCoordinator
 
+from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_worker.runtime import background_requests
@@ -44,6 +45,9 @@ def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, m
     monkeypatch.setattr(background_requests, "MAX_STORE_SIZE", 3 * len(SCENE))
     old, recent, reused = (keep(tmp_path, SCENE[:6] + end, 1 + i) for i, end in enumerate((b"1", b"2", b"3")))
     os.utime(tmp_path / reused, ns=(0, 0))
+    abandoned = tmp_path / f"{UNFINISHED}of a worker that was killed"
+    abandoned.mkdir()
+    os.utime(abandoned, (0, 0))
     cache = SceneStore(tmp_path)
     cache.bundle(office.bus, "job", reused)
     cache.bundle(office.bus, "job", office.digest)

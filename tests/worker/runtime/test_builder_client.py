@@ -88,6 +88,14 @@ def test_files_that_cannot_be_fetched_are_no_evidence_against_the_object(mesh: P
     assert not ended.is_final
 
 
+def test_a_builder_of_another_version_is_no_evidence_against_the_object(mesh: Path) -> None:
+    with serving(mesh) as (client, news):
+        client.start(JOB, build_of(mesh, code="0" * 64))
+        ended = news.get(timeout=PATIENCE)
+    assert "by another version of qdgrasp" in ended.reason
+    assert not ended.is_final
+
+
 def test_a_mesh_that_cannot_be_used_is_final(tmp_path: Path) -> None:
     flat = tmp_path / "flat.stl"
     trimesh.Trimesh([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [(0, 1, 2)]).export(flat)

@@ -120,7 +120,27 @@ def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cu
 )
 def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -> None:
     with pytest.raises(BadVerdict, match=words):
-        verdicts.columns(hands(2))
+        verdicts.columns(hands(2), 2)
+
+
+@pytest.mark.parametrize(("protocol", "held"), [("robust", 2), ("physical", 6)])
+def test_a_hand_that_holds_survives_all_disturbances_of_the_protocol(
+    make_scene: Callable[[str, str, str], Scene], protocol: str, held: int
+) -> None:
+    own = CustomEvaluator(make_scene("panda", "rubiks_cube", protocol), Height)
+    rows = own.evaluate("approach", draw(40), np.zeros(40, np.uint16)).rows
+    assert set(rows["fitness"].tolist()) == {0, held}
+    assert ((rows["fitness"] > 0) == (rows["outcome"] == Outcome.HELD)).all()
+    graded = Verdicts(np.array([Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD]))
+    assert graded.columns(hands(3), held)["fitness"].tolist() == [0, 1, held]
+
+
+def test_a_row_that_is_refused_holds_zeros(cube: Scene) -> None:
+    genomes = draw(2)
+    genomes[0] = np.nan
+    found = CustomEvaluator(cube, Height).evaluate("approach", genomes, np.zeros(2, np.uint16))
+    assert [place for place, _ in found.failures] == [0]
+    assert found.rows["proposals"].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(("at_once", "pieces"), [(25, [25, 25, 10]), (ROWS_AT_ONCE, [16, 16, 16, 12])])

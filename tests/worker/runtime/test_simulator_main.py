@@ -12,11 +12,13 @@ from tests.fakes.job import Job
 from tests.fakes.worker import RunningWorker
 from tests.worker.runtime.crashing_simulator import COMMAND
 
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.rows import Outcome, RowShape, pack
 from qdgrasp_worker.evaluator import Evaluation
 from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import (
+    LENGTH_HEADER,
+    MAX_FRAME_SIZE,
     BatchRejected,
     EvaluateRows,
     FramedSocket,
@@ -52,7 +54,7 @@ print(os.nice(0))
 
 LIMIT = """
 from qdgrasp_assets.process_limits import limit_memory
-limit_memory(400_000_000)
+assert limit_memory(400_000_000)
 try:
     bytearray(500_000_000)
 except MemoryError:
@@ -73,6 +75,14 @@ def test_it_stands_back_in_its_session_and_as_a_session():
 
 def test_it_may_not_ask_for_more_memory_than_was_granted():
     assert printed(LIMIT) == "refused"
+
+
+def test_a_frame_that_is_too_long_is_no_end_of_the_socket():
+    ours, its = socket.socketpair()
+    with ours, its:
+        its.sendall(LENGTH_HEADER.pack(MAX_FRAME_SIZE + 1))
+        with pytest.raises(MessageError, match="a frame of 1073741825 bytes"):
+            FramedSocket(ours).receive()
 
 
 class Scarce:

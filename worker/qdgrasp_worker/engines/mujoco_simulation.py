@@ -1,4 +1,4 @@
-"""A model of a scene in MuJoCo with its state; the one module that imports MuJoCo."""
+"""A scene's model in MuJoCo with its state; the one module of the worker that imports it."""
 
 from collections.abc import Sequence
 from typing import Any

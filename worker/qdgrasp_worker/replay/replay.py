@@ -167,9 +167,10 @@ def replay_folder(folder: Path) -> None:
 
     with lifetime("qdgrasp-replay") as stop:
         stop.tell(lambda: os._exit(stop.exit_code))  # only a temporary folder is left behind
+        request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
+        replay = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request)
         try:
-            request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
-            answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)
+            answer = replay.render(make)
             (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
         except OSError as error:
             reason = error.strerror or error

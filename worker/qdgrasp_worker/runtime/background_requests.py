@@ -6,8 +6,8 @@ digest, checked, kept on disk, and kept in memory until the simulator has them.
 
 import hashlib
 import os
-import tempfile
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,6 +18,7 @@ from typing import TypeVar
 
 import structlog
 
+from qdgrasp_assets.asset_paths import remove_unfinished, write_whole
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import NoReply, QdgraspError
@@ -40,8 +41,7 @@ class SceneStore:
             payload = bundle_transfer.fetch_bundle(bus, job, digest)
             if self._folder is not None:
                 with suppress(OSError):  # a cache that cannot be written is only slower
-                    self._folder.mkdir(parents=True, exist_ok=True)
-                    _write(self._folder, digest, payload)
+                    write_whole(self._folder / digest, payload)
                     _make_room(self._folder)
         return payload
 
@@ -57,20 +57,9 @@ def _read(path: Path) -> bytes | None:
     return None
 
 
-def _write(folder: Path, name: str, payload: bytes) -> None:
-    """Write a file atomically."""
-    handle, draft = tempfile.mkstemp(dir=folder)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(payload)
-        Path(draft).replace(folder / name)
-    except OSError:
-        Path(draft).unlink(missing_ok=True)
-        raise
-
-
 def _make_room(folder: Path) -> None:
-    """Remove the least recently used scenes above the size limit."""
+    """Remove the least recently used scenes above the size limit, and unfinished files."""
+    remove_unfinished(folder, time.time())
     scenes = [(path, path.stat()) for path in folder.iterdir() if DIGEST.fullmatch(path.name)]
     scenes.sort(key=lambda scene: scene[1].st_mtime_ns, reverse=True)
     size = 0
@@ -142,7 +131,7 @@ def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
     except QdgraspError as error:
         return error
     except Exception as error:
-        log.exception("an errand failed")
+        log.exception("a request to a coordinator failed")
         return NoReply(f"{type(error).__name__}: {error}")
 
 

@@ -22,7 +22,9 @@ class BatchProgress:
     done: int = 0
     """Number of its rows that are known."""
     since: float = 0.0
-    """Time at which the simulator began it."""
+    """Time at which the present simulator began it."""
+    done_before: int = 0
+    """Number of its rows that were known then."""
     cpu_seconds: float = 0.0
     _parts: list[PartialResult] = field(default_factory=list)
     _failures: list[Failure] = field(default_factory=list)
@@ -33,9 +35,13 @@ class BatchProgress:
         return self.done >= self.work.n
 
     def seconds_left(self, now: float) -> float:
-        """Seconds for the rest at the same pace; while no row is known, as many as have passed."""
-        passed = now - self.since
-        return passed / self.done * (self.work.n - self.done) if self.done else passed
+        """Seconds for the rest at the same pace; before the first row, as many as have passed."""
+        passed, found = now - self.since, self.done - self.done_before
+        return passed / found * (self.work.n - self.done) if found else passed
+
+    def begin(self, now: float) -> None:
+        """Note that a simulator begins with its rows that are not known."""
+        self.since, self.done_before = now, self.done
 
     def request(self, bundle: bytes | None) -> EvaluateRows:
         """Return the request to evaluate the rows that are not known yet, with the scene if given."""

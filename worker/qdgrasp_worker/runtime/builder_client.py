@@ -15,28 +15,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import structlog
 
 from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.build_messages import MOST_PIECES, Build, Built, ShapeTask, split_payload
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import BusError, MessageError, Refused
+from qdgrasp_protocol.errors import BusError, MessageError
 from qdgrasp_protocol.messages import MAX_REASON, shorten
-
-log = structlog.get_logger()
 
 BUILDER = [sys.executable, "-m", "qdgrasp_assets.shape_builder"]
 WALL_FACTOR, WALL_MARGIN = 30.0, 600.0
 """A builder is ended after this multiple of the task's CPU seconds, plus a margin: it has its own limit."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
-
-
-class BuilderReport(msgspec.Struct):
-    """The part of a builder's report that is read here."""
-
-    shape: bytes
-    """The shape, packed."""
 
 
 @dataclass(frozen=True)
@@ -133,17 +123,12 @@ class _Attempt:
                 return self._build(task, Path(folder), nice)
         except bundle_transfer.TooLarge as error:
             return BuildEnded(self.job, self.build, reason=str(error), is_final=True)
-        except (BusError, MessageError, Refused) as error:
+        except (BusError, MessageError) as error:
             return BuildEnded(self.job, self.build, reason=f"its files cannot be fetched: {error}")
-        except (RuntimeError, MemoryError) as error:  # no thread, or no room for one
+        except (RuntimeError, MemoryError, OSError) as error:  # no thread, or no room for one
             self.kill()
-            return BuildEnded(self.job, self.build, reason=f"it cannot be built here: {error}")
-        except msgspec.MsgspecError as error:
-            return BuildEnded(self.job, self.build, reason=f"its builder's report cannot be read: {error}")
-        except OSError as error:
-            return BuildEnded(
-                self.job, self.build, reason=f"it cannot be built here: {error.strerror or error}"
-            )
+            why = getattr(error, "strerror", None) or error
+            return BuildEnded(self.job, self.build, reason=f"it cannot be built here: {why}")
 
     def _fetch(self, bus: Bus, task: ShapeTask, folder: Path) -> None:
         for file in task.files:
@@ -178,8 +163,7 @@ class _Attempt:
             said = " ".join(errors.read().decode(errors="replace").split())
         cpu_seconds = usage.ru_utime + usage.ru_stime
         if code == 0:
-            shape = msgspec.msgpack.decode(found.read_bytes(), type=BuilderReport).shape
-            return BuildEnded(self.job, self.build, shape, cpu_seconds=cpu_seconds)
+            return BuildEnded(self.job, self.build, found.read_bytes(), cpu_seconds=cpu_seconds)
         ended = f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         reason = said if code == UNUSABLE else said[-MAX_REASON:] or ended
         return BuildEnded(

@@ -22,7 +22,7 @@ from qdgrasp_assets.genes import RANKING_GENES
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, disturbance_count, nominal_protocol
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
 from qdgrasp_worker.filters.table_filter import TableFilter
@@ -40,6 +40,7 @@ class CustomEvaluator(BatchEvaluator):
         super().__init__(scene)
         self._judge: EvaluatorFn = make(scene)
         self._table = TableFilter(scene)
+        self._disturbances = disturbance_count(nominal_protocol(scene.protocol, scene.base))
         self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
 
     def close(self) -> None:
@@ -58,7 +59,7 @@ class CustomEvaluator(BatchEvaluator):
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
         grasps, rows = self._decoder(prior)(genomes), self.shape(prior).empty(len(genomes))
-        rows["genome"], rows["trial"], rows["proposals"] = genomes, trials, 1
+        rows["genome"], rows["trial"] = genomes, trials
         reasons = row_refusals(genomes, trials, grasps, self._protocol.trials)
         failures = [(place, reason) for place, reason in enumerate(reasons) if reason]
         _fill_poses(rows, grasps, np.array([not reason for reason in reasons], dtype=bool))
@@ -95,7 +96,7 @@ class CustomEvaluator(BatchEvaluator):
     def _judged(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> Failures:
         """Fill the rows at these places with verdicts; where that fails, one by one."""
         try:
-            columns = self._judge(hands).columns(hands)
+            columns = self._judge(hands).columns(hands, self._disturbances)
         except Exception as error:  # noqa: BLE001  # any failure is these rows' result and no other's
             if len(places) > 1:
                 alone = (slice(i, i + 1) for i in range(len(places)))
@@ -109,7 +110,7 @@ class CustomEvaluator(BatchEvaluator):
 
 
 def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) -> None:
-    rows["outcome"][is_posed] = Outcome.DEAD_END
+    rows["outcome"][is_posed], rows["proposals"][is_posed] = Outcome.DEAD_END, 1
     columns = {
         "base_to_object": np.concatenate([grasps.positions, grasps.quaternions], axis=1),
         "descriptor": grasps.positions,

@@ -51,7 +51,7 @@ class Verdicts:
     outcomes: NDArray[np.integer]
     """(n,): `Outcome.OVERLAP` to `Outcome.HELD`."""
     fitness: NDArray[np.floating] | None = None
-    """(n,): shakes survived, 0 to 2; None: as the outcomes say."""
+    """(n,): disturbances survived; None: all of the protocol where held, 1 where shaken, else 0."""
     joints: NDArray[np.floating] | None = None
     """(n, j): finger joints at the grasp [rad or m]; None: those that the hand started from."""
     contacts: NDArray[np.integer] | None = None
@@ -59,17 +59,20 @@ class Verdicts:
     penetration: NDArray[np.floating] | None = None
     """(n,): deepest penetration [m], 0 or positive; None: not known, zeros are recorded."""
 
-    def columns(self, hands: Hands) -> dict[str, NDArray[np.generic]]:
-        """The columns of rows that they fill; a BadVerdict if a shape or a value is impossible."""
+    def columns(self, hands: Hands, disturbances: int) -> dict[str, NDArray[np.generic]]:
+        """The columns of rows that they fill; a BadVerdict if a shape or a value is impossible.
+
+        `disturbances` is the number of them in one evaluation.
+        """
         n, zeros = len(hands), np.zeros(len(hands))
         joints = hands.joints if self.joints is None else self.joints
         outcomes = _checked_array("outcomes", self.outcomes, (n,)).astype(np.int64)
         if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
             raise BadVerdict(f"outcomes must be {Outcome.OVERLAP:d} (OVERLAP) to {Outcome.HELD:d} (HELD)")
-        shakes = np.maximum(outcomes - Outcome.DROPPED, 0)
+        survived = np.select([outcomes == Outcome.HELD, outcomes == Outcome.SHAKEN], [disturbances, 1])
         return {
             "outcome": outcomes,
-            "fitness": _checked_array("fitness", shakes if self.fitness is None else self.fitness, (n,)),
+            "fitness": _checked_array("fitness", survived if self.fitness is None else self.fitness, (n,)),
             "joints": _checked_array("joints", joints, (n, hands.joints.shape[1]), least=None),
             "contacts": _checked_array("contacts", zeros if self.contacts is None else self.contacts, (n,)),
             "penetration": _checked_array(

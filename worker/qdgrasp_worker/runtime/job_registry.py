@@ -46,8 +46,6 @@ class JobSession:
         """Its coordinator is gone; the next one may count epochs anew."""
         self.is_draining = False
         """Its coordinator asked this worker to finish what it holds, and to leave."""
-        self.dropped = 0
-        """Batches of another epoch or of an older join."""
         self._held: OrderedDict[bytes, Work | Build] = OrderedDict()
         self._begun: set[bytes] = set()
         self._coordinators: set[int] = set()  # Epochs of the present coordinators
@@ -172,7 +170,6 @@ class JobSession:
     def accept(self, work: Work | Build) -> bool:
         """Take a leased batch or build; False when it is of another epoch or of an older join."""
         if work.epoch != self.epoch or work.join != self.number:
-            self.dropped += 1
             return False
         self._held[work.batch] = work
         return True

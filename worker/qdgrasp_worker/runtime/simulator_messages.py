@@ -122,7 +122,9 @@ class FramedSocket:
         if head is None:
             return None
         (length,) = LENGTH_HEADER.unpack(head)
-        frame = self._read(length) if length <= MAX_FRAME_SIZE else None
+        if length > MAX_FRAME_SIZE:
+            raise MessageError(f"a frame of {length} bytes, and at most {MAX_FRAME_SIZE} are read")
+        frame = self._read(length)
         try:
             return None if frame is None else _DECODER.decode(frame)
         except msgspec.MsgspecError as error:

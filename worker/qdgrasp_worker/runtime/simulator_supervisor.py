@@ -300,7 +300,7 @@ class SimulatorSupervisor:
         self._simulator.send(task.request(bundle))
         if task is self.next_requeued:
             self._requeued.popleft()
-        task.since = now
+        task.begin(now)
         self._sent.append(task)
         self._scenes.add(task.work.scene)
 
@@ -349,7 +349,7 @@ class SimulatorSupervisor:
             return []
         self._sent.popleft()
         if self.head is not None:
-            self.head.since = now
+            self.head.begin(now)
         return [head]
 
     def _on_end(self, event: SimulatorEnded, now: float) -> list[BatchProgress]:
