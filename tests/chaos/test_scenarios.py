@@ -14,7 +14,7 @@ from tests.common import HOST, wait_for
 from tests.fakes.slow_link import slow_link
 from tests.system.commands import digest_of
 
-from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import TookOver
 
@@ -72,7 +72,7 @@ def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     recorder = household["recorder"]
     recorder.send(signal.SIGKILL)
     before = household.rows
-    tear(household.run / f"{FILE}-wal")
+    tear(household.run / f"{JOURNAL}-wal")
     assert household.rows < before
     recorder.start()
     assert ends_well(household) == expected
@@ -81,7 +81,7 @@ def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
 @pytest.mark.slow
 def test_a_disk_that_is_full_for_a_while_is_waited_for(household: JobProcesses, expected: str) -> None:
     recorder = household["recorder"]
-    largest = max(file.stat().st_size for file in household.run.glob(f"{FILE}*"))
+    largest = max(file.stat().st_size for file in household.run.glob(f"{JOURNAL}*"))
     _, most = resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (largest, most))
     wait_for(lambda: "the disk is full" in recorder.words, "a full disk")

@@ -48,7 +48,7 @@ from qdgrasp_coordinator.monitor.terminal.screen import ScreenState, report_line
 from qdgrasp_coordinator.monitor.terminal.text_tables import ASCII
 from qdgrasp_coordinator.scheduler.status_publisher import STATUS_INTERVAL
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal_schema import FILE
+from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.keys import Keys
@@ -324,7 +324,7 @@ class CountedRun(Watched):
         """The recorder has no room meanwhile: all that is found waits for it, and the job does not end."""
         (recorder,) = pids(self.run, "recorder")
         _, most = resource.prlimit(recorder, resource.RLIMIT_FSIZE)
-        written = (self.folder / f"{FILE}-wal").stat().st_size
+        written = (self.folder / f"{JOURNAL}-wal").stat().st_size
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, (written, most))
         yield
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))

@@ -258,7 +258,7 @@ class DatasetWriter:
                 continue
             try:
                 spec = RunFolder.open(path).spec
-            except FolderError as error:
+            except InputError as error:
                 self._left_out[path.name] = str(error)
                 continue
             found = spec.about or ObjectRecord()
@@ -435,16 +435,17 @@ class DatasetWriter:
         """Write what is about all files; returns how much was written, in words."""
         self._end_shard()
         self._record("")
-        records = self._progress.records
+        left_out = {run: reason for each in self._progress.records() for run, reason in each.left_out.items()}
         if not any(entry.rows for entry in self._progress.entries()):
             shutil.rmtree(self._path)
-            raise FolderError(
-                f"{self._campaign.path} has no grasp to write; --min-fitness 0 takes all successes."
-            )
+            why = "; --min-fitness 0 takes all successes."
+            if left_out:
+                number, first = counted(len(left_out), "run"), next(iter(left_out.values()))
+                why = f": {number} could not be read, the first: {first}"
+            raise FolderError(f"{self._campaign.path} has no grasp to write{why}")
         if not self._form.suffix:
             self._write_graspgen_lists()
         write_index(self._path, self._progress.entries)
-        left_out = {run: reason for record in records() for run, reason in record.left_out.items()}
         figures = write_card(self._path, self._options, self._progress.entries, left_out)
         beside = f"; {counted(len(left_out), 'run')} left out, see {CARD}" if left_out else ""
         return f"{figures}{beside}"

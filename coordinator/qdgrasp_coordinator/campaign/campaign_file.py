@@ -33,20 +33,9 @@ from qdgrasp_coordinator.campaign.object_library import (
     mesh_fault,
     read_library,
 )
-from qdgrasp_coordinator.scheduler.run_plan import (
-    FLIGHT_KEYS,
-    RUN_DEFAULTS,
-    absolute_asset,
-    complete_spec,
-)
+from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, RUN_DEFAULTS, absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
-from qdgrasp_protocol.errors import (
-    ImpossibleValue,
-    InputError,
-    JawNeeded,
-    UnknownKey,
-    UnusableMeshes,
-)
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,

@@ -31,7 +31,7 @@ from qdgrasp_coordinator.campaign.object_table import (
 )
 from qdgrasp_coordinator.campaign.summary import summary_listing
 from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals, count_rows
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
     RUN_DEFAULTS,
     JobExtent,
@@ -71,17 +71,10 @@ def extend_run(folder: RunFolder, **goals: float) -> None:
     Raises ImpossibleValue if one is not allowed, or the journal goes on behind it.
     """
     spec = run_spec(to_values(folder.spec) | goals, "resume")
-    count_within_budget(folder, spec, "--evaluations")
-    folder.rewrite_spec(spec)
-
-
-def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> RunCounter:
-    """Count a run's journal; raises ImpossibleValue unless it begins a journal of `spec`."""
     check_spec(spec)
     with folder.journal() as journal:
-        found = count_rows(spec, journal.blocks())
-    found.check_budget(spec, where)
-    return found
+        count_rows(spec, journal.blocks()).check_budget(spec, "--evaluations")
+    folder.rewrite_spec(spec)
 
 
 DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
@@ -218,6 +211,10 @@ class CampaignRunQueue(RunQueue):
     def put_back(self, run: str) -> None:
         """Have a run made again, before any other."""
         self._ready.appendleft(run)
+
+    def object_of(self, run: str) -> str:
+        """Return the object of a run, as its spec names it."""
+        return self._runs[run].object
 
     @property
     def ready_runs(self) -> int:

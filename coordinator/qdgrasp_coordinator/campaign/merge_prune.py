@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from qdgrasp_coordinator.campaign.campaign_folder import SCENE_KEYS
 from qdgrasp_coordinator.campaign.ranking import is_reranking
 from qdgrasp_coordinator.campaign.reduced_journal import (
     MergePart,
     common_shape,
+    is_kept,
     journal_sources,
     merge_parts,
     source_rows,
@@ -29,11 +31,11 @@ from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, diversit
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.engine_table import TABLES
+from qdgrasp_coordinator.storage.engine_table import TABLES, read_table, renumber, to_csv
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
-from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity, explaining_read_errors
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity, explaining_read_errors
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors
-from qdgrasp_coordinator.storage.outputs import LOGS
+from qdgrasp_coordinator.storage.outputs import JOURNAL, LOGS
 from qdgrasp_coordinator.storage.run_folder import RunFolder, run_files
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import trial_count
@@ -42,7 +44,7 @@ from qdgrasp_protocol.text import counted
 
 SUMMED_FIELDS = (
     "evaluations", "budget", "rows", "trials", "simulated", "proposals", "overlaps", "dead_ends",
-    "successes", "grasps", "robust", "errors", "cpu_seconds", "wall_seconds",
+    "successes", "grasps", "robust", "errors", "checked", "differing", "cpu_seconds", "wall_seconds",
 )  # fmt: skip
 """Figures that are the sums of those of the sources; the others are counted anew."""
 MOST_EVALUATIONS = 10**9
@@ -79,7 +81,7 @@ def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
         JobRecord.begun(out, None).file | run_files(_merged_spec(parts), parts[0].folder.bundle()),
         folders=[LOGS],
         fill=lambda made: write_reduced_journal(
-            made / FILE, identity, found, ((part.source, part.rows(shape)) for part in parts)
+            made / JOURNAL, identity, found, ((part.source, part.rows(shape)) for part in parts)
         ),
     )
     return MergeResult(found, repeats)
@@ -109,7 +111,8 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
     summaries = [part.source.summary for part in parts]
     platforms = [part.source.platform.items() for part in parts]
     values: dict[str, Any] = dict(summaries[0])
-    values |= {name: sum(one[name] for one in summaries) for name in SUMMED_FIELDS}
+    values.pop("in_both", None)  # the merged folder has no table of another engine
+    values |= {name: sum(one.get(name, 0) for one in summaries) for name in SUMMED_FIELDS}
     if len({one.get("grasps_per_cell") for one in summaries}) > 1:
         values["grasps_per_cell"] = None
     for name in ("method", "aim_for", "told_apart_by", "overlaps_mode"):
@@ -147,7 +150,7 @@ def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[st
     }
 
 
-PARTIAL_FILE = "run.sqlite.part"
+PARTIAL_FILE = f"{JOURNAL}.part"
 SETTLE_TIMEOUT = 1.0  # seconds; a reader of a run has its journal open for an instant
 SETTLE_INTERVAL = 0.05  # seconds between two tries
 PRIMARY_CODE = 0xFF  # The bits of SQLite's error codes that say what went wrong; those above say more of how
@@ -157,7 +160,8 @@ def prune_run(folder: RunFolder) -> int:
     """Drop the failures of a finished run; returns the bytes that this freed.
 
     The journal is replaced as a whole, or left as it was; readers are waited for a little, and those that
-    begin after that read the old one. Raises FolderError or DiskFull if the run is not finished, was pruned
+    begin after that read the old one. Tables of other engines get the new numbers of their rows. Raises
+    InputError if such a table is damaged, and FolderError or DiskFull if the run is not finished, was pruned
     before, is in use or being read, ranks poses by all of their trials, or its folder cannot be written.
     """
     with folder.job.supervise(), folder.job.lock():
@@ -203,19 +207,34 @@ def _prune_locked(folder: RunFolder) -> int:
     found = msgspec.structs.replace(
         msgspec.convert(source.summary, RunSummary), reduced="failures: only successes are kept"
     )
-    file, part = folder.path / FILE, folder.path / PARTIAL_FILE
+    file, part = folder.path / JOURNAL, folder.path / PARTIAL_FILE
+    tables = _renumbered_tables(folder)
     before = file.stat().st_size
     try:
         _checkpoint_journal(file)
         write_reduced_journal(part, identity, found, [(source, source_rows(folder, 0))])
         with atomic_files.writing(folder.path):
-            for table in folder.path.glob(TABLES):  # Their rows are given by the old numbers
-                table.unlink()
-            part.replace(file)
+            for table, payload in tables.items():
+                atomic_files.write_through(table, payload)
+            for table in tables:  # a process that is killed leaves no table beside rows of other numbers
+                table.with_suffix("").unlink()
+            for made in (part, *tables):
+                atomic_files.sync(folder.path)
+                made.replace(made.with_suffix(""))
             atomic_files.sync(folder.path)
     finally:
-        part.unlink(missing_ok=True)
+        for left in (part, *tables):
+            left.unlink(missing_ok=True)
     return before - file.stat().st_size
+
+
+def _renumbered_tables(folder: RunFolder) -> dict[Path, bytes]:
+    """Return the tables of other engines with the numbers of the pruned journal, by new file."""
+    with folder.journal() as journal:
+        numbers = [part.first + np.flatnonzero(is_kept(part.rows)) for part in journal.slices()]
+    kept = np.concatenate([np.zeros(0, np.int64), *numbers])
+    tables = {path: renumber(read_table(path), kept) for path in folder.path.glob(TABLES)}
+    return {path.with_name(f"{path.name}.part"): to_csv(table) for path, table in tables.items()}
 
 
 def _checkpoint_journal(file: Path) -> None:

@@ -9,6 +9,7 @@ import csv
 import io
 import math
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -193,10 +194,12 @@ def _skipped(name: str, file: str, why: str) -> SkippedObject:
 
 
 def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:
-    """Find rows whose file, or whose runs' names, are those of an earlier one."""
+    """Find rows whose file, or whose runs' names, are those of an earlier one that can be used."""
     files, parts, faults = dict[Path, str](), dict[str, str](), dict[str, str]()
     for row in rows:
-        if not row.fault and (other := files.setdefault(row.file, row.name)) != row.name:
+        if row.fault:
+            continue
+        if (other := files.setdefault(row.file, row.name)) != row.name:
             faults[row.name] = f"its file is that of '{other}' too; name each file once"
         elif (other := parts.setdefault(row.run_part, row.name)) != row.name:
             faults[row.name] = f"its runs would be called as those of '{other}'; rename one of the two"
@@ -248,7 +251,7 @@ def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
 
 
 def _manifest_rows(path: Path) -> list[LibraryRow]:
-    """Return the rows of a manifest; files are relative to its folder."""
+    """Return the rows of a manifest, no two of one name; files are relative to its folder."""
     try:
         tables = list(_READERS[path.suffix.lower()](path))
     except (OSError, ValueError, RecursionError) as error:
@@ -262,7 +265,14 @@ def _manifest_rows(path: Path) -> list[LibraryRow]:
     if not all(table.get("file") for table in tables):
         number = next(n for n, table in enumerate(tables, 1) if not table.get("file"))
         raise InputError(f"The manifest '{path}' says no file in row {number}: every object needs one.")
-    return [_row(table, path.absolute().parent) for table in tables]
+    rows = [_row(table, path.absolute().parent) for table in tables]
+    counts = Counter(row.name for row in rows)
+    return [
+        row
+        if counts[row.name] == 1
+        else structs.replace(row, name=f"{row.name} (row {number}, {row.file.name})")
+        for number, row in enumerate(rows, 1)
+    ]
 
 
 def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:

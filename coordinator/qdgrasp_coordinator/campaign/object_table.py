@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ LITTLE_SHARE = 0.1
 """An object got little with less than this share of the median object's grasps or cells, for each run."""
 MOST_WARNINGS = 4  # The most warnings about one object
 NUMBERS = re.compile(r"(\d+)")
-NO_WARNINGS: Mapping[str, Sequence[str]] = MappingProxyType({})
 
 
 class ObjectRun(NamedTuple):
@@ -38,19 +36,10 @@ class ObjectRun(NamedTuple):
     totals: RunTotals | None = None
     """Counts of its rows; None: it has not begun."""
     is_done: bool = False
-    failure: str = ""
-    """Reason why it cannot be carried out; empty: it can."""
 
 
-def list_objects(
-    runs: Iterable[ObjectRun],
-    skipped: Iterable[SkippedObject] = (),
-    warnings: Mapping[str, Sequence[str]] = NO_WARNINGS,
-) -> list[ObjectListing]:
-    """Return the objects of runs, in their order, and behind them those that were left out.
-
-    `warnings` are sentences about objects by the names that specs give them.
-    """
+def list_objects(runs: Iterable[ObjectRun], skipped: Iterable[SkippedObject] = ()) -> list[ObjectListing]:
+    """Return the objects of runs, in their order, and behind them those that were left out."""
     groups: dict[str, list[ObjectRun]] = {}
     for run in runs:
         groups.setdefault(run.spec.object, []).append(run)
@@ -60,12 +49,7 @@ def list_objects(
     means = {file: _means(done) for file, done in finished.items()}
     medians = np.median(list(means.values()), axis=0).tolist() if means else [0.0, 0.0]
     listings = [
-        _listing(
-            file,
-            group,
-            _shortfall(finished[file], means[file], medians) if file in means else "",
-            warnings.get(file, ()),
-        )
+        _listing(file, group, _shortfall(finished[file], means[file], medians) if file in means else "")
         for file, group in groups.items()
     ]
     return listings + [_skipped_listing(each) for each in skipped]
@@ -77,10 +61,8 @@ def _means(done: Sequence[ObjectRun]) -> tuple[float, float]:
     return totals.grasps / len(done), totals.cells / len(done)
 
 
-def _listing(file: str, group: Sequence[ObjectRun], little: str, warnings: Sequence[str]) -> ObjectListing:
-    about = group[0].spec.about
-    failures = {run.failure: None for run in group if run.failure}
-    done, failed = sum(run.is_done for run in group), sum(bool(run.failure) for run in group)
+def _listing(file: str, group: Sequence[ObjectRun], little: str) -> ObjectListing:
+    about, done = group[0].spec.about, sum(run.is_done for run in group)
     begun = [run.name for run in group if run.totals is not None]
     return ObjectListing(
         **structs.asdict(sum((run.totals for run in group if run.totals is not None), NO_TOTALS)),
@@ -91,10 +73,9 @@ def _listing(file: str, group: Sequence[ObjectRun], little: str, warnings: Seque
         names=[*begun, *(run.name for run in group if run.totals is None)][:MOST_NAMES],
         runs=len(group),
         runs_done=done,
-        runs_failed=failed,
-        state=_state(len(group), done, failed, has_begun=bool(begun)),
+        state=_state(len(group), done, 0, has_begun=bool(begun)),
         little=little,
-        warnings=[*failures, *warnings, *_saturation(group)][:MOST_WARNINGS],
+        warnings=_saturation(group),
     )
 
 
@@ -178,15 +159,11 @@ def with_events(
     """
     failed: dict[str, dict[str, str]] = {}
     warned: dict[str, dict[str, None]] = {}
-    files = {name: each.file for each in listings for name in each.names}
     for event in events:
-        file = event.object or files.get(event.run, "")
-        if event.kind == "warning" and file:
-            warned.setdefault(file, {})[event.words] = None
-        elif event.kind == "error" and event.run in files and not event.worker:  # with one it is of a row
-            failed.setdefault(files[event.run], {})[event.run] = event.words
+        if event.kind == "warning" and event.object:
+            warned.setdefault(event.object, {})[event.words] = None
         elif event.kind == "error" and event.object:
-            warned.setdefault(file, {})[event.words] = None
+            failed.setdefault(event.object, {})[event.run] = event.words
     told = failed.keys() | warned.keys() | set(building)
     return [
         _told_listing(each, failed.get(each.file, {}), warned.get(each.file, {}), each.file in building)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.storage.journal_schema import (
@@ -30,10 +31,9 @@ from qdgrasp_protocol.spec import to_toml
 BLOCK_ROWS = 4096  # Rows in a block
 
 
-def kept_rows(rows: Rows) -> Rows:
-    """Return the rows that a reduced journal keeps: nominal successes, and all trials."""
-    chosen: Rows = rows[(rows["trial"] > 0) | (rows["outcome"] >= Outcome.DROPPED)]
-    return chosen
+def is_kept(rows: Rows) -> NDArray[np.bool_]:
+    """Return which rows (n,) a reduced journal keeps: nominal successes, and all trials."""
+    return np.asarray((rows["trial"] > 0) | (rows["outcome"] >= Outcome.DROPPED))
 
 
 def journal_sources(folder: RunFolder) -> tuple[JournalSource, ...]:
@@ -64,7 +64,7 @@ def source_rows(folder: RunFolder, number: int) -> Iterator[Rows]:
     """Yield the kept rows of a folder's source of that number, some thousands at a time."""
     with folder.journal() as journal:
         if not journal.sources:
-            yield from map(kept_rows, journal.blocks())
+            yield from (rows[is_kept(rows)] for rows in journal.blocks())
             return
         first = sum(source.kept for source in journal.sources[:number])
         yield from journal.kept(first, first + journal.sources[number].kept)
@@ -149,11 +149,6 @@ class MergePart:
         return asked.method, asked.seed, self.source.digest, self.source.scene
 
     @property
-    def search_key(self) -> str:
-        """Key of the search that it records, whatever its budget and goals."""
-        return search_digest(self.source.asked, self.source.scene)
-
-    @property
     def size_key(self) -> tuple[int, int, str]:
         """Sort key by how much of its search it has; no two are equal."""
         return self.source.kept, self.source.summary["rows"], self.source.digest
@@ -185,7 +180,8 @@ def merge_parts(folders: Sequence[RunFolder]) -> tuple[list[MergePart], tuple[st
     distinct = {part.identity: part for part in ordered}
     searches: dict[str, list[MergePart]] = {}
     for part in distinct.values():
-        searches.setdefault(part.search_key, []).append(part)
+        search = search_digest(part.source.asked, part.source.scene)  # whatever its budget and goals
+        searches.setdefault(search, []).append(part)
     repeats = {
         part.identity: f"{part.location} records a part of the search that {whole.location} records: "
         "it counts once."

@@ -114,10 +114,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
     with folder.journal() as journal:
         if journal.sources:
             return journal.summary(RunSummary)
-        metrics, archive = (
-            SuccessMetrics(TrialPlan.of(spec)),
-            empty_niche_archive(folder),
-        )
+        metrics, archive = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
             **structs.asdict(found.totals),

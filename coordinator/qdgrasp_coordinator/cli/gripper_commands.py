@@ -129,8 +129,6 @@ QUESTIONS = (
     GripperQuestion("finger_links", "Finger links, whose touch makes a success", parse_names),
     GripperQuestion("licence", "Licence of the hand's files", parse_text),
 )
-
-
 gripper_app = typer.Typer(
     name="gripper", no_args_is_help=True, help="Hands of one's own: make their files, and check them."
 )
@@ -138,10 +136,7 @@ gripper_app = typer.Typer(
 
 @gripper_app.command()
 def new(
-    urdf: Annotated[
-        Path,
-        typer.Argument(metavar="URDF|MJCF", help="The hand, or a robot that ends in one."),
-    ],
+    urdf: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The hand, or a robot that ends in one.")],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -304,22 +299,14 @@ def _usable_robot(
     may_centre = mend and given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
     mending = mended_copy(
-        robot,
-        base,
-        file.path,
-        _print_examination,
-        may_centre=may_centre,
-        overrides=given,
-        as_it_is=not mend,
+        robot, base, file.path, _print_examination, may_centre=may_centre, overrides=given, as_it_is=not mend
     )
     copy = until_written.enter_context(mending)
     for change in copy.changes or (("nothing had to be",) if mend else ()):
         echo(f"mended: {change}")
     echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(
-        given,
-        base_link=copy.base,
-        base_reason=reason if copy.base == base else copy.changes[-1],
+        given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
 
 

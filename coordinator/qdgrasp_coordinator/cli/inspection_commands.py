@@ -28,18 +28,14 @@ from qdgrasp_coordinator.cli.options import host_and_port
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.report.row_report import row_report
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
-from qdgrasp_coordinator.verification.verify import (
-    choose_rows,
-    compare_engine,
-    run_folders_at,
-    verify_rows,
-)
+from qdgrasp_coordinator.verification.verify import choose_rows, compare_engine, run_folders_at, verify_rows
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.extras import EXTRAS, check_packages
@@ -157,8 +153,7 @@ def verify(
     seed: Annotated[int, typer.Option(min=0, help="Another seed draws other rows.")] = 0,
     every: Annotated[bool, typer.Option("--all", help="Evaluate every row again.")] = False,
     engine: Annotated[
-        str | None,
-        typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco."),
+        str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
     ] = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
@@ -309,7 +304,7 @@ def render(
             raise typer.Exit(stop.exit_code)
         if unlike:
             echo(difference_reason(shown, unlike), err=True)
-    echo(f"{shown.outcome.name.lower()}, row {shown.number}: drawn in {out}")
+    echo(f"{outcome_words(shown.outcome)}, row {shown.number}: drawn in {out}")
     if unlike:
         raise typer.Exit(1)
 

@@ -209,4 +209,9 @@ def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:
     known = [view.meta.job for view in reachable_jobs(bus)]
     if not known:
         return InputError(no_job_message(endpoint))
+    if job in known:
+        return InputError(
+            f"The coordinator of job '{job}' did not answer in time, and may still carry the order out: "
+            "`qdgrasp jobs` shows the state of the job."
+        )
     return UnknownName("job", job, known)

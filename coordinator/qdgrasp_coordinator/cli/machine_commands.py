@@ -24,12 +24,7 @@ import typer
 from qdgrasp_assets import catalog
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.local.benchmark_figures import (
-    BENCH_METHOD,
-    NodeFigures,
-    node_info,
-    package_version,
-)
+from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD, NodeFigures, node_info, package_version
 from qdgrasp_coordinator.local.node_benchmark import SceneBenchmark, SceneMeasurement
 from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.local.restart_policy import GRACE

@@ -66,8 +66,7 @@ Glued = Annotated[
     ),
 ]
 SkipUnusable = Annotated[
-    bool,
-    typer.Option("--skip-unusable", help="Go on without objects that cannot be used, and report them."),
+    bool, typer.Option("--skip-unusable", help="Go on without objects that cannot be used, and report them.")
 ]
 ProtocolOption = Annotated[
     str | None,
@@ -172,8 +171,7 @@ OverlapsMode = Annotated[
 Population = Annotated[
     int | None,
     typer.Option(
-        help="Genomes in a generation; default: the method's, see `qdgrasp methods`.",
-        rich_help_panel=SEARCH,
+        help="Genomes in a generation; default: the method's, see `qdgrasp methods`.", rich_help_panel=SEARCH
     ),
 ]
 MutationSigma = Annotated[
@@ -187,8 +185,7 @@ MutationProbability = Annotated[
 GenerationsInFlight = Annotated[
     int | None,
     typer.Option(
-        help="Generations asked before the first is told; default: the method's.",
-        rich_help_panel=SEARCH,
+        help="Generations asked before the first is told; default: the method's.", rich_help_panel=SEARCH
     ),
 ]
 InFlight = Annotated[
@@ -199,8 +196,7 @@ InFlight = Annotated[
     ),
 ]
 SurfaceSeed = Annotated[
-    int | None,
-    typer.Option(help="Seed of the surface points; default 0.", rich_help_panel=MESH_FILE),
+    int | None, typer.Option(help="Seed of the surface points; default 0.", rich_help_panel=MESH_FILE)
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 Successes = Annotated[

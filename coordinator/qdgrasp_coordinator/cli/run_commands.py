@@ -63,8 +63,7 @@ def check_not_stopped(job: JobFolder, stop: Stop) -> None:
 
 def resume_hint(job: JobFolder) -> str:
     """Name the command that continues a job."""
-    command = "campaign" if job.is_campaign else "resume"
-    return f"`qdgrasp {command} {job.path}` goes on where it stopped."
+    return f"`{job.resume_command}` goes on where it stopped."
 
 
 def run(

@@ -8,6 +8,7 @@ import trimesh
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
 from qdgrasp_coordinator.rendering import html_cards
 from qdgrasp_coordinator.rendering.contact_sheet import (
@@ -49,7 +50,7 @@ def grasp_labels(grasps: "Grasps") -> list[PanelLabel]:
         if not np.isnan(grasps.margin[place]):
             parts.append(f"margin {grasps.margin[place]:.2g}")
         colour = FITNESS_COLOURS[outcome - Outcome.DROPPED] if outcome.is_success else FAILURE_COLOUR
-        title = f"{grasps.numbers[place]}  {outcome.name.lower().replace('_', ' ')}"
+        title = f"{grasps.numbers[place]}  {outcome_words(outcome)}"
         labels.append(PanelLabel(title, ", ".join(parts), colour))
     return labels
 
@@ -62,7 +63,7 @@ def grasps_card(grasps: "Grasps") -> str:
     """Return grasps as HTML: a picture of the first few, and how many of them ended how."""
     counts = {outcome: int((grasps.rows["outcome"] == outcome).sum()) for outcome in reversed(Outcome)}
     figures: list[html_cards.Figure] = [
-        (outcome.name.lower().replace("_", " "), number) for outcome, number in counts.items() if number
+        (outcome_words(outcome), number) for outcome, number in counts.items() if number
     ]
     shown = grasps[:MOST_SHOWN]
     shown = shown[np.flatnonzero(shown.rows["base_to_object"].any(axis=1))]
@@ -78,8 +79,7 @@ def grasps_card(grasps: "Grasps") -> str:
 def grasp_card(alone: "Grasps") -> str:
     """Return one grasp as HTML: the hand as it settled, and its key figures."""
     (grasp,), (margin,), ((moved, turned),) = alone, alone.margin, alone.motion
-    outcome = grasp.outcome.name.lower().replace("_", " ")
-    figures: list[html_cards.Figure] = [("outcome", outcome)]
+    figures: list[html_cards.Figure] = [("outcome", outcome_words(grasp.outcome))]
     figures.append(("fitness", f"{grasp.fitness:g} of {alone.spec.disturbances}"))
     if grasp.trials:
         figures.append(("eta", f"{grasp.eta:.3f} ± {grasp.eta_error:.3f}, {grasp.trials} trials"))

@@ -277,10 +277,10 @@ class Grasps:
             is_known = (len(own) == 1) | (outcomes == Outcome.HELD)
             return np.where(is_known, outcomes, np.int8(-1))
         if engine not in self.elsewhere:
-            raise InputError(
-                f"Which grasps hold in {engine} is not known of this run: run 'qdgrasp verify DIR --engine "
-                f"{engine} --all' first."
-            )
+            mend = f"run 'qdgrasp verify DIR --engine {engine} --all' first"
+            if any(source.is_reduced for source in self.sources):
+                mend = "it is merged or pruned, and `qdgrasp verify --engine` needs runs with all their rows"
+            raise InputError(f"Which grasps hold in {engine} is not known of this run: {mend}.")
         return np.asarray(self.elsewhere[engine]["outcome"])
 
     @cached_property

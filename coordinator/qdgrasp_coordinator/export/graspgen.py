@@ -109,8 +109,6 @@ EXTRA_LISTS = (
     *("number", "fitness", "eta", "joint_positions", "pregrasp_joint_positions"),
     *("synergy", "penetration", "margin", "settled_transforms", "contacts"),
 )
-
-
 APPROACH_LISTS = ("approach_transforms", "approach_clear", "resting_poses", "resting_probability")
 """Lists that are there where hands are to come to grasps."""
 

@@ -68,18 +68,17 @@ class ImportedGrasps:
 
 def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
     """Decode the metadata of a file of ours from JSON."""
-    try:
-        return msgspec.json.decode(text, type=GraspMetadata)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise UnreadableGrasps(path, f"what it says of itself cannot be read ({error})") from None
+    return decode_json(path, text, GraspMetadata, "what it says of itself cannot be read")
 
 
-def decode_json(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
+def decode_json(
+    path: Path, payload: str | bytes, kind: type[Kind], fault: str = "it is not JSON with grasps"
+) -> Kind:
     """Decode a JSON text as a struct."""
     try:
         return msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise UnreadableGrasps(path, f"it is not JSON with grasps ({error})") from None
+        raise UnreadableGrasps(path, f"{fault} ({error})") from None
 
 
 def to_array(

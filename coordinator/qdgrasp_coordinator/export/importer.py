@@ -188,8 +188,6 @@ READERS = (
     ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
     ImportFormat(lambda head: b"\0" not in head, isaac_moveit.read_isaac),
 )
-
-
 POSE_TOLERANCE = 1e-9  # Two lengths that differ by less are the same [m]
 VALUE_TOLERANCE = 1e-6  # Two scales that differ by a smaller share are the same
 SAME_OBJECT = 0.02

@@ -67,7 +67,7 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     rows, poses = grasps.rows, grasps.poses(frame)
     yield GraspColumn("number", grasps.numbers, "the row's number in the journal, from 0")
     runs = _label_words([source.run for source in grasps.sources], grasps.origins)
-    yield GraspColumn("run", runs, "what found it")
+    yield GraspColumn("run", runs, "name of the run that found it")
     yield GraspColumn("generation", rows["generation"], "of the search")
     yield GraspColumn("index", rows["index"], "in the generation")
     yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
@@ -94,7 +94,7 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
     yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")
     synergies = _label_words(grasps.synergy_names, grasps.synergies)
-    yield GraspColumn("synergy", synergies, "what closes; none: all that can")
+    yield GraspColumn("synergy", synergies, "synergy that closes the hand; none: all driven joints")
     aims = rows["surface_point"].astype(np.float64)
     offset = np.zeros(3) if frame == COM else np.array(grasps.scene.object.com_in_mesh)
     aims = np.where(aims.any(axis=1, keepdims=True), aims + offset, np.nan)
@@ -181,8 +181,6 @@ COLUMNS_READ = ("number", "synergy", "confidence", POSE_COLUMN)
 """Columns that are read, beside those of joints."""
 MOST_NUMBERS = 100_000_000
 """Numbers in all columns that are read: few bytes can stand for very many equal ones."""
-
-
 ROW_GROUP = 65_536  # Rows of a row group
 
 

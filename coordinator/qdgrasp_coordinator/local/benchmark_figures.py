@@ -25,6 +25,7 @@ from qdgrasp_protocol.engines import ENGINE_PACKAGES
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
+from qdgrasp_protocol.text import counted
 
 BENCH_METHOD, BENCH_PRIOR = "contact_rand", "contact"
 GREATEST_NU = pi / 4  # The greatest nu of poses among which grasps are looked for: the approach prior's
@@ -211,8 +212,8 @@ class NodeInfo(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One line for a person."""
-        cores = f"{self.cores} core{'' if self.cores == 1 else 's'}"
-        return f"{cores} of {self.processor}, {self.memory_bytes / 2**30:.0f} GiB, load {self.load:.1f}"
+        cores, memory = counted(self.cores, "core"), self.memory_bytes / 2**30
+        return f"{cores} of {self.processor}, {memory:.0f} GiB, load {self.load:.1f}"
 
 
 def node_info() -> NodeInfo:
@@ -297,7 +298,7 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     def lines(self) -> Iterator[str]:
         """The scene's part of the table."""
         counts = sorted({pace.workers for pace in self.paces})
-        heads = [f"{n} worker{'' if n == 1 else 's'}" for n in counts]
+        heads = [counted(n, "worker") for n in counts]
         yield _line(f"{self.gripper} on {self.object}", *heads, "scaling" if len(counts) > 1 else "")
         for regime in dict.fromkeys(pace.regime for pace in self.paces):
             paces = [pace for pace in self.paces if pace.regime == regime]

@@ -29,6 +29,7 @@ from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import counted
 
 BENCH_JOB = "bench"
 ENDLESS = 10**9
@@ -153,7 +154,7 @@ class SceneBenchmark:
             yield
         found = regime_rate(regime, workers, meter.throughput(search.since, begin))
         self._rates.append(found)
-        words = f"{workers} worker{'' if workers == 1 else 's'}, {regime.value}: {found.per_second:,.1f}/s"
+        words = f"{counted(workers, 'worker')}, {regime.value}: {found.per_second:,.1f}/s"
         self._display.say(f"{self._spec.gripper} on {self._spec.object}, {words}")
 
 

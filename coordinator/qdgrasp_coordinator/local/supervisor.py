@@ -72,7 +72,7 @@ class LocalJobConfig:
     """Share of the rows that a second worker evaluates too."""
 
     def check_engines(self, specs: Iterable[RunSpec]) -> None:
-        """Raise as the function, where workers are to start here."""
+        """Raise an InputError if workers start here and lack the engine or the device of a run."""
         if self.workers:
             check_engines(specs)
 

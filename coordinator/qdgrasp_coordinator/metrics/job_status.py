@@ -326,7 +326,7 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
     scenes_failed: Annotated[int, "Of these, shapes that cannot be built; their runs fail."] = 0
     scenes_seconds: Annotated[float, "CPU time spent on building them [s]."] = 0.0
     building: Annotated[
-        list[str], "Objects whose shapes are being built, as specs name them; at most 16 of them."
+        list[str], "Objects whose shapes are being built, as specs name them; at most 8 of them."
     ] = field(default_factory=list)
     seconds_left: Annotated[
         float | None, "About how long the rest takes, rows and shapes [s]; None: not known."

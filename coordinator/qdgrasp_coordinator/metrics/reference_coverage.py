@@ -25,17 +25,16 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import on_asset_path
+from qdgrasp_assets.geometry.mesh import read_obj
 from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
 from qdgrasp_assets.scene import Scene, SceneObject
+from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import read_arrays
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.richness import RichnessEstimate, estimate_richness
 from qdgrasp_coordinator.metrics.scores import ROBUST
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.text import counted
-
-SCAN_PREFIX = "ycb_"
-
 
 ARCHIVE_BIN = 0.01  # The bins are this wide or a little wider [m]
 HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
@@ -85,7 +84,7 @@ def released_archive(scene: Scene) -> ReleasedArchive | None:
     extent = HAND_EXTENT.get(reference_hand(scene.gripper.name))
     if extent is None:
         return None
-    hulls = _hull_vertices(scene.object.collision) + np.array(scene.object.com_in_mesh)
+    hulls = read_obj(scene.object.collision.decode()).vertices + np.array(scene.object.com_in_mesh)
     low, high = hulls.min(axis=0) - BULLET_MARGIN, hulls.max(axis=0) + BULLET_MARGIN
     side = extent + float((high - low).max())
     return ReleasedArchive((low + high) / 2 - side / 2, side)
@@ -95,11 +94,6 @@ def reference_hand(gripper: str) -> str:
     """Return the reference hand that a gripper is or stands for; else its own name."""
     hand = gripper.removeprefix("ref_")
     return SAME_HAND.get(hand, hand)
-
-
-def _hull_vertices(obj: bytes) -> NDArray[np.float64]:
-    lines = (line.split() for line in obj.splitlines() if line.startswith(b"v "))
-    return np.array([[float(number) for number in line[1:4]] for line in lines])
 
 
 EXPECTED_FILE = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
@@ -296,7 +290,7 @@ class ReferenceLookup:
     def of(self, scene: Scene, run_object: str) -> CoverageTarget:
         """The target of a scene whose object a run's spec calls `run_object`."""
         hand, body = reference_hand(scene.gripper.name), object_identity(scene.object)
-        name = scene.object.name.removeprefix(SCAN_PREFIX)
+        name = scene.object.name.removeprefix(PREFIX)
         for known in self._candidates(hand, scene.gripper.name, body, name):
             try:
                 stand_in = is_stand_in(run_object, body, known)

@@ -23,6 +23,11 @@ from qdgrasp_protocol.text import counted
 CURVE_POINTS = 512  # The most points of a curve
 
 
+def outcome_words(outcome: Outcome) -> str:
+    """Return an outcome in lower-case words: "dead end"."""
+    return outcome.name.lower().replace("_", " ")
+
+
 class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
@@ -105,8 +110,6 @@ class RunTotals(Struct, frozen=True, kw_only=True):
 
 TOTAL_NAMES = RunTotals.__struct_fields__  # Names of all counts that are added up
 NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
-
-
 BARREN = 20  # Generations in a row without a counted row after which a run may end (`BARREN_GENOMES`)
 BARREN_GENOMES = 1000  # Least genomes in these generations: with few at a time, twenty may fail by chance
 

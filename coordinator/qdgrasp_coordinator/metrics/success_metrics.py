@@ -217,14 +217,13 @@ class ScoreCounts:
         self.counts: Counter[tuple[float, int]] = Counter()
         self.best: dict[int, float] = {}
 
-    def add(self, scored: Rows) -> Self:
+    def add(self, scored: Rows) -> None:
         """Add scored successes; see `TrialSums.take`."""
         scores = scored["fitness"].tolist()
         self.counts.update(zip(scores, scored["trial"].tolist(), strict=True))
         reached = cell_keys(cells(scored["descriptor"][:, :3])).tolist()
         for cell, score in zip(reached, scores, strict=True):
             self.best[cell] = max(score, self.best.get(cell, 0.0))
-        return self
 
     def with_rows(self, parts: Iterable[Rows]) -> "ScoreCounts":
         """These and more, as new counts."""

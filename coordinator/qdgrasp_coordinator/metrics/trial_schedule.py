@@ -62,15 +62,15 @@ class TrialPlan:
 NO_TRIALS = TrialPlan()
 
 
-def eta_bounds(etas: Floats, counts: NDArray[np.integer], z: float = Z) -> tuple[Floats, Floats]:
+def eta_bounds(etas: Floats, counts: NDArray[np.integer]) -> tuple[Floats, Floats]:
     """Return the lower and upper bound (n,) of etas (n,) over so many trials (n,), at least 1.
 
     Wilson's interval for n draws of 0 or 1; a trial's share, between 0 and 1, varies no more than these.
     """
     n = counts.astype(np.float64)
-    middle = etas + z * z / (2.0 * n)
-    width = z * np.sqrt(etas * (1.0 - etas) / n + z * z / (4.0 * n * n))
-    scale = 1.0 + z * z / n
+    middle = etas + Z * Z / (2.0 * n)
+    width = Z * np.sqrt(etas * (1.0 - etas) / n + Z * Z / (4.0 * n * n))
+    scale = 1.0 + Z * Z / n
     # Of an eta of 0 or 1 rounding may put a bound on its other side.
     return np.minimum((middle - width) / scale, etas), np.maximum((middle + width) / scale, etas)
 

@@ -136,7 +136,7 @@ class JobCollector(Collector):
         yield from self._workers()
 
     def _coordinators(self) -> Iterator[Metric]:
-        info = InfoMetricFamily("qdgrasp_job", "Who carries a job out.", labels=("job",))
+        info = InfoMetricFamily("qdgrasp_job", "Host and version of the job's coordinator.", labels=("job",))
         for view in self._views:
             info.add_metric((view.job,), {"host": view.meta.host, "version": view.meta.version})
         yield info
@@ -157,7 +157,9 @@ class JobCollector(Collector):
         yield metric(CounterMetricFamily, "job_events", words, ("job",), events)
 
     def _run_infos(self) -> Iterator[Metric]:
-        info = InfoMetricFamily("qdgrasp_run", "What a run is.", labels=("job", "run"))
+        info = InfoMetricFamily(
+            "qdgrasp_run", "Hand, object, method, protocol and seed of a run.", labels=("job", "run")
+        )
         for labels, run in self._runs:
             info.add_metric(labels, {name: str(getattr(run, name)) for name in RUN_LABELS})
         yield info

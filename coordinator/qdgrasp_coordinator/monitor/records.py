@@ -19,7 +19,6 @@ from qdgrasp_coordinator.metrics.job_status import (
     from_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
-from qdgrasp_coordinator.recorder.queries import ObjectIndex, RunIndex
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage import atomic_files, success_pages
 from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
@@ -28,7 +27,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import FolderError, MessageError, UnknownName
+from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
@@ -87,15 +86,6 @@ class Records(Protocol):
     def page(self, job: str, run: str, first: int) -> RecordPage:
         """Return some successes of a run from journal number `first` on; `next` leads to more."""
 
-    def entries(self, job: str) -> RunListings:
-        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
-
-    def entry(self, job: str, run: str) -> RunListing | None:
-        """Return a run of a job; None: it has not begun, or is not counted yet."""
-
-    def objects(self, job: str) -> ObjectListings:
-        """Return all objects of a job, as far as the rows of their runs are counted."""
-
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Return the curve of a run from its beginning on; without points where it is not known."""
 
@@ -107,6 +97,19 @@ class Records(Protocol):
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return what a run was asked for, in words by their names, as far as it is known."""
+
+
+class JobRecords(Records, Protocol):
+    """Records that also list the runs and objects of jobs."""
+
+    def entries(self, job: str) -> RunListings:
+        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
+
+    def entry(self, job: str, run: str) -> RunListing | None:
+        """Return a run of a job; None: it has not begun, or is not counted yet."""
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, as far as the rows of their runs are counted."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,7 @@ def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
 
 
 class BusRecords:
-    """`Records` over the bus: answers of the recorder; the coordinator is not involved."""
+    """`JobRecords` over the bus: answers of the recorder; the coordinator is not involved."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -254,11 +257,7 @@ class BusRecords:
         return found | ({"evaluations": str(entry.budget)} if entry else {})
 
     def _entries(self, job: str, parameters: str) -> RunListings:
-        answer = self._bus.ask(Keys(job).entries, parameters=parameters)
-        try:
-            return msgspec.json.decode(answer, type=RunListings)
-        except msgspec.DecodeError as error:
-            raise MessageError(f"not a list of runs: {error}") from None
+        return from_json(self._bus.ask(Keys(job).entries, parameters=parameters), RunListings)
 
 
 class FolderRecords:
@@ -267,7 +266,6 @@ class FolderRecords:
     def __init__(self, index: FolderIndex) -> None:
         self._index = index
         self._contexts = RowContextCache()
-        self._objects: dict[Path, ObjectIndex] = {}
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
         """Unpack the bundle in the run's folder."""
@@ -280,25 +278,6 @@ class FolderRecords:
             origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
             context = self._contexts.get(folder, journal)
             return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
-
-    def entries(self, job: str) -> RunListings:
-        """Count the rows of all journals."""
-        return RunListings(runs=[self.entry(job, name) for name in self._index.job(job).runs])
-
-    def entry(self, job: str, run: str) -> RunListing:
-        """Count the rows of the journal."""
-        folder = self._index.run(job, run)
-        with folder.journal() as journal:
-            found = count_rows(folder.spec, journal.blocks())
-        return RunListing.of(run, folder.spec, folder.bundle().digest, found)
-
-    def objects(self, job: str) -> ObjectListings:
-        """Count the rows of all journals."""
-        path = self._index.job(job).folder.path
-        if path not in self._objects:
-            self._objects[path] = ObjectIndex(path, RunIndex(path))
-        listings, uncounted = self._objects[path].listings()
-        return ObjectListings(objects=listings, uncounted=uncounted)
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Count the rows of the journal; a merged or pruned one has no curve."""

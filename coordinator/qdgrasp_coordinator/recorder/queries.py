@@ -37,8 +37,7 @@ from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import FILE
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, JOURNAL, SKIPPED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
 from qdgrasp_protocol import bundle_transfer, messages
@@ -106,7 +105,7 @@ class RunIndex:
     def one(self, run: str) -> RunListings:
         """Return a run's listing and curve as far as counted; empty if there is no such run."""
         path, listings, curve = JobFolder(self._path).run_path(run), list[RunListing | None](), None
-        with self._lock, suppress(FolderError):
+        with self._lock, suppress(InputError):
             self._rows_left = ROWS_PER_ANSWER
             listings.append(self._listing(path))
             curve = self._counts[path].curve_of(run) if path in self._counts else None
@@ -123,7 +122,7 @@ class RunIndex:
                 if (known := self._finished.find(path)) is not None:
                     listings.append(_with_folder(known, path))
                     continue
-                with suppress(FolderError):  # there may be no journal yet, or no good one
+                with suppress(InputError):  # there may be no journal yet, or no good one
                     listings.append(self._listing(path))
         return replace(_listings(listings), next=behind if behind < len(paths) else 0)
 
@@ -146,6 +145,9 @@ class RunIndex:
         stamp, now = journal_stamp(path), time.time()
         known_stamp, known = self._known.get(path, (None, None))
         if known is not None and known_stamp == stamp:
+            for kept in (self._known, self._counts):
+                if path in kept:
+                    kept.move_to_end(path)
             return known
         with Journal.open(path) as journal:
             listing = summary_listing(journal) if journal.sources else self._counted(path, journal)
@@ -197,7 +199,7 @@ def _listings(listings: Sequence[RunListing | None]) -> RunListings:
 def journal_stamp(path: Path) -> FileStamp:
     """Return a stamp that changes when the journal in a folder is written."""
     stamp: list[tuple[int, int, int]] = []
-    for name in (FILE, f"{FILE}-wal"):
+    for name in (JOURNAL, f"{JOURNAL}-wal"):
         with suppress(OSError):  # it is not there, or no longer
             stat = (path / name).stat()
             stamp += [(stat.st_ino, stat.st_size, stat.st_mtime_ns)] if stat.st_size else []
@@ -211,8 +213,6 @@ def has_rested(stamp: FileStamp, now: float) -> bool:
 
 SCENES_KEPT = 8  # Number of scenes kept in memory
 HOMES_KEPT = 256  # Number of scenes of which the folder is remembered
-
-
 LISTED_SECONDS = 3.0  # seconds for which a list of objects is given again
 LISTING_SECONDS = 2.0  # seconds for which runs are counted before a list is given without the others
 
@@ -236,17 +236,13 @@ class ObjectIndex:
         self._uncounted = 0
         self._due = 0.0
 
-    def listings(self) -> tuple[list[ObjectListing], int]:
-        """Return all objects, and the number of runs whose rows are still being counted."""
+    def page(self, first: int) -> ObjectListings:
+        """Return the objects from this number on, and how many runs are still being counted."""
         with self._lock:
             if time.monotonic() >= self._due:
                 self._listings, self._uncounted = self._list(time.monotonic() + LISTING_SECONDS)
                 self._due = time.monotonic() + (0.0 if self._uncounted else LISTED_SECONDS)
-            return self._listings, self._uncounted
-
-    def page(self, first: int) -> ObjectListings:
-        """Return the objects from this number on."""
-        listings, uncounted = self.listings()
+            listings, uncounted = self._listings, self._uncounted
         behind = first + OBJECTS_PER_PAGE
         return ObjectListings(
             objects=listings[first:behind], next=behind if behind < len(listings) else 0, uncounted=uncounted
@@ -347,7 +343,7 @@ class QueryServer(ExitStack):
                 context = self._contexts.get(RunFolder(path), journal)
                 page, upto = success_page(journal, _number(query, "from"), context)
                 return messages.encode(page_to_message(page, upto, journal, run))
-        except FolderError as error:
+        except InputError as error:
             raise Refused(str(error)) from None
 
     def _note_home(self, scene: str, path: Path) -> None:

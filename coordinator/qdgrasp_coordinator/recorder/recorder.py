@@ -23,11 +23,11 @@ from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
-from qdgrasp_coordinator.storage.outputs import OutFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_differences, platform_of
+from qdgrasp_coordinator.storage.outputs import JOURNAL, SPEC, OutFolder
+from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import DropCounter, Query, Sample
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, NoReply, Refused
@@ -280,7 +280,7 @@ class Recorder:
         for path in self._folder.run_paths:
             with suppress(FolderError, InputError):
                 name = path.name
-                engine = engines[name] if name in engines else read_run_spec(path / "spec.toml").get("engine")
+                engine = engines[name] if name in engines else read_run_spec(path / SPEC).get("engine")
                 if engine not in platforms:
                     with Journal.open(path) as journal:
                         if journal.platform:
@@ -302,7 +302,7 @@ class Recorder:
         path = job.run_path(run.run)
         if not RunFolder.is_run(path):
             RunFolder.add(job, run.run, run.spec, None)
-        if (path / FILE).is_file():
+        if (path / JOURNAL).is_file():
             writer = self._writer(run.run)
             writer.begin_epoch(run.spec, self.epoch)
             return writer
@@ -319,7 +319,7 @@ class Recorder:
     def _find(self, run: str) -> RunWriter | None:
         """Return a run's writer; None: it has no journal."""
         path = self._folder.folder.run_path(run)
-        if run not in self.writers and (path / FILE).is_file():
+        if run not in self.writers and (path / JOURNAL).is_file():
             self._keep(RunWriter(RunFolder(path), self._journals, self.epoch))
         return self.writers.get(run)
 

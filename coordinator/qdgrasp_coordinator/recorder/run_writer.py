@@ -17,7 +17,8 @@ from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
-from qdgrasp_coordinator.storage.run_folder import RunFolder, platform_of
+from qdgrasp_coordinator.storage.platforms import platform_of
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml

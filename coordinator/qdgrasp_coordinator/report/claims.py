@@ -8,12 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from qdgrasp_coordinator.report.bootstrap import (
-    ConfidenceInterval,
-    RunValues,
-    mean_interval,
-    ratio_interval,
-)
+from qdgrasp_coordinator.report.bootstrap import ConfidenceInterval, RunValues, mean_interval, ratio_interval
 from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of
 
 GroupsByScene = dict[SceneName, dict[str, RunGroup]]  # On each scene, the entry of each method

@@ -30,10 +30,7 @@ PRIOR_HUES = {
     "aimed": "#a2587f",
     "spherical": "#4d4d4d",
 }
-PRIOR_WORDS = {
-    "spherical": "no prior",
-    "valued": "aimed",
-}  # Label of a prior in a figure, where not its name
+PRIOR_WORDS = {"spherical": "no prior", "valued": "aimed"}  # Label of a prior in a figure, where not its name
 FAMILIES: dict[str, Dashes] = {
     "aimed": "-",
     "me_scs": "-",
@@ -47,8 +44,6 @@ a program's own."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
 PRIOR_ORDER = ("valued", "aimed", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
-
-
 MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import LARGEST_ARRAYS
 from qdgrasp_coordinator.metrics.cells import best_per_cell, cell_keys, cells
 from qdgrasp_coordinator.metrics.reference_coverage import (
-    SCAN_PREFIX,
     ReferenceOrigin,
     ReferenceSet,
     object_identity,
@@ -79,7 +79,7 @@ def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet
     success too.
     """
     spec, scene = folder.spec, folder.scene()
-    key = name or scene.object.name.removeprefix(SCAN_PREFIX)
+    key = name or scene.object.name.removeprefix(PREFIX)
     origin = ReferenceOrigin(
         scene.gripper.name, Path(spec.object).name, object_identity(scene.object), (scene.protocol,)
     )

@@ -379,10 +379,7 @@ def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[ReportedContact]:
     for link, (*vectors, force) in zip(row["contact_links"].tolist(), values, strict=True):
         if link:
             yield ReportedContact(
-                link=gripper.links[link - 1],
-                point=tuple(vectors[:3]),
-                normal=tuple(vectors[3:]),
-                force=force,
+                link=gripper.links[link - 1], point=tuple(vectors[:3]), normal=tuple(vectors[3:]), force=force
             )
 
 

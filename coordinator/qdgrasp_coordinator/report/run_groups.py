@@ -172,11 +172,7 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
 def usual_settings(method: str) -> dict[str, Any]:
     """Return the settings of a method's runs unless their specs say otherwise."""
     own = registry.method(method)
-    return SPEC_DEFAULTS | {
-        "aim_for": own.aim_for,
-        "overlaps": own.overlaps,
-        "population": own.population,
-    }
+    return SPEC_DEFAULTS | {"aim_for": own.aim_for, "overlaps": own.overlaps, "population": own.population}
 
 
 def _scene_order(scene: SceneName) -> tuple[Any, ...]:
@@ -330,15 +326,15 @@ class QuartileCurve:
         return int(np.count_nonzero(self.runs == self.runs.max(initial=0)))
 
 
-def quartile_curve(group: RunGroup, measure: CurveMeasure, points: int = CURVE_STEPS) -> QuartileCurve:
-    """Make a group's curve at `points` equal steps and at as many equal factors.
+def quartile_curve(group: RunGroup, measure: CurveMeasure) -> QuartileCurve:
+    """Make a group's curve at `CURVE_STEPS` equal steps and at as many equal factors.
 
     A run counts as far as it goes, so that the median is of fewer runs beyond the end of the shortest.
     """
     begun = [run for run in group.runs if run.evaluations]
     ends = np.array([run.evaluations for run in begun], dtype=np.int64)
     end = ends.max(initial=0)
-    even, early = np.linspace(0, end, points + 1), np.geomspace(1, max(end, 1), points)
+    even, early = np.linspace(0, end, CURVE_STEPS + 1), np.geomspace(1, max(end, 1), CURVE_STEPS)
     at = np.unique(np.concatenate([np.concatenate([even, early]).round().astype(np.int64), ends]))
     values = np.array([np.where(at <= run.evaluations, measure.values(run, at), np.nan) for run in begun])
     if not begun:

@@ -124,10 +124,7 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     with folder.journal() as journal:
         if not _has_curves(journal, spec):
             journal.check_whole()
-        metrics, niches = (
-            SuccessMetrics(TrialPlan.of(spec)),
-            empty_niche_archive(folder),
-        )
+        metrics, niches = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
         found: list[SuccessHistory] = []
         blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
         sums = _run_sums(journal, spec, blocks)

@@ -35,7 +35,7 @@ from qdgrasp_coordinator.scheduler.run_registry import (
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply
 from qdgrasp_coordinator.scheduler.worker import WID_DIGITS, choose_workers
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
-from qdgrasp_coordinator.storage.run_folder import LacksEngine, admit_platform, lacks_engine
+from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
 from qdgrasp_protocol.bus import Channel, DropCounter, Sample
@@ -228,15 +228,15 @@ class JobScheduler:
             took_part = [run for run in self.runs if name.wid in run.settled_by]
             if took_part:
                 runs = first_few([run.name for run in took_part], RUNS_NAMED)
-                wid = name.wid[:WID_DIGITS]
-                words = f"What worker {wid} answered before may be wrong: `qdgrasp verify` {runs}."
+                rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {runs}"
+                words = f"{rows} may be wrong; `qdgrasp verify DIR` evaluates them again."
                 self.events.note("warning", words, worker=name.wid)
             self._send_away(name.wid)
             for run in took_part:
                 self._go_back(run)
 
     def _go_back(self, run: ActiveRun) -> None:
-        """Evaluate again the rows that a run has not passed on, unless that is all."""
+        """Reopen a run that is not finished once its settled rows are recorded."""
         if run.pipeline.finished is None:
             self._withdraw(run.name)
             run.goes_back = True
@@ -294,7 +294,7 @@ class JobScheduler:
         try:
             workers.platform = admit_platform(workers.platform, opened.platform or workers.platform)
         except Refused as refusal:
-            self._on_not_opened(RunFailed(run.name, f"Its rows were made elsewhere: {refusal}"))
+            self._on_not_opened(RunFailed(run.name, f"Its rows were made elsewhere: {refusal}."))
             return
         run.sink.set_platform(workers.platform)
         for worker in list(workers):
@@ -321,7 +321,8 @@ class JobScheduler:
             raise reason
         self.runs.add_failure(reason)
         log.error("a run cannot be carried out", run=reason.run, reason=str(reason))
-        self.events.note("error", f"Run '{reason.run}' cannot be carried out: {reason}", run=reason.run)
+        words = f"Run '{reason.run}' cannot be carried out: {reason}"
+        self.events.note("error", words, run=reason.run, object_=self.runs.object_of(reason.run))
 
     def _remove(self, run: ActiveRun, now: float) -> None:
         self._on_finished(run, now)
@@ -352,9 +353,8 @@ class JobScheduler:
             self.events.note("worker", f"{worker.description} joined.", worker=join.wid)
             for run in self.runs if not join.rows else ():
                 if run.ref.needs_device:
-                    words = (
-                        f"It has no device for the engine {run.ref.engine}, and gets no rows of '{run.name}'."
-                    )
+                    lacks = f"It has no device for the engine {run.ref.engine}"
+                    words = f"{lacks}, and gets no rows of '{run.name}'."
                     self.events.note("worker", words, worker=join.wid, run=run.name)
         if worker and worker.is_drained:
             self._send_away(join.wid)

@@ -159,6 +159,10 @@ class RunQueue(Protocol):
         May be called in another thread than `next`.
         """
 
+    def object_of(self, run: str) -> str:
+        """Return the object of a run, as its spec names it; empty: not known. In any thread."""
+        return ""
+
     def wanted_shapes(self, most: int) -> "WantedShapes":
         """Return shapes, each once, that the next runs need and that are not built yet."""
         return WantedShapes((), is_last=True)
@@ -203,8 +207,6 @@ class SingleRunQueue(RunQueue):
 
 RUN_DEFAULTS = {"protocol": "physical"}
 """Defaults of a run or a campaign of meshes that flags ask for; a campaign's file has those of the paper."""
-
-
 FLIGHT_KEYS = ("population", "generations_in_flight", "in_flight")
 """Keys of a spec that say how much is in flight: where one is given, the method decides none of them anew."""
 

@@ -77,11 +77,6 @@ class ActiveRun:
         return self.tally.curve(self.name)
 
     @property
-    def undurable_rows(self) -> int:
-        """Settled rows that are not known to be on disk."""
-        return max(0, self.tally.rows - self.sink.durable)
-
-    @property
     def remaining(self) -> int:
         """Counted evaluations that it may still take; 0 once it is over."""
         return 0 if self.pipeline.finished else max(0, self.tally.budget - self.tally.evaluations)
@@ -349,6 +344,10 @@ class RunRegistry:
         """Return an active run; None: not active."""
         return self._open.get(run)
 
+    def object_of(self, run: str) -> str:
+        """Return the object of a run of a campaign, as its spec names it; empty: not known."""
+        return self._queue.object_of(run)
+
     def asset(self, digest: str) -> Bundle | Path | None:
         """Return a present or recent scene, or a file of a shape; None: unknown. Safe in any thread."""
         return self._scenes.get(digest) or self.shapes.files.get(digest)
@@ -452,7 +451,7 @@ class RunRegistry:
             budget=max(self.extent.evaluations, found.evaluations),
             remaining=sum(self._budgets.values()) - spent,
             **structs.asdict(found),
-            waiting=sum(run.undurable_rows for run in self._open.values()),
+            waiting=sum(max(0, run.tally.rows - run.sink.durable) for run in self._open.values()),
             workers=workers,
             seconds=seconds,
             rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,

@@ -118,8 +118,6 @@ class ShapeQueue:
         self._count += 1
         return self._prefix + self._count.to_bytes(8)
 
-    def clear(self) -> list[ShapeBuild]:
-        """Forget all builds that wait, and return them."""
-        builds = list(self._waiting)
+    def clear(self) -> None:
+        """Forget all builds that wait."""
         self._waiting.clear()
-        return builds

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.scheduler.worker import (
     Worker,
     fewest_batches_first,
 )
-from qdgrasp_coordinator.storage.run_folder import admit_platform
+from qdgrasp_coordinator.storage.platforms import admit_platform
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
 

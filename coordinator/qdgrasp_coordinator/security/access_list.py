@@ -82,8 +82,6 @@ TRAFFIC = (
     _token(JOBS.recorder_token(), RECORDER, {COORDINATOR, Role.MONITOR}),
 )
 """All traffic (docs/bus.md, keys)."""
-
-
 GIVEN = {TrafficKind.PUT: ["put"], TrafficKind.QUERY: ["query"], TrafficKind.TOKEN: ["liveliness_token"]}
 """Zenoh messages of the giving side: ingress from it, egress to the takers."""
 TAKEN = {

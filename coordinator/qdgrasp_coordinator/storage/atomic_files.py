@@ -19,12 +19,12 @@ NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 def write(file: Path, payload: bytes) -> None:
     """Replace a file at once; the new bytes are on the disk when this returns."""
     part = file.with_name(f"{file.name}.part")
-    _write_through(part, payload)
+    write_through(part, payload)
     part.replace(file)
     sync(file.parent)
 
 
-def _write_through(file: Path, payload: bytes) -> None:
+def write_through(file: Path, payload: bytes) -> None:
     """Write a file whose bytes, but not its name, are on the disk when this returns."""
     with file.open("wb") as stream:
         stream.write(payload)
@@ -86,7 +86,7 @@ def create_folder(
     """
     with writing(path), staging_folder(path) as part:
         for name, payload in files.items():
-            _write_through(part / name, payload)
+            write_through(part / name, payload)
         for name in folders:
             (part / name).mkdir()
         fill(part)
@@ -99,7 +99,7 @@ def create_folder(
 def staging_folder(path: Path) -> Iterator[Path]:
     """Make a temporary folder beside `path` to build it in; removed at the end unless renamed.
 
-    Missing parent folders are made (`way`). Leftovers of processes that were killed are removed.
+    Missing parent folders are made (`making_parents`). Leftovers of processes that were killed are removed.
     """
     whole = path.absolute()
     part = whole.with_name(f"{_begin(whole)}{os.getpid()}.part")

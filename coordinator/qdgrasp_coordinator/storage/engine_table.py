@@ -70,12 +70,24 @@ def write_table(
         before = read_table(path)
         made = np.concatenate([before[~np.isin(before["row"], numbers)], made])
         made = made[np.argsort(made["row"])]
+    OutFile(path, force=True).write(to_csv(made))
+    return path
+
+
+def to_csv(table: EngineTable) -> bytes:
+    """Return the bytes of a table's file."""
     lines = [",".join(TABLE.names or ())]
-    for row, outcome, fitness, outcome_now, fitness_now in made.tolist():
+    for row, outcome, fitness, outcome_now, fitness_now in table.tolist():
         words = (Outcome(outcome).name.lower(), int(fitness), Outcome(outcome_now).name.lower())
         lines.append(",".join(map(str, (row, *words, int(fitness_now)))))
-    OutFile(path, force=True).write(("\n".join(lines) + "\n").encode())
-    return path
+    return ("\n".join(lines) + "\n").encode()
+
+
+def renumber(table: EngineTable, kept: NDArray[np.int64]) -> EngineTable:
+    """Return the table of a journal that keeps the rows of these numbers (n,), ascending, alone."""
+    found = table[np.isin(table["row"], kept)]
+    found["row"] = np.searchsorted(kept, found["row"])
+    return found
 
 
 def read_table(path: Path) -> EngineTable:

@@ -19,7 +19,6 @@ from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage.atomic_files import damaged_file
 from qdgrasp_coordinator.storage.journal_schema import (
     APPLICATION,
-    FILE,
     FORMAT,
     LARGEST_VALUE,
     OLD_FORMAT,
@@ -32,6 +31,7 @@ from qdgrasp_coordinator.storage.journal_schema import (
     explaining_read_errors,
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.messages import Failure, Width
 from qdgrasp_protocol.rows import Rows, RowShape, impossible_rows
@@ -98,9 +98,9 @@ class Journal:
         Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version of this
         package.
         """
-        file = folder / FILE
+        file = folder / JOURNAL
         if not file.is_file():
-            raise FolderError(f"{folder} holds no journal ({FILE}).")
+            raise FolderError(f"{folder} holds no journal ({JOURNAL}).")
         with explaining_read_errors(file):
             database = _connect(file)
             try:
@@ -114,7 +114,7 @@ class Journal:
         """Return the journal of a run that has not recorded anything yet, in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None)
         create_tables(database, identity)
-        return cls(database, Path(FILE))
+        return cls(database, Path(JOURNAL))
 
     @property
     def spec(self) -> RunSpec:

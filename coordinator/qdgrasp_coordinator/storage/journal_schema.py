@@ -15,7 +15,6 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from qdgrasp_coordinator.storage.atomic_files import damaged_file
-from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, from_toml
@@ -54,7 +53,6 @@ class JournalSource(Struct, frozen=True, kw_only=True):
         return f"{self.run}: {self.asked.method}, seed {self.asked.seed}, {done}, {self.digest[:12]}"
 
 
-FILE = JOURNAL
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 3
 REDUCED = 4  # The format of a journal that keeps successes alone (`reduced_journal`)

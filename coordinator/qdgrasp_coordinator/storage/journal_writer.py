@@ -19,7 +19,6 @@ from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import (
-    FILE,
     FORMAT,
     NO_ROOM,
     JournalIdentity,
@@ -27,6 +26,7 @@ from qdgrasp_coordinator.storage.journal_schema import (
     explaining_read_errors,
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import DiskFull, FolderError
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
@@ -65,7 +65,7 @@ class JournalWriter(Journal):
 
         It is written without a wait for the disk, then flushed as a whole: before any row is in it.
         """
-        part = folder / f"{FILE}.part"
+        part = folder / f"{JOURNAL}.part"
         for left in folder.glob(f"{part.name}*"):
             left.unlink(missing_ok=True)
         with explaining_write_errors(folder):
@@ -82,7 +82,7 @@ class JournalWriter(Journal):
                 database.close()
         with atomic_files.writing(folder):
             atomic_files.sync(part)
-            part.replace(folder / FILE)
+            part.replace(folder / JOURNAL)
         return cls._connect(folder)
 
     @classmethod
@@ -94,7 +94,7 @@ class JournalWriter(Journal):
 
     @classmethod
     def _connect(cls, folder: Path) -> "JournalWriter":
-        file = folder / FILE
+        file = folder / JOURNAL
         with explaining_read_errors(file), explaining_write_errors(folder):
             database = sqlite3.connect(file, isolation_level=None)
             try:

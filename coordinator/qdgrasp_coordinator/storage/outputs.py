@@ -174,10 +174,7 @@ class SharedFolder(Output):
         Where the block fails none of them does. Raises as `writing`.
         """
         self.check()
-        with (
-            atomic_files.writing(self.path, self.instead),
-            atomic_files.staging_folder(self._staged) as part,
-        ):
+        with atomic_files.writing(self.path, self.instead), atomic_files.staging_folder(self._staged) as part:
             yield part
             files = sorted(part.iterdir(), key=lambda made: (made.name != self.mark, made.name))
             for made in files:

@@ -6,13 +6,13 @@
 
 Beside them are the files of its job (`job_folder`), unless it is one of a campaign's.
 
-Rows of one job come from workers of one platform, whose results have the same bits; the digest of a journal
-is equal for two runs of one spec, however they were carried out (docs/reproducibility.md); the provenance
-of a row is the run that it comes from: a merged journal holds rows of several.
+The digest of a journal is equal for two runs of one spec, however they were carried out
+(docs/reproducibility.md); the provenance of a row is the run that it comes from: a merged journal holds rows
+of several.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -26,8 +26,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.engines import DEVICE_ENGINE, ENGINE_PACKAGES, engine_names
-from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun, Refused
+from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
@@ -38,91 +37,6 @@ class PreparedScene(NamedTuple):
 
     scene: Scene
     bundle: Bundle
-
-
-VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
-IN_MUJOCO = ("mujoco", "mujoco_code", "mujoco_probes")
-ENGINE_ENTRIES = {
-    "bullet": ("pybullet", "probes"),
-    "mujoco": IN_MUJOCO,
-    DEVICE_ENGINE: (DEVICE_ENGINE, f"{DEVICE_ENGINE}_code", "warp", "warp_device", *IN_MUJOCO),
-}
-"""Entries of a platform that concern the rows of an engine alone, first its version.
-
-The platform of rows of another engine lacks them, and so does that of a machine without the engine.
-"""
-ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
-
-
-class PlatformDiffers(Refused):
-    """A worker's platform is not the one that the job's rows come from."""
-
-    def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
-        super().__init__(f"its platform differs: {platform_differences(job, worker)}.")
-
-
-class LacksEngine(Refused):
-    """A worker does not have the engine of a run that is carried out."""
-
-    def __init__(self, run: str, engine: str | None) -> None:
-        package = " and ".join(ENGINE_PACKAGES[name] for name in engine_names(engine))
-        super().__init__(
-            f"run '{run}' is simulated in {package}, which is not installed there; install it, or start the "
-            "worker where it is."
-        )
-
-
-def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
-    """Describe the entries in which another platform differs from the job's."""
-    compared = sorted({*job, *other} - ENGINE_NAMES | ENGINE_NAMES & {*job} & {*other})
-    differing = [name for name in compared if job.get(name) != other.get(name)]
-    if differing == [VERSION]:
-        return ""
-    return ", ".join(
-        f"{name} {other.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
-        for name in differing
-    )
-
-
-def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
-    """The platform of the job once this worker has joined: the first worker sets it.
-
-    Raises `PlatformDiffers` where another platform was there first; what differs is named.
-    """
-    if job and platform_differences(job, worker):
-        raise PlatformDiffers(job, worker)
-    if not job:
-        return dict(worker)
-    return {name: worker[name] for name in sorted(ENGINE_NAMES & {*worker})} | dict(job)
-
-
-def platform_of(engine: str | None, platform: Mapping[str, str]) -> dict[str, str]:
-    """The part of a platform that concerns the rows of an engine, or of two; None: Bullet."""
-    others = ENGINE_NAMES.difference(*(ENGINE_ENTRIES[name] for name in engine_names(engine)))
-    return {name: value for name, value in platform.items() if name not in others}
-
-
-def is_of_gpu(platform: Mapping[str, str]) -> bool:
-    """Return whether a platform has a GPU, on which the bits of rows are not fixed."""
-    return platform.get("warp_device", "CPU") != "CPU"
-
-
-def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
-    """Entries of its engines that a platform lacks, on which rows were made; None: Bullet.
-
-    They were recorded before these entries were, or have no engine, but an evaluator of one's own.
-    """
-    entries = [ENGINE_ENTRIES[name] for name in engine_names(engine)]
-    return [name for own in entries if own[0] in platform for name in own if name not in platform]
-
-
-def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
-    """Return whether a worker's platform has engines, and not this one or these; None: Bullet.
-
-    Rows of a device are leased to workers that have it alone; others may serve a job beside them.
-    """
-    wanted = {ENGINE_ENTRIES[name][0] for name in engine_names(engine) if name != DEVICE_ENGINE}
-    return not ENGINE_NAMES.isdisjoint(platform) and not wanted <= platform.keys()
 
 
 def journal_digest(journal: Journal) -> str:
@@ -348,6 +262,8 @@ class Provenance:
     """The version of this package that began it."""
     rows: range
     """Their numbers in the journal."""
+    is_reduced: bool = False
+    """Whether the journal keeps its successes alone."""
 
 
 def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
@@ -358,7 +274,9 @@ def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
     found, first = [], 0
     for source in journal.sources:
         rows = range(first, first + source.kept)
-        found.append(Provenance(source.run, source.asked, source.platform, source.package, rows))
+        found.append(
+            Provenance(source.run, source.asked, source.platform, source.package, rows, is_reduced=True)
+        )
         first = rows.stop
     return found
 

@@ -15,17 +15,7 @@ from qdgrasp_coordinator.metrics.scores import known_scores
 from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage, deflated
-from qdgrasp_protocol.rows import (
-    GIVEN,
-    NO_SYNERGY,
-    RESULT,
-    Layout,
-    RowColumn,
-    Rows,
-    RowShape,
-    pack,
-    unpack,
-)
+from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, RESULT, Layout, RowColumn, Rows, RowShape, pack, unpack
 
 NO_ETA = -1.0  # Placeholder for an eta that is not known
 

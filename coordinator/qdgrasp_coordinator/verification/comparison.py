@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_coordinator.storage import platforms
 from qdgrasp_protocol.replay_messages import ReplayAnswer
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 from qdgrasp_protocol.text import counted
@@ -64,7 +64,7 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
             which = f"another platform; here is {self.differences}" if self.differences else "this platform"
             if self.not_recorded:
                 which += f" ({', '.join(self.not_recorded)} was not recorded then)"
-        bits = f"; {GPU_BITS}" if run_folder.is_of_gpu(self.platform) else ""
+        bits = f"; {GPU_BITS}" if platforms.is_of_gpu(self.platform) else ""
         return f"{self.rows} of them were made on {which}{bits}"
 
 
@@ -157,8 +157,6 @@ def platform_words(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
     """Describe how two platforms differ, in a sentence."""
     if not recorded:
         return PLATFORM_UNKNOWN
-    if not (differing := run_folder.platform_differences(recorded, now)):
-        return (
-            f"It was recorded on this platform; {GPU_BITS}." if run_folder.is_of_gpu(now) else PLATFORM_SAME
-        )
+    if not (differing := platforms.platform_differences(recorded, now)):
+        return f"It was recorded on this platform; {GPU_BITS}." if platforms.is_of_gpu(now) else PLATFORM_SAME
     return f"It was recorded on another platform; here is {differing}."

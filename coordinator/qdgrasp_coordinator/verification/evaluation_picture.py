@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.rendering import annotations
 from qdgrasp_coordinator.rendering.annotations import INK, Canvas, CoveredArea, fitting_size, label_font
 from qdgrasp_coordinator.report import row_report
@@ -25,6 +26,7 @@ from qdgrasp_coordinator.verification.replay_client import (
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.replay_messages import ReplayFrame
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.text import counted
 
 REPLAY_MEANINGS = row_report.OUTCOME_MEANINGS | {
     Outcome.DEAD_END: "none of its poses was free and promised enough; this is the first of them"
@@ -76,16 +78,15 @@ def _title(shown: ReplayTarget) -> str:
     outcome = shown.outcome
     noun = "grasp" if outcome.is_success else "row"
     trial = f", trial {shown.trial}" if shown.trial else ""
-    found = f"{outcome.name.lower().replace('_', ' ')}, fitness {shown.row['fitness']:g}"
+    found = f"{outcome_words(outcome)}, fitness {shown.row['fitness']:g}"
     return f"{shown.scene.gripper.name} on {shown.scene.object.name}, {noun} {shown.number}{trial}: {found}"
 
 
 def _contact_words(shown: ReplayTarget) -> str:
     if not shown.outcome.is_success:
         return ""
-    links = int(shown.row["contacts"])
-    touching = f"{links} finger link{'s' if links != 1 else ''} in contact"
-    return f"; {touching}, penetration {1000 * shown.row['penetration']:.2g} mm"
+    links = counted(int(shown.row["contacts"]), "finger link")
+    return f"; {links} in contact, penetration {1000 * shown.row['penetration']:.2g} mm"
 
 
 SMALLEST, LARGEST = PictureSize(320, 240), {".png": PictureSize(3840, 2160), ".gif": PictureSize(1280, 960)}
@@ -231,7 +232,7 @@ def write_evaluation(
 
     Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
     and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
-    happen, or the file cannot be written, and NotReplayed if it could not be replayed.
+    happen, or the file cannot be written, and ReplayFailed if it could not be replayed.
     """
     layout = PictureLayout(options.size, has_labels=has_labels)
     with replay_evaluation(shown, replace(options, size=layout.scene), stop) as replay:

@@ -31,7 +31,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 )
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_coordinator.storage import platforms
 from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
@@ -226,15 +226,15 @@ def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) ->
     counts: Counter[tuple[str | None, tuple[tuple[str, str], ...]]] = Counter()
     for selection in selections:
         engine = selection.found_by.spec.engine
-        platform = run_folder.platform_of(engine, selection.found_by.platform)
+        platform = platforms.platform_of(engine, selection.found_by.platform)
         counts[engine, tuple(sorted(platform.items()))] += len(selection.numbers)
     for (simulated_in, items), rows in counts.most_common():
         platform = dict(items)
         yield PlatformShare(
             rows=rows,
             platform=platform,
-            differences=run_folder.platform_differences(platform, now),
-            not_recorded=run_folder.missing_entries(simulated_in, platform),
+            differences=platforms.platform_differences(platform, now),
+            not_recorded=platforms.missing_entries(simulated_in, platform),
         )
 
 
@@ -243,12 +243,27 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
 
     engine: str
     rows: int
+    """Rows that the other engine has judged."""
+    failed: int
+    """Rows besides on which it failed."""
     same_verdict: int
     """Rows that both engines call robust, or neither."""
     outcomes: dict[str, dict[str, int]]
     """Rows by their recorded outcome, and by that in the other engine."""
     file: str
-    """The table of all rows."""
+    """The table of all rows that were judged."""
+
+    @classmethod
+    def of(cls, engine: str, recorded: Rows, now: Rows, *, failed: int, file: Path) -> "EngineComparison":
+        """Compare rows (n,) as recorded with the same ones as judged by the other engine."""
+        outcomes: dict[str, dict[str, int]] = {}
+        pairs = Counter(zip(recorded["outcome"].tolist(), now["outcome"].tolist(), strict=True))
+        for (before, after), number in sorted(pairs.items(), reverse=True):
+            outcomes.setdefault(Outcome(before).name.lower(), {})[Outcome(after).name.lower()] = number
+        same = int(((recorded["outcome"] >= Outcome.HELD) == (now["outcome"] >= Outcome.HELD)).sum())
+        return cls(
+            engine=engine, rows=len(now), failed=failed, same_verdict=same, outcomes=outcomes, file=str(file)
+        )
 
     @property
     def table(self) -> str:
@@ -257,6 +272,8 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
             f"recorded {name}: {', '.join(f'{number} {now}' for now, number in found.items())}"
             for name, found in self.outcomes.items()
         ]
+        if self.failed:
+            lines.append(f"{self.engine} failed on {self.failed} more, which are not in the table")
         share = f"{self.same_verdict} of {counted(self.rows, 'success', 'successes')}"
         return "\n".join(
             [f"{share} have the same verdict in {self.engine}, robust or not", *lines, self.file]
@@ -312,13 +329,6 @@ def compare_engine(
     judged = memory.rows["outcome"] != Outcome.ERROR
     if not judged.any():
         raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
-    table = write_table(folder, engine, places[judged], rows[places[judged]], memory.rows[judged])
-    pairs = Counter(zip(rows["outcome"][places].tolist(), memory.rows["outcome"].tolist(), strict=True))
-    outcomes: dict[str, dict[str, int]] = {}
-    for (recorded, now), number in sorted(pairs.items(), reverse=True):
-        outcomes.setdefault(Outcome(recorded).name.lower(), {})[Outcome(now).name.lower()] = number
-    robust = [each["outcome"] >= Outcome.HELD for each in (rows[places], memory.rows)]
-    same = int((robust[0] == robust[1]).sum())
-    return EngineComparison(
-        engine=engine, rows=len(places), same_verdict=same, outcomes=outcomes, file=str(table)
-    )
+    recorded, now = rows[places[judged]], memory.rows[judged]
+    table = write_table(folder, engine, places[judged], recorded, now)
+    return EngineComparison.of(engine, recorded, now, failed=int((~judged).sum()), file=table)

@@ -29,8 +29,7 @@ from qdgrasp_coordinator.scheduler.run_plan import JobExtent
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import FILE
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN, FINISHED
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, FINISHED, JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import EndsTooSoon, FolderError, ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -142,7 +141,7 @@ def test_another_end_or_other_rows_are_counted_anew(campaign: JobFolder) -> None
     longer = msgspec.structs.replace(spec, evaluations=N + 1)
     assert finished_here(campaign, longer) is None
     assert extent(campaign, longer).runs_done == 0
-    with closing(sqlite3.connect(campaign.run_path("run-0") / FILE)) as journal, journal:
+    with closing(sqlite3.connect(campaign.run_path("run-0") / JOURNAL)) as journal, journal:
         journal.execute("UPDATE turns SET last = last + 1")
     assert finished_here(campaign, spec) is None
     assert extent(campaign, spec) == known
@@ -273,7 +272,7 @@ def test_a_run_that_is_asked_for_otherwise_or_no_more_is_refused_and_the_folder_
 def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
     name, spec = next(iter(asked().runs.items()))
     run = RunFolder.add(JobFolder(path), name, spec, None)
-    (run.path / FILE).write_bytes(b"no journal")
+    (run.path / JOURNAL).write_bytes(b"no journal")
     assert begin_campaign(path, asked()).runs_done == 0
 
 

@@ -136,6 +136,7 @@ def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(
             queue.next()
         failed.append(failure.value.run)
     assert failed == [name for name in runs if "box40" in name]
+    assert [queue.object_of(name) for name in failed] == [runs[name].object for name in failed]
     assert sorted([*failed, *open_all(queue)]) == sorted(runs)
 
 

@@ -1,5 +1,6 @@
 """Journals that keep successes alone: pruned runs and merged ones."""
 
+import errno
 import importlib
 import itertools
 import sqlite3
@@ -16,10 +17,11 @@ from tests.coordinator.scenes import made_scene
 from qdgrasp_coordinator.campaign import merge_prune
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_campaign, prune_run
 from qdgrasp_coordinator.campaign.ranking import read_run_grasps
-from qdgrasp_coordinator.campaign.reduced_journal import kept_rows, reshape_rows
+from qdgrasp_coordinator.campaign.reduced_journal import is_kept, reshape_rows
 from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.report.reference_builder import reference_set_of
+from qdgrasp_coordinator.storage.engine_table import read_table, table_path, write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
@@ -77,11 +79,53 @@ def test_a_pruned_run_has_its_successes_and_all_its_figures_and_takes_less_room(
     assert sorted(path.name for path in run.path.glob("run.sqlite*")) == ["run.sqlite"]
 
 
-def test_a_table_of_another_engine_goes_with_the_numbers_of_rows_that_it_names(runs) -> None:
-    table = runs[0].path / "engine-mujoco.csv"
-    table.write_text("row,outcome,fitness,outcome_now,fitness_now\n")
-    prune_run(runs[0])
-    assert not table.exists()
+def judge(run: RunFolder) -> Rows:
+    """Write a table of MuJoCo's verdicts on every other success; returns these, by their numbers."""
+    rows = rows_of(run)
+    numbers = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))[::2]
+    write_table(run, "mujoco", numbers, rows[numbers], rows[numbers])
+    return rows[numbers]
+
+
+def test_a_table_of_another_engine_gets_the_new_numbers_of_its_rows(runs) -> None:
+    run, *_ = runs
+    judged = judge(run)
+    prune_run(run)
+    table = read_table(table_path(run, "mujoco"))
+    assert rows_of(run)[table["row"]].tobytes() == judged.tobytes()
+    assert table["outcome_now"].tolist() == judged["outcome"].tolist()
+    assert not list(run.path.glob("*.part"))
+
+
+@pytest.mark.parametrize("end", ["run.sqlite.part", "engine-mujoco.csv.part"])
+def test_a_prune_that_is_killed_leaves_no_table_with_numbers_of_other_rows(runs, monkeypatch, end) -> None:
+    run, *_ = runs
+    judge(run)
+    replace = Path.replace
+
+    def killed(path: Path, target: Path) -> Path:
+        if path.name == end:
+            raise KeyboardInterrupt
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        prune_run(run)
+    assert not list(run.path.glob("engine-*"))
+
+
+def test_a_full_disk_leaves_a_table_of_another_engine_as_it_was(runs, monkeypatch) -> None:
+    run, *_ = runs
+    judge(run)
+    before, table = digest_of(run), table_path(run, "mujoco").read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(merge_prune.atomic_files, "write_through", full)
+    with pytest.raises(DiskFull):
+        prune_run(run)
+    assert (digest_of(run), table_path(run, "mujoco").read_bytes()) == (before, table)
 
 
 def test_a_reduced_journal_says_on_what_its_rows_were_made(tmp_path, runs) -> None:
@@ -181,6 +225,16 @@ def test_merged_runs_hold_the_successes_of_all_and_say_whose_they_are(tmp_path, 
     assert len(reference_set_of(folder).cells) == len(cells)
 
 
+def test_counts_of_second_answers_are_summed_and_shares_of_a_table_are_not_taken_over(tmp_path, runs) -> None:
+    for run, (checked, differing) in zip(runs, ((5, 1), (7, 0), (0, 0)), strict=True):
+        judge(run)
+        with closing(sqlite3.connect(run.path / "run.sqlite")) as journal, journal:
+            counts = (("checked", checked), ("differing", differing))
+            journal.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", counts)
+    found = merge_runs(runs, tmp_path / "all").summary
+    assert (found.checked, found.differing, found.in_both) == (12, 1, {})
+
+
 def test_the_order_in_which_runs_are_named_does_not_matter_nor_whether_they_were_pruned_or_merged(
     tmp_path, runs
 ) -> None:
@@ -234,7 +288,7 @@ def test_records_of_one_search_that_disagree_count_each(tmp_path, recorded, runs
 def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, recorded, runs) -> None:
     wide = reshape_rows(random_rows(N), RowShape(genes=5, joints=2, descriptors=3))
     wide["genome"] = 0.5
-    merge_runs([runs[2], recorded("wide", kept_rows(wide), seed=9)], tmp_path / "all")
+    merge_runs([runs[2], recorded("wide", wide[is_kept(wide)], seed=9)], tmp_path / "all")
     rows = rows_of(RunFolder(tmp_path / "all"))
     narrow = successes(rows_of(runs[2]))
     assert rows["genome"].shape[1] == 5

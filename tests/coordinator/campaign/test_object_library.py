@@ -213,6 +213,21 @@ def test_two_rows_of_one_file_or_one_name_are_refused(library):
     assert "would be called as those of 'b/part'" in str(refused.value)
 
 
+def test_of_rows_of_one_id_the_first_is_used_and_the_others_are_named_by_their_files(library):
+    trimesh.creation.box(BLOCK).export(library / "b" / "part.obj")
+    rows = [{"file": f"b/part.{end}", "mass": mass} for end, mass in (("stl", 1), ("stl", 2), ("obj", 3))]
+    manifest = write_manifest(library / "objects.csv", rows)
+    with pytest.raises(UnusableMeshes, match="2 of 3 meshes") as refused:
+        read_library(manifest, LibraryRules())
+    for name in ("b/part (row 2, part.stl): its file is", "b/part (row 3, part.obj): its runs would"):
+        assert name in str(refused.value)
+    asked = campaign_of_meshes(manifest, SKIPPING, VALUES)
+    assert [(spec.object, spec.mass) for spec in asked.runs.values()] == [
+        (str(library / "b" / "part.stl"), 1)
+    ]
+    assert [each.object for each in asked.skipped] == ["b/part (row 2, part.stl)", "b/part (row 3, part.obj)"]
+
+
 def test_nothing_is_skipped_where_nothing_would_be_left(library):
     rows = [{"file": "lost.stl", "mass": 1}]
     with pytest.raises(UnusableMeshes, match="1 of 1"):

@@ -95,19 +95,10 @@ def test_an_object_is_called_as_its_library_calls_it() -> None:
         ([waiting(), run(seed=1, totals=NO_TOTALS, is_done=False)], "running"),
         ([run(), waiting(seed=1)], "running"),
         ([run(), run(seed=1)], "done"),
-        ([run(), waiting(seed=1, failure="no parts")], "done"),
-        ([waiting(failure="no parts"), waiting(seed=1)], "waiting"),
-        ([waiting(failure="no parts"), waiting(seed=1, failure="no parts")], "failed"),
     ],
 )
 def test_the_state_of_an_object_follows_from_its_runs(runs: list[ObjectRun], state: str) -> None:
     assert one(*runs).state == state
-
-
-def test_why_runs_failed_is_said_once() -> None:
-    assert one(*[waiting(seed=n, failure="It has no parts.") for n in range(3)]).warnings == [
-        "It has no parts."
-    ]
 
 
 def test_of_many_runs_the_first_are_named() -> None:
@@ -204,20 +195,29 @@ def test_a_shape_with_a_fault_is_a_warning_at_its_object() -> None:
     before = list_objects([run("a"), run("b")])
     found = with_events(before, [warning(), warning(number=2), warning("Lost.", file="c")])
     assert (found[0].warnings, found[1].warnings) == (["It is coarse."], [])
-    assert list_objects([run("a")], warnings={"a": ["It is coarse."]})[0].warnings == ["It is coarse."]
+
+
+def failure(number: int, words: str, run: str) -> Any:
+    return event(number, words, kind="error", run=run, object="a")
 
 
 def test_a_run_that_fails_is_told_at_its_object() -> None:
     before = list_objects([waiting("a"), waiting("a", hand="allegro"), waiting("b")])
-    failure = {"kind": "error", "run": "panda-a-s0"}
-    found = with_events(
-        before, [event(1, "It has no parts.", **failure), event(2, "It has no parts.", **failure)]
-    )
+    found = with_events(before, [failure(n, "It has no parts.", "panda-a-s0") for n in (1, 2)])
     assert (found[0].runs_failed, found[0].state, found[0].warnings) == (1, "waiting", ["It has no parts."])
     both = with_events(
-        found, [event(3, "No parts.", **failure), event(4, "No parts.", kind="error", run="allegro-a-s0")]
+        found, [failure(3, "No parts.", "panda-a-s0"), failure(4, "No parts.", "allegro-a-s0")]
     )
     assert (both[0].state, both[0].runs_failed, both[1].state) == ("failed", 2, "waiting")
+    over = with_events(list_objects([run("a"), waiting("a", seed=1)]), [failure(1, "No.", "panda-a-s1")])
+    assert over[0].state == "done"
+
+
+def test_every_run_of_many_that_fails_is_counted() -> None:
+    before = list_objects([waiting("a", seed=n) for n in range(MOST_NAMES + 8)])
+    events = [failure(n, "It has no parts.", f"panda-a-s{n}") for n in range(MOST_NAMES + 8)]
+    (found,) = with_events(before, events)
+    assert (found.runs_failed, found.state, found.warnings) == (40, "failed", ["It has no parts."])
 
 
 def test_a_row_that_is_given_up_fails_no_run() -> None:

@@ -24,7 +24,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_protocol.errors import FolderError, InputError, NoReply
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -156,6 +156,25 @@ def test_what_it_answers_to_an_order_is_escaped(
     monkeypatch.setattr(job_commands, "open_session", session)
     job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
     assert capsys.readouterr().out == "Done. \\x1b[2J\n"
+
+
+def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monkeypatch, tmp_path) -> None:
+    def silent(*_: object, **__: object) -> None:
+        raise NoReply("no answer")
+
+    @contextmanager
+    def waiting(*_: object) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(ask=silent)
+
+    monkeypatch.setattr(job_commands, "open_session", waiting)
+    monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values()))
+    (known,) = views(values())
+    for job, words in (
+        (known.job, "did not answer in time, and may still"),
+        ("other", "Unknown job 'other'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            job_commands.send_order(job, "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
 
 
 ON_DEVICE = ("--gripper", "panda", "--object", "mug", "--protocol", "physical", "--engine", "mujoco-warp")

@@ -248,6 +248,18 @@ def test_runs_that_cannot_be_read_are_left_out_and_named(campaign: JobFolder, tm
     said = export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
     assert "20 grasps of 3 objects in 5 runs; 1 run left out" in said
     assert "- `jaw-cup-s0`: " in (tmp_path / "out" / "README.md").read_text()
+    (campaign.run_path("jaw-cup-s1") / "spec.toml").write_text("gripper =")
+    assert "16 grasps of 2 objects in 4 runs; 2 runs left out" in export_campaign(
+        campaign.path, tmp_path / "less", "parquet", GRASPS
+    )
+
+
+def test_a_campaign_of_runs_that_cannot_be_read_says_why(campaign: JobFolder, tmp_path: Path) -> None:
+    for run in runs(campaign):
+        (run.path / "scene.bundle").unlink()
+    with pytest.raises(FolderError, match=r"no grasp to write: 6 runs could not be read, the first: .*scene"):
+        export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
+    assert not list(tmp_path.glob("out*"))
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -61,10 +61,7 @@ def test_it_is_told_what_is_begun_with(run, tmp_path, monkeypatch) -> None:
         "qdgrasp_coordinator.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
     )
     assert command(run.path, "--format", "csv", "-o", tmp_path / "out").exit_code == 0
-    assert told == [
-        f"reading {run.path}",
-        f"writing 4 evaluations to {tmp_path / 'out'}",
-    ]
+    assert told == [f"reading {run.path}", f"writing 4 evaluations to {tmp_path / 'out'}"]
 
 
 @each_format
@@ -257,6 +254,9 @@ def test_only_what_holds_in_the_other_engine_is_written_and_what_is_not_known_is
     assert "run 'qdgrasp verify DIR --engine mujoco --all' first" in refusal(
         run.path, "csv", tmp_path / "out.csv", "--holds-in", "mujoco"
     )
+    pruned = make_run(Outcome.HELD, name="pruned", evaluations=1)
+    prune_run(pruned)
+    assert "it is merged or pruned" in refusal(pruned.path, "csv", tmp_path / "p.csv", "--holds-in", "mujoco")
     judge(run, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
     said = command(run.path, "--format", "csv", "-o", tmp_path / "out.csv", "--holds-in", "mujoco")
     assert said.stdout.startswith("2 grasps written")

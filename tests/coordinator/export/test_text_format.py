@@ -57,10 +57,7 @@ BAD_YAML = {
     "a word": (ISAAC.replace("0.1, -0.2", "x, -0.2"), "grasp 0: position must be 3 numbers"),
     "a mapping": (ISAAC.replace("0.1, -0.2", "{a: b}, -0.2"), "grasp 0: position must be 3 numbers"),
     "NaN": (ISAAC.replace("0.1, -0.2", "nan, -0.2"), "of grasp 'grasp 0' its pose holds"),
-    "infinity": (
-        ISAAC.replace("0.1, -0.2", "1e999, 0"),
-        "its pose holds a number that is not finite",
-    ),
+    "infinity": (ISAAC.replace("0.1, -0.2", "1e999, 0"), "its pose holds a number that is not finite"),
     "zero quaternion": (
         ISAAC[: ISAAC.index("    orientation")] + "    orientation: {w: 0.0, xyz: [0, 0, 0]}\n",
         "'grasp 0' its quaternion must be of length 1, and is of length 0",

@@ -17,14 +17,15 @@ from tests.coordinator.report.test_row_report import OUTCOMES, run_of, run_of_sy
 
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.metrics.niches import synergies
-from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.metrics.run_stats import count_rows, successes
 from qdgrasp_coordinator.monitor.records import BusRecords, FolderIndex, FolderRecords, Records, RunLocation
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_coordinator.recorder import queries
 from qdgrasp_coordinator.recorder.queries import QueryServer
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
+from qdgrasp_protocol.errors import FolderError, MessageError, QdgraspError, UnknownName
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 
 
@@ -166,17 +167,40 @@ def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.Monke
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
-    (entry,) = records.entries("mug").runs
+@pytest.fixture
+def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
+    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
+        yield BusRecords(ours)
+
+
+def test_a_run_is_counted_as_its_journal_is(listed: BusRecords) -> None:
+    (entry,) = listed.entries("mug").runs
     assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
 
 
-def test_how_a_run_grew_is_told_generation_by_generation(records: Records) -> None:
-    (entry,), curve = records.entries("mug").runs, records.curve("mug", "run")
+@pytest.mark.parametrize(
+    "answer", [b'{"runs": [], "host": "\xff"}', b'{"runs": 1}', b'{"runs": [], "uncounted": -1}']
+)
+def test_an_answer_that_is_no_list_of_runs_is_not_of_the_protocol(network: MemoryNetwork, answer) -> None:
+    with (
+        network.session() as bus,
+        bus.answer(Keys("mug").entries, lambda _query: answer),
+        pytest.raises(MessageError),
+    ):
+        BusRecords(network.session()).entries("mug")
+
+
+def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folder: RunFolder) -> None:
+    curve, counts = records.curve("mug", "run"), count_rows(folder.spec, [ROWS])
     assert [point.evaluations for point in curve.points] == list(range(10, 301, 10))
-    counts = [len(successes(ROWS[:stop])) for stop in range(10, 301, 10)]
-    assert [point.successes for point in curve.points] == counts
-    assert (curve.run, curve.points[-1].cells, curve.points[-1].robust) == ("run", entry.cells, entry.robust)
+    found = [len(successes(ROWS[:stop])) for stop in range(10, 301, 10)]
+    assert [point.successes for point in curve.points] == found
+    totals = counts.totals
+    assert (curve.run, curve.points[-1].cells, curve.points[-1].robust) == (
+        "run",
+        totals.cells,
+        totals.robust,
+    )
 
 
 def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:
@@ -245,18 +269,21 @@ def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
     assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
 
 
-def test_objects_and_single_runs_are_the_same_over_the_bus_and_from_folders(
+def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(
     tmp_path: Path, network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 2)
     job = record_campaign(tmp_path / "parts", 3, hands=("panda",))
-    folders, bus = FolderRecords(FolderIndex([job.path])), BusRecords(network.session())
+    expected = queries.ObjectIndex(job.path, queries.RunIndex(job.path)).page(0).objects
+    monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 2)
+    bus = BusRecords(network.session())
     with QueryServer(network.session(), "parts", job.path):
         over_bus = bus.objects("parts")
         (run, *_) = over_bus.objects[0].names
         entry = bus.entry("parts", run)
         assert bus.entry("parts", "other") is None
     assert len(over_bus.objects) == 6
-    assert over_bus.objects == folders.objects("parts").objects
+    assert over_bus.objects == expected
     assert entry is not None
-    assert entry.totals == folders.entry("parts", run).totals
+    folder = RunFolder(job.run_path(run))
+    with folder.journal() as journal:
+        assert entry.totals == count_rows(folder.spec, journal.blocks()).totals

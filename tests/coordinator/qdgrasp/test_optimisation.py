@@ -39,10 +39,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "evaluations must be a whole number at least 1 and at most 1000000000, got 0",
     ),
     "no gripper": ({"gripper": None}, "'gripper' is missing; say gripper=... with a name or a file"),
-    "nobody": (
-        {"place": qdgrasp.Place(workers=0)},
-        "has no workers: start some, or name a router",
-    ),
+    "nobody": ({"place": qdgrasp.Place(workers=0)}, "has no workers: start some, or name a router"),
     "a hand that has no jaw": ({"gripper": "allegro", "prior": "antipodal"}, "is for two-finger hands"),
 }
 

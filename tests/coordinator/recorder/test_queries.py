@@ -2,6 +2,7 @@
 
 import os
 import socket
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -105,6 +106,30 @@ def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_ans
     spoil_block(made.path / "run.sqlite", 200)
     counted = RunIndex(made.path)
     assert [counted.page(0).runs for _ in range(3)] == [[]] * 3
+
+
+def test_a_run_whose_journal_has_a_spec_of_another_version_hides_no_other_run(campaign: Path) -> None:
+    with sqlite3.connect(campaign / "runs" / "a" / "run.sqlite") as database:
+        database.execute("UPDATE meta SET value = 'colour = 1' WHERE name = 'spec'")
+    told = RunIndex(campaign)
+    assert [entry.run for entry in told.page(0).runs] == ["run"]
+    assert told.one("a").runs == []
+
+
+def test_the_counts_of_runs_that_are_asked_for_are_kept_longest(tmp_path, make_scene, monkeypatch) -> None:
+    monkeypatch.setattr(queries, "MOST_COUNTED", 2)
+    job = JobFolder.create(tmp_path / "job", "mugs")
+    for name in "abc":
+        record(tmp_path / name, make_scene(), random_rows(30)).path.rename(job.run_path(name))
+        (job.run_path(name) / "job.json").unlink()
+        touch(RunFolder(job.run_path(name)), 1e9)
+    counted = RunIndex(job.path)
+    for name in "abac":
+        counted.one(name)
+    opened = list[Path]()
+    monkeypatch.setattr(Journal, "open", opened.append)
+    assert counted.one("a").curve is not None
+    assert opened == []
 
 
 def test_one_run_is_told_of_without_a_look_at_the_others(campaign: Path, opened: list[Path]) -> None:

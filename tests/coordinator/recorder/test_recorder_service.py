@@ -3,16 +3,7 @@ from pathlib import Path
 
 import pytest
 from tests.common import PATIENCE, wait_for
-from tests.fakes.recorder import (
-    BUNDLE,
-    JOB,
-    SCENE,
-    SHAPE,
-    SPEC,
-    FakeCoordinator,
-    make_rows,
-    recording,
-)
+from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message

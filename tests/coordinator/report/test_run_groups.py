@@ -246,7 +246,7 @@ def test_where_all_runs_are_in_it_a_curve_never_falls(gains: list[list[int]]) ->
         made("me_scs", climb(*np.cumsum(gain).tolist()), seed=seed, evaluations=10 * len(gain))
         for seed, gain in enumerate(gains)
     ]
-    found = quartile_curve(group(*runs), CELLS, points=20)
+    found = quartile_curve(group(*runs), CELLS)
     for part in (found.low, found.median, found.high):
         assert (np.diff(part[: found.common_points]) >= 0).all()
     assert (found.low <= found.median).all()

@@ -26,12 +26,7 @@ class Dispatch(Dispatcher):
     """A dispatcher with its workers."""
 
     def __init__(
-        self,
-        epoch: int,
-        batch_size: int | None = None,
-        checked: float = 0.0,
-        *,
-        takes_over: bool = False,
+        self, epoch: int, batch_size: int | None = None, checked: float = 0.0, *, takes_over: bool = False
     ) -> None:
         self.workers = WorkerRegistry()
         super().__init__(epoch, self.workers, batch_size, checked)

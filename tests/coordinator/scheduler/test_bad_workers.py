@@ -3,15 +3,7 @@
 from collections.abc import Sequence
 
 import pytest
-from tests.coordinator.scheduler.leases import (
-    EPOCH,
-    SHAPE,
-    Dispatch,
-    indices,
-    result,
-    settle,
-    submit,
-)
+from tests.coordinator.scheduler.leases import EPOCH, SHAPE, Dispatch, indices, result, settle, submit
 from tests.fakes.messages import ANN, BOB, EVE, FAY, join_message
 
 from qdgrasp_coordinator.scheduler.batch_dispatcher import EARLY_SECONDS, STRIKES

@@ -10,18 +10,14 @@ from tests.fakes.job import FakeRunQueue, assignment, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
-from qdgrasp_coordinator.metrics.job_status import (
-    WORKERS_PER_PAGE,
-    JobEvent,
-    WorkerStatus,
-)
+from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
 from qdgrasp_coordinator.scheduler.early_stop import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunOpened
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import Cancelled
+from qdgrasp_protocol.errors import Cancelled, RunFailed
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Heartbeat, Join, Opened
 
@@ -117,6 +113,23 @@ def test_a_refused_worker_is_told_of_with_the_reason(job: SchedulerWithoutRuns) 
     assert (refused.kind, refused.worker) == ("worker", BOB)
     assert "was refused" in refused.words
     assert "pybullet" in refused.words
+    assert not refused.words.endswith("..")
+
+
+class LibraryQueue(FakeRunQueue):
+    """A queue of runs on objects that are called as the runs."""
+
+    def object_of(self, run: str) -> str:
+        return f"/library/{run}.stl"
+
+
+def test_a_run_that_cannot_be_carried_out_is_told_of_with_its_object() -> None:
+    events: list[JobEvent] = []
+    scheduler = scheduler_of(LibraryQueue({"mug": None}), events.append)
+    scheduler.handle(RunNotOpened(RunFailed("mug", "Its mesh is no mesh.")), 0.0)
+    assert [(event.kind, event.run, event.object) for event in events] == [
+        ("error", "mug", "/library/mug.stl")
+    ]
 
 
 def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_run_begins() -> None:

@@ -99,7 +99,7 @@ def test_a_worker_that_lies_later_is_excluded_and_its_runs_go_on_from_their_jour
     words = [event.words for event in heard.events]
     assert sum("is excluded" in sentence for sentence in words) == 1
     assert any(
-        sentence.startswith(f"What worker {LIAR[:8]} answered before may be wrong: `qdgrasp verify` run-")
+        sentence.startswith(f"Earlier rows of worker {LIAR[:8]} in run-") and "qdgrasp verify DIR" in sentence
         for sentence in words
     )
     assert any("goes on from row" in sentence for sentence in words)

@@ -10,11 +10,7 @@ from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
 from tests.fakes.job import FakeRunQueue, OpenedSink, assignment, runs_of
 
 from qdgrasp_coordinator.scheduler import run_registry
-from qdgrasp_coordinator.scheduler.run_registry import (
-    ActiveRun,
-    LoaderEvent,
-    NoRunLeft,
-)
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoaderEvent, NoRunLeft
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError, RunFailed
 from qdgrasp_protocol.messages import Opened

@@ -18,9 +18,10 @@ from tests.coordinator.recorded_runs import spoil_block
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.messages import Failure
@@ -132,7 +133,7 @@ def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
     rows = make_rows(300)
     record(tmp_path, rows, [100, 200])
     at = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.row_factory = sqlite3.Row
         table = database.execute("SELECT * FROM successes ORDER BY row").fetchall()
     assert [line["row"] for line in table] == at.tolist()
@@ -152,7 +153,7 @@ def test_trials_are_rows_and_no_successes_of_their_own(tmp_path: Path) -> None:
     with Journal.open(tmp_path) as journal:
         assert journal.successes().tobytes() == rows[::3].tobytes()
         assert journal.count == 60
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         assert database.execute("SELECT row FROM successes ORDER BY row").fetchall() == [
             (row,) for row in range(0, 60, 3)
         ]
@@ -279,33 +280,33 @@ class TestRefusals:
 
     @pytest.mark.parametrize("content", [b"", b"not a database, but long enough to look like one" * 100])
     def test_a_file_that_is_no_journal_is_refused(self, tmp_path: Path, content: bytes) -> None:
-        (tmp_path / FILE).write_bytes(content)
+        (tmp_path / JOURNAL).write_bytes(content)
         check_refused(tmp_path, "not a journal of qdgrasp")
 
     def test_another_programs_database_is_refused_and_not_touched(self, tmp_path: Path) -> None:
-        with sqlite3.connect(tmp_path / FILE) as database:
+        with sqlite3.connect(tmp_path / JOURNAL) as database:
             database.execute("CREATE TABLE mine (a)")
-        before = (tmp_path / FILE).read_bytes()
+        before = (tmp_path / JOURNAL).read_bytes()
         check_refused(tmp_path, "not a journal of qdgrasp")
-        assert (tmp_path / FILE).read_bytes() == before
+        assert (tmp_path / JOURNAL).read_bytes() == before
 
     def test_a_journal_of_a_newer_format_is_refused_by_its_number(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(1), [1])
-        with sqlite3.connect(tmp_path / FILE) as database:
+        with sqlite3.connect(tmp_path / JOURNAL) as database:
             database.execute("PRAGMA user_version = 7")
         check_refused(tmp_path, "is of format 7, this version of qdgrasp reads the formats 1, 2, 3, 4")
 
     def test_a_torn_file_is_said_to_be_damaged(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(3000), [3000])
-        size = (tmp_path / FILE).stat().st_size
-        os.truncate(tmp_path / FILE, size // 2 // 4096 * 4096)
+        size = (tmp_path / JOURNAL).stat().st_size
+        os.truncate(tmp_path / JOURNAL, size // 2 // 4096 * 4096)
         with pytest.raises(FolderError, match="is damaged"), Journal.open(tmp_path) as journal:
             list(journal.blocks())
 
     def test_an_altered_row_is_said_to_be_damaged(self, tmp_path: Path) -> None:
         rows = make_rows(100)
         record(tmp_path, rows, [50, 50])
-        spoil_block(tmp_path / FILE, 0)
+        spoil_block(tmp_path / JOURNAL, 0)
         with Journal.open(tmp_path) as journal:
             assert len(journal.rows(50, 50)) == 50
             with pytest.raises(FolderError, match="rows 0 to 49 are not what was recorded"):
@@ -313,7 +314,7 @@ class TestRefusals:
 
     def test_an_altered_row_at_the_end_leaves_nothing_to_count(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(100), [50, 50])
-        spoil_block(tmp_path / FILE, 50)
+        spoil_block(tmp_path / JOURNAL, 50)
         with pytest.raises(FolderError, match="rows 50 to 99 are not what was recorded"):
             Journal.open(tmp_path)
 
@@ -329,7 +330,7 @@ class TestRefusals:
 
     def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(30), [10, 10, 10])
-        with sqlite3.connect(tmp_path / FILE) as database:
+        with sqlite3.connect(tmp_path / JOURNAL) as database:
             database.execute("DELETE FROM blocks WHERE first = 10")
         with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="is damaged"):
             list(journal.blocks())
@@ -350,10 +351,7 @@ BLOCK_COLUMNS = "n AS first, n, n AS epoch, n AS cpu_seconds, n AS crc, n AS row
             "table 'errors'",
         ),
         ("DROP TABLE errors; CREATE VIRTUAL TABLE errors USING fts5(row, reason)", "table 'errors'"),
-        (
-            "CREATE TRIGGER sly AFTER INSERT ON turns BEGIN DELETE FROM blocks; END",
-            "trigger 'sly'",
-        ),
+        ("CREATE TRIGGER sly AFTER INSERT ON turns BEGIN DELETE FROM blocks; END", "trigger 'sly'"),
         ("CREATE INDEX slow ON blocks (length(hex(zeroblob(n))))", "index 'slow'"),
         ("DROP TABLE turns", "has no table 'turns'"),
         ('CREATE TABLE "\x1b[2J" (n)', r"table '\\x1b\[2J' is none of a journal"),
@@ -363,7 +361,7 @@ def test_a_journal_with_other_objects_than_its_tables_is_refused(
     tmp_path: Path, script: str, named: str
 ) -> None:
     record(tmp_path, make_rows(100), [100])
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.executescript(script)
     for reader in (Journal, JournalWriter):
         with pytest.raises(FolderError, match=named):
@@ -377,10 +375,7 @@ def test_a_journal_with_other_objects_than_its_tables_is_refused(
         ("n = n - 1 WHERE first = 70", "rows 70 to 98 are not"),
         ("n = 1 << 40 WHERE first = 70", "rows 70 to 1099511627845 are not"),
         ("n = -30 WHERE first = 70", "rows 70 to 39 are not"),
-        (
-            "first = 1 << 62 WHERE first = 70",
-            "rows 4611686018427387904 to",
-        ),
+        ("first = 1 << 62 WHERE first = 70", "rows 4611686018427387904 to"),
         ("n = n + 5 WHERE first = 30", "rows 30 to 74 are not"),
         ("first = -30 WHERE first = 0", "rows -30 to -1 are not"),
         ("first = 29 WHERE first = 0", "rows 29 to 58 are not"),
@@ -390,7 +385,7 @@ def test_a_block_that_counts_other_rows_than_it_has_is_damage(
     tmp_path: Path, change: str, words: str
 ) -> None:
     record(tmp_path, make_rows(100), [30, 40, 30])
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("UPDATE blocks SET " + change)  # noqa: S608  # of this test
     with pytest.raises(FolderError, match=words), Journal.open(tmp_path) as journal:
         list(journal.blocks())
@@ -398,7 +393,7 @@ def test_a_block_that_counts_other_rows_than_it_has_is_damage(
 
 def test_a_page_in_front_of_all_blocks_is_damage(tmp_path: Path) -> None:
     record(tmp_path, make_rows(100), [50, 50])
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("DELETE FROM blocks WHERE first = 0")
     with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="rows 0 to 9 are missing"):
         journal.slice(0, 10)
@@ -407,7 +402,7 @@ def test_a_page_in_front_of_all_blocks_is_damage(tmp_path: Path) -> None:
 def test_a_block_that_inflates_to_more_than_its_rows_is_not_inflated(tmp_path: Path) -> None:
     record(tmp_path, make_rows(100), [100])
     bomb = zlib.compress(bytes(400 << 20))
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("UPDATE blocks SET rows = ?, crc = ?", (bomb, zlib.crc32(bomb)))
     tracemalloc.start()
     try:
@@ -431,7 +426,7 @@ def test_a_journal_that_says_of_itself_what_cannot_be_is_damaged(
     tmp_path: Path, name: str, value: str
 ) -> None:
     record(tmp_path, make_rows(100), [100])
-    with sqlite3.connect(tmp_path / FILE) as database:
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("UPDATE meta SET value = ? WHERE name = ?", (value, name))
     with pytest.raises(FolderError, match="what it says of itself cannot be read"):
         Journal.open(tmp_path)

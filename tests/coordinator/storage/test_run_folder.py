@@ -18,17 +18,7 @@ from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
-from qdgrasp_coordinator.storage.run_folder import (
-    PlatformDiffers,
-    RunFolder,
-    admit_platform,
-    lacks_engine,
-    missing_entries,
-    platform_differences,
-    platform_of,
-    provenance,
-    provenances,
-)
+from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance, provenances
 from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -283,68 +273,3 @@ def test_the_rows_of_a_merged_folder_are_those_of_its_runs(tmp_path: Path, make_
             rows = np.concatenate(list(journal.kept(one.rows.start, one.rows.stop)))
             assert rows.tobytes() == expected.tobytes()
             assert provenance(merged, journal, one.rows.start) == one
-
-
-JOB_PLATFORM = {"qdgrasp": "0.1.0", "numpy": "2.4.6", "code": "ab" * 32}
-
-
-def test_the_first_worker_says_the_platform_of_the_job() -> None:
-    assert admit_platform({}, JOB_PLATFORM) == JOB_PLATFORM
-
-
-def test_the_version_of_the_package_is_kept_and_not_compared() -> None:
-    later = JOB_PLATFORM | {"qdgrasp": "0.2.0"}
-    assert admit_platform(JOB_PLATFORM, later) == JOB_PLATFORM
-    assert platform_differences(JOB_PLATFORM, later) == ""
-
-
-@pytest.mark.parametrize("other", [{"numpy": "2.5.0"}, {"code": "cd" * 32}, {"machine": "aarch64"}])
-def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, str]) -> None:
-    (name,) = other
-    with pytest.raises(PlatformDiffers, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
-        admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})
-
-
-IN_MUJOCO = {"mujoco": "4.0.1", "mujoco_code": "ef" * 32, "mujoco_probes": "01" * 32}
-IN_BULLET = {"pybullet": "3.2.7", "probes": "23" * 32}
-OF_ALL = {name: value for name, value in JOB_PLATFORM.items() if name not in IN_BULLET}
-
-
-def test_what_concerns_an_engine_is_recorded_with_its_rows_alone() -> None:
-    both = OF_ALL | IN_BULLET | IN_MUJOCO
-    assert platform_of(None, both) == OF_ALL | IN_BULLET
-    assert platform_of("mujoco", both) == OF_ALL | IN_MUJOCO
-    assert platform_of("bullet,mujoco", both) == platform_of("mujoco,bullet", both) == both
-
-
-def test_a_worker_lacks_an_engine_where_it_names_others() -> None:
-    assert lacks_engine(None, OF_ALL | IN_MUJOCO)
-    assert lacks_engine("mujoco", OF_ALL | IN_BULLET)
-    assert lacks_engine("bullet,mujoco", OF_ALL | IN_MUJOCO)
-    assert not lacks_engine(None, OF_ALL | IN_BULLET | IN_MUJOCO)
-    assert not lacks_engine(None, OF_ALL), "that of an evaluator of one's own"
-
-
-def test_a_run_of_before_an_entry_is_the_same_and_the_entry_is_named() -> None:
-    before = OF_ALL | {name: value for name, value in IN_MUJOCO.items() if name != "mujoco_probes"}
-    assert platform_differences(before, OF_ALL | IN_BULLET | IN_MUJOCO) == ""
-    assert missing_entries("mujoco", before) == ["mujoco_probes"]
-    assert missing_entries("mujoco", before | IN_MUJOCO) == missing_entries(None, before) == []
-    other = OF_ALL | IN_MUJOCO | {"mujoco_probes": "45" * 32}
-    assert "mujoco_probes 4545" in platform_differences(OF_ALL | IN_MUJOCO, other)
-
-
-def test_rows_of_a_device_name_it_and_are_not_mixed_with_those_of_another() -> None:
-    here = IN_MUJOCO | {"mujoco-warp": "4.0.0", "warp": "1.19.0", "warp_device": "NVIDIA H100 90"}
-    assert platform_of("mujoco-warp", JOB_PLATFORM | here) == JOB_PLATFORM | here
-    assert platform_of("mujoco", JOB_PLATFORM | here) == JOB_PLATFORM | IN_MUJOCO
-    assert admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | here
-    with pytest.raises(PlatformDiffers, match="warp_device NVIDIA A100 80 instead of NVIDIA H100 90"):
-        admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | here | {"warp_device": "NVIDIA A100 80"})
-
-
-def test_an_engine_is_compared_where_rows_of_it_are_recorded() -> None:
-    other = JOB_PLATFORM | IN_MUJOCO | {"mujoco": "4.0.2"}
-    assert admit_platform(JOB_PLATFORM, other) == other
-    with pytest.raises(PlatformDiffers, match=r"mujoco 4\.0\.2 instead of 4\.0\.1"):
-        admit_platform(JOB_PLATFORM | IN_MUJOCO, other)

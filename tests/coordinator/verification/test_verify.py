@@ -1,5 +1,6 @@
 """Choice of rows, each kind with its share, and their comparison."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,14 @@ from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs
 from qdgrasp_coordinator.campaign.reduced_journal import reshape_rows
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
+from qdgrasp_coordinator.storage.engine_table import read_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.verification import verify
 from qdgrasp_coordinator.verification.comparison import (
     ComparedValues,
     DifferentRow,
@@ -22,9 +29,11 @@ from qdgrasp_coordinator.verification.verify import (
     ReevaluationQueue,
     balanced_sample,
     choose_rows,
+    compare_engine,
     run_folders_at,
 )
 from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 KINDS = np.repeat(np.array([1, 2, 4, 7], dtype=np.uint8), [500, 3, 40, 8])
@@ -95,6 +104,30 @@ def test_a_row_that_failed_and_has_a_result_now_differs(folders: list[RunFolder]
     assert (different.columns["outcome"].recorded, different.number) == ("error", 0)
     lots.add_row(lot, recorded, 0, recorded[0], "it failed again")
     assert len(lots.different) == 1
+
+
+def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = own(random_rows(3))
+    rows["outcome"] = (Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED)
+    folder = record(tmp_path / "run", made_scene(), rows, protocol="physical")
+
+    def simulate(_job: str, queue: SingleRunQueue, make_sink: Callable[..., MemorySink], *_: object) -> None:
+        plan = queue.next()
+        assert plan is not None
+        now = plan.shape.empty(3)
+        now["outcome"] = (Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR)
+        make_sink(plan).push(JournalSlice(0, now))
+
+    monkeypatch.setattr(verify, "run_temporary_job", simulate)
+    config, display = LocalJobConfig(workers=1), None
+    found = compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
+    assert found is not None
+    assert (found.rows, found.failed, found.same_verdict) == (2, 1, 2)
+    assert found.outcomes == {"held": {"held": 1}, "dropped": {"shaken": 1}}
+    assert "mujoco failed on 1 more" in found.table
+    assert len(read_table(Path(found.file))) == 2
 
 
 def test_a_sample_has_rows_of_every_outcome(folders: list[RunFolder]) -> None:

@@ -230,7 +230,7 @@ class RefusedByJob(Refused):
     exit_code = 2
 
     def __init__(self, job: str, reason: object) -> None:
-        super().__init__(f"Job '{job}' does not take this worker: {reason}")
+        super().__init__(f"Job '{job}' does not take this worker: {reason}.")
 
 
 class JobRegistry:

@@ -20,7 +20,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_coordinator.monitor.records import FolderIndex, FolderRecords
-from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches, RunDataCaches
 from qdgrasp_coordinator.monitor.web.state_stream import MAX_BROWSERS, Broadcast, EventStream, PageState
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.keys import parse_number
@@ -153,7 +153,7 @@ def folder_site(index: FolderIndex) -> Site:
         return msgspec.json.encode(found)
 
     page = Route("/", lambda _: HTMLResponse(html("view")))
-    runs = _run_routes(RunCaches(FolderRecords(index)), limiter)
+    runs = _run_routes(RunDataCaches(FolderRecords(index)), limiter)
     return Site([page, _slow("/api/jobs", listings, limiter), *runs])
 
 
@@ -166,7 +166,7 @@ def html(name: str) -> str:
     return PART.sub(lambda part: indent(read(part[2]), part[1]), read(f"{name}.html"))
 
 
-def _run_routes(runs: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
+def _run_routes(runs: RunDataCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
     """Return the routes of one run's data, which both sites have."""
 
     def cells(request: Request) -> bytes:

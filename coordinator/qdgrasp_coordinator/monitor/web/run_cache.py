@@ -27,21 +27,11 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, Records
-from qdgrasp_coordinator.monitor.web.scene_data import (
-    BrowserScene,
-    VoxelPages,
-    browser_scene,
-    grasp_view,
-)
+from qdgrasp_coordinator.monitor.records import JobRecords, JournalId, RecordPage, Records
+from qdgrasp_coordinator.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_coordinator.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
 from qdgrasp_coordinator.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
-from qdgrasp_coordinator.rendering.views import (
-    SurfaceDistanceGrid,
-    clear_png,
-    object_mesh,
-    object_picture,
-)
+from qdgrasp_coordinator.rendering.views import SurfaceDistanceGrid, clear_png, object_mesh, object_picture
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
@@ -387,59 +377,22 @@ class ObjectPictures:
         return picture
 
 
-class RunCaches:
-    """Data of all runs, as the page reads them; `clock` gives the time [s].
+class RunDataCaches:
+    """Data of single runs, as a page reads them; `clock` gives the time [s].
 
     The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
     job, run or grasp, or no answer.
     """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
-        def listings(job: str) -> TtlCache[RunListings]:
-            return TtlCache(lambda _: records.entries(job), lambda _: LISTED_SECONDS, clock)
-
         def curve(job: str, run: str) -> TtlCache[GrowthCurve]:
             return TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
 
         def cache(job: str, run: str) -> RunCache:
             return RunCache(records, job, run, clock)
 
-        def entry(job: str, run: str) -> TtlCache[tuple[RunListing, ...]]:
-            return TtlCache(
-                lambda _: tuple(filter(None, (records.entry(job, run),))), lambda _: LISTED_SECONDS, clock
-            )
-
-        def objects(job: str) -> TtlCache[ObjectListings]:
-            return TtlCache(
-                lambda _: records.objects(job),
-                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
-                clock,
-            )
-
-        self._listings = made_once(MAX_JOBS, listings)
-        self._entries = made_once(MAX_ENTRIES, entry)
-        self._objects = made_once(MAX_JOBS, objects)
-        self._pictures = ObjectPictures(records, cache_folder() / "pictures", clock)
         self._curves = made_once(MAX_CURVES, curve)
         self._runs = made_once(MAX_RUNS, cache)
-
-    def runs(self, job: str) -> bytes:
-        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
-        return msgspec.json.encode(self._listings(job).get())
-
-    def objects(self, job: str) -> ObjectListings:
-        """Return all objects of a job, with what they got."""
-        return self._objects(job).get()
-
-    def object_runs(self, job: str, file: str) -> bytes:
-        """Return the runs of one object that have begun, finished ones too: JSON of `RunListings`."""
-        names = next((each.names for each in self.objects(job).objects if each.file == file), [])
-        runs = [entry for name in names for entry in self._entries(job, name).get()]
-        return msgspec.json.encode(RunListings(runs=runs))
-
-    def picture(self, job: str, run: str) -> bytes:
-        """Return a small picture of a run's object: PNG with a transparent ground."""
-        return self._pictures.get(job, run)
 
     def curve(self, job: str, run: str) -> bytes:
         """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
@@ -467,3 +420,48 @@ class RunCaches:
     def settings(self, job: str, run: str) -> bytes:
         """Return what a run was asked for and how it is simulated: JSON of names and words."""
         return self._runs(job, run).settings()
+
+
+class RunCaches(RunDataCaches):
+    """Data of single runs, and lists of runs and objects, with pictures of the objects."""
+
+    def __init__(self, records: JobRecords, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(records, clock)
+
+        def listings(job: str) -> TtlCache[RunListings]:
+            return TtlCache(lambda _: records.entries(job), lambda _: LISTED_SECONDS, clock)
+
+        def entry(job: str, run: str) -> TtlCache[tuple[RunListing, ...]]:
+            return TtlCache(
+                lambda _: tuple(filter(None, (records.entry(job, run),))), lambda _: LISTED_SECONDS, clock
+            )
+
+        def objects(job: str) -> TtlCache[ObjectListings]:
+            return TtlCache(
+                lambda _: records.objects(job),
+                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
+                clock,
+            )
+
+        self._listings = made_once(MAX_JOBS, listings)
+        self._entries = made_once(MAX_ENTRIES, entry)
+        self._objects = made_once(MAX_JOBS, objects)
+        self._pictures = ObjectPictures(records, cache_folder() / "pictures", clock)
+
+    def runs(self, job: str) -> bytes:
+        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
+        return msgspec.json.encode(self._listings(job).get())
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, with what they got."""
+        return self._objects(job).get()
+
+    def object_runs(self, job: str, file: str) -> bytes:
+        """Return the runs of one object that have begun, finished ones too: JSON of `RunListings`."""
+        names = next((each.names for each in self.objects(job).objects if each.file == file), [])
+        runs = [entry for name in names for entry in self._entries(job, name).get()]
+        return msgspec.json.encode(RunListings(runs=runs))
+
+    def picture(self, job: str, run: str) -> bytes:
+        """Return a small picture of a run's object: PNG with a transparent ground."""
+        return self._pictures.get(job, run)

@@ -116,8 +116,6 @@ class GraspView(Struct, frozen=True):
 
 
 CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
-
-
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
 
@@ -150,11 +148,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
 
 
 def grasp_view(
-    find: np.void,
-    hand: HandGeometry,
-    scene: BrowserScene,
-    commands: Sequence[str],
-    margin: float = np.nan,
+    find: np.void, hand: HandGeometry, scene: BrowserScene, commands: Sequence[str], margin: float = np.nan
 ) -> GraspView:
     """Return a success (a record of `storage.success_pages`) with the hand as it closes."""
     alone = find.reshape(1)
@@ -256,8 +250,6 @@ MAX_PAGE_VOXELS = 1 << 15  # The most voxels on a page: about 1 MiB
 MAX_VOXELS = 1 << 18  # The most voxels that are kept, 12 MiB; of more, the best of each cell come first
 MAX_CELL = np.iinfo(np.int16).max  # Cells; farther out than about 300 m there is no success
 VOXEL = np.dtype([("key", "<i8"), ("serial", "<u4"), *PAGE_COLUMNS])
-
-
 NO_TABLES: Mapping[str, EngineTable] = {}
 
 

@@ -97,8 +97,8 @@ def parts() -> FakeFeed:
                   building=["/library/part_250.stl"])  # fmt: skip
     events = [
         event(1, "Its parts are coarse.", kind="warning", object="/library/part_001.stl"),
-        event(2, "It has no parts.", kind="error", run="panda-part_299-s0"),
-        event(3, "It has no parts.", kind="error", run="allegro-part_299-s0"),
+        event(2, "It has no parts.", kind="error", run="panda-part_299-s0", object="/library/part_299.stl"),
+        event(3, "It has no parts.", kind="error", run="allegro-part_299-s0", object="/library/part_299.stl"),
     ]
     told[Keys("parts").recent] = to_json(JobEvents(events=events))
     feed.jobs.receive_answers(told, feed.now)

@@ -7,13 +7,7 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import (
-    ORIGIN,
-    HandMadeRecords,
-    engine_table,
-    finds,
-    random_finds,
-)
+from tests.coordinator.monitor.web.conftest import ORIGIN, HandMadeRecords, engine_table, finds, random_finds
 from tests.coordinator.monitor.web.test_scene_data import columns_of, in_cells, read, settled
 
 from qdgrasp_assets.scene import Scene, SceneObject
