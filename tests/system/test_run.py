@@ -297,7 +297,8 @@ def test_what_cannot_be_scored_again_is_refused_in_a_sentence(qdgrasp, reference
 
 @pytest.mark.slow
 def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdgrasp, reference):
-    source = best_of_kinds(read_run_grasps(RunFolder.open(reference[0])), 1)[0]
+    run = RunFolder.open(reference[0])
+    source = best_of_kinds(read_run_grasps(run), 1, run.scene().object)[0]
     approach = Rotation.from_quat(source["base_to_object"][3:]).apply([0, 0, 1])
     from_above, _ = Rotation.align_vectors([[0, 0, -1]], [approach])
     pose = ",".join(f"{number:.6f}" for number in from_above.as_quat())

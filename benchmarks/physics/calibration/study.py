@@ -287,7 +287,7 @@ class Study:
         if not len(grasps):
             budget = counted(self._design.evaluations, "evaluation")
             raise InputError(f"{self.run.words}: no grasp in {budget}; take more with --evaluations.")
-        candidates = best_of_kinds(grasps, CANDIDATES * self._design.best)
+        candidates = best_of_kinds(grasps, CANDIDATES * self._design.best, self.scene.object)
         places = np.searchsorted(genome_numbers(self.successes), genome_numbers(candidates))
         spec = self._trials_spec(self.genomes(places.tolist()))
         found, plan = single_run(spec).rows, TrialPlan.of(spec)

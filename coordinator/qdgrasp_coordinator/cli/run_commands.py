@@ -381,7 +381,7 @@ def rerank(
     if ways:
         found = ranking.reachable_grasps(source, found, **ways)
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
-    chosen = ranking.best_of_kinds(found, most, kinds)
+    chosen = ranking.best_of_kinds(found, most, source.scene().object, kinds)
     race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
     listening = ListenConfig(listen, security, insecure)

@@ -451,11 +451,11 @@ def select_grasps(
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
     successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
-    eta is known, then by fitness); `diverse` takes so many at most, each as far as can be from those before
-    it (`spread_places`), the best one first. Without both, grasps are in journal order. `holds_in` takes
-    those that hold in this engine, by the run's table of it, `approach` those whose hands come to their
-    poses. Raises ImpossibleValue for other numbers,
-    UnknownName for another engine, and InputError where there is no such table.
+    eta is known, then by fitness and margin); `diverse` takes so many at most, each as far as can be from
+    those before it (`spread_places`), the best one first. Without both, grasps are in journal order.
+    `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those whose hands
+    come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine, and
+    InputError where there is no such table.
     """
     _check_number("min_fitness", min_fitness, whole=False)
     for name, value in (("top", top), ("diverse", diverse)):
@@ -471,7 +471,7 @@ def select_grasps(
     if top is None and diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
-    chosen = chosen[best_first(chosen.rows, bounds)[:top]]
+    chosen = chosen[best_first(chosen.rows, chosen.margin, bounds)[:top]]
     return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
 
 

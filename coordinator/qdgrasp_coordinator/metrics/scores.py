@@ -118,13 +118,17 @@ def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
     return numbers
 
 
-def best_first(rows: Rows, scores: NDArray[np.floating] | None = None) -> NDArray[np.int64]:
+def best_first(
+    rows: Rows, margins: NDArray[np.floating], scores: NDArray[np.floating] | None = None
+) -> NDArray[np.int64]:
     """The places (n,) of nominal rows, best first.
 
     One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
-    less penetration; of equals with more contacts; of equals the earlier one in the journal. A score that is
-    not known is NaN, which is worse than any.
+    a greater margin (n,), which predicts survival of other disturbances, as penetration does not
+    (docs/results/calibration.md); of equals with less penetration; of equals with more contacts; of equals
+    the earlier one in the journal. A score or margin that is not known is NaN, which is worse than any.
     """
     known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
     elder_last, contacts = (rows["index"], rows["generation"]), rows["contacts"].astype(np.int64)
-    return np.lexsort((*elder_last, -contacts, rows["penetration"], -rows["fitness"], -known))
+    margins = np.nan_to_num(margins, nan=-1.0)
+    return np.lexsort((*elder_last, -contacts, rows["penetration"], -margins, -rows["fitness"], -known))

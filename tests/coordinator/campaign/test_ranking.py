@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from tests.coordinator.recorded_runs import record_spec
+from tests.coordinator.scenes import made_scene
 
+from qdgrasp_coordinator.campaign import ranking
 from qdgrasp_coordinator.campaign.ranking import (
     best_of_kinds,
     is_reranking,
@@ -26,6 +29,7 @@ from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=7, joints=2)
 TRIALS = 100
+BODY = made_scene().object
 
 
 def spec(protocol: str = "paper", population: int = 50) -> RunSpec:
@@ -58,15 +62,29 @@ def test_grasps_are_ordered_by_fitness_then_penetration_then_contacts(column: st
     for later in others[others.index(column) + 1 :]:
         found[later] = [1, 0] if later == "penetration" else [0, 1]  # all that comes after speaks against it
     found[column] = [better, worse]
-    assert best_of_kinds(found, 2)["index"].tolist() == [0, 1]
+    assert best_of_kinds(found, 2, BODY)["index"].tolist() == [0, 1]
     found[column] = [worse, better]
-    assert best_of_kinds(found, 2)["index"].tolist() == [1, 0]
+    assert best_of_kinds(found, 2, BODY)["index"].tolist() == [1, 0]
+
+
+def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(monkeypatch) -> None:
+    asked: list[int] = []
+
+    def margins(rows: Rows, body: object) -> NDArray[np.float64]:
+        asked.extend(rows["index"].tolist())
+        return np.array([0.02, np.nan, 0.0, 0.03])[rows["index"]]
+
+    monkeypatch.setattr(ranking, "recorded_margins", margins)
+    found = rows(*[Outcome.HELD] * 3, Outcome.SHAKEN)
+    found["penetration"] = [0.003, 0.001, 0.002, 0.0]
+    assert best_of_kinds(found, 3, BODY)["index"].tolist() == [0, 2, 1]
+    assert asked == [0, 1, 2]  # the fourth cannot be among the best
 
 
 def test_of_equal_grasps_the_earlier_one_is_better() -> None:
     found = rows(*[Outcome.HELD] * 4)
     found["generation"], found["index"] = [1, 1, 0, 0], [1, 0, 3, 2]
-    assert best_of_kinds(found, 4)[["generation", "index"]].tolist() == [(0, 2), (0, 3), (1, 0), (1, 1)]
+    assert best_of_kinds(found, 4, BODY)[["generation", "index"]].tolist() == [(0, 2), (0, 3), (1, 0), (1, 1)]
 
 
 @given(st.integers(0, 2**32), st.integers(1, 60))
@@ -76,8 +94,8 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
     found["descriptor"] = random.integers(0, 3, (60, 3)) / 100
     for column, high in (("fitness", 3), ("penetration", 2), ("contacts", 3)):
         found[column] = random.integers(0, high, 60)
-    chosen = best_of_kinds(found, most)
-    assert best_of_kinds(random.permutation(found), most).tobytes() == chosen.tobytes()
+    chosen = best_of_kinds(found, most, BODY)
+    assert best_of_kinds(random.permutation(found), most, BODY).tobytes() == chosen.tobytes()
     places = cell_keys(cells(chosen["descriptor"]))
     assert len(set(places)) == len(chosen) == min(most, len(set(cell_keys(cells(found["descriptor"])))))
     for place, row in zip(places, chosen, strict=True):
@@ -88,8 +106,8 @@ def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
     found = rows(*[Outcome.HELD] * 4)
     found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0, 1]]
     found["penetration"] = [0.002, 0.001, 0.001, 0.002]
-    assert best_of_kinds(found, 4)["index"].tolist() == [1]
-    assert best_of_kinds(found, 4, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
+    assert best_of_kinds(found, 4, BODY)["index"].tolist() == [1]
+    assert best_of_kinds(found, 4, BODY, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(
@@ -109,7 +127,7 @@ def test_grasps_are_told_apart_as_the_search_did_or_as_is_asked(diversity, by_ni
     found["genome"][:, 0] = [0.0, 0.0, 2.0]
     asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
     kinds = kinds_of_run(asked, found, reader, by_niche)
-    assert best_of_kinds(found, 4, kinds)["index"].tolist() == chosen
+    assert best_of_kinds(found, 4, BODY, kinds)["index"].tolist() == chosen
 
 
 def test_only_grasps_are_scored_again(tmp_path: Path) -> None:
@@ -125,7 +143,7 @@ def test_grasps_of_a_run_with_trials_go_by_their_sum(tmp_path: Path) -> None:
     journal = np.concatenate([nominal, trials_of(nominal[0], 7), trials_of(nominal[1], 190)])
     found = read_run_grasps(record_spec(tmp_path / "run", spec("robust"), journal))
     assert found[["index", "fitness"]].tolist() == [(0, 7), (1, 190)]  # the third has no trials yet
-    assert best_of_kinds(found, 1)["index"] == 1
+    assert best_of_kinds(found, 1, BODY)["index"] == 1
 
 
 def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path) -> None:
