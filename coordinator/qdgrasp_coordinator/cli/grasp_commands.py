@@ -57,7 +57,7 @@ def export(
         ),
     ] = 0.0,
     top: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, penetration.")
+        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, margin.")
     ] = None,
     diverse: Annotated[
         int | None,
