@@ -35,6 +35,11 @@ Scenes = list[tuple[Values, Values]]
 
 @pytest.fixture(scope="module")
 def runs() -> Runs:
+    return read_runs()
+
+
+def read_runs() -> Runs:
+    """The table of runs, with the words for a method and figures that follow from others."""
     table = pandas.read_csv(RESULTS / "runs.csv", keep_default_na=False, na_values=[""])
     table["settings"] = table["settings"].fillna("")
     table["words"] = [words_of(*pair) for pair in zip(table["method"], table["settings"], strict=True)]

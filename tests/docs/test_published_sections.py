@@ -1,4 +1,4 @@
-"""Figures of the calibration study and of the reference sets, recomputed by other means."""
+"""Figures of calibration study, reference sets and the paper's claims, recomputed by other means."""
 
 import re
 from collections.abc import Callable
@@ -12,9 +12,12 @@ from tests.docs.test_published_numbers import (
     RESULTS,
     Runs,
     Values,
+    bootstrap,
     lines_with,
     near,
     part,
+    ratio,
+    read_runs,
     spread,
     words_of,
 )
@@ -132,3 +135,116 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
         assert next(name for name, cell in covered.items() if "**" in cell) == max(
             found, key=lambda name: np.median(found[name])
         )
+
+
+BANDS = {
+    "a": (1, np.inf), "b": (0.8, 1.25), "c": (-np.inf, 0.1), "d": (0.5, np.inf), "e": (-np.inf, 0.5),
+    "f": (1, np.inf),
+}  # fmt: skip
+COVERAGE_AT = {500: "500", 1000: "1k", 2000: "2k", 5000: "5k", 10_000: "10k", 50_000: "50k"}
+
+
+class ClaimLine:
+    """A line of the table of numbers, with the runs that it is of."""
+
+    def __init__(self, line: dict[str, str], runs: Runs) -> None:
+        self.line, self.letter = line, line[""]
+        self.names = re.findall(r"`\w+`", line["number"])
+        self.budget = int(line["evaluations"].replace(",", ""))
+        here = runs[runs["words"].isin(self.names) & (runs["budget"] == self.budget)]
+        self.scenes = [
+            [scene[scene["words"] == name].sort_values("seed") for name in self.names]
+            for _, scene in here.groupby(["gripper", "object"])
+            if set(scene["words"]) == set(self.names)
+        ]
+        self.seeds = min(len(arm) for scene in self.scenes for arm in scene)
+
+    def interval(self, budget: int, seeds: int) -> tuple[float, float, float]:
+        """The number after so many evaluations, of the first seeds alone, and its interval."""
+        arms = [[arm.iloc[:seeds] for arm in scene] for scene in self.scenes]
+        if len(self.names) == 2:
+            pairs = [tuple(self.reached(arm, budget) for arm in scene) for scene in arms]
+            low, high, _ = bootstrap(pairs, is_ratio=True)
+            return ratio(pairs), np.exp(low), np.exp(high)
+        values = [self.share(arm, budget) for (arm,) in arms]
+        low, high, _ = bootstrap([(some, np.zeros(2)) for some in values], is_ratio=False)
+        return float(np.mean([some.mean() for some in values])), low, high
+
+    def share(self, arm: Runs, budget: int) -> Values:
+        if self.letter == "d":
+            return arm["near_nu"].dropna().to_numpy()
+        return 1 - self.reached(arm, budget // 2) / self.reached(arm, budget)
+
+    def reached(self, arm: Runs, budget: int) -> Values:
+        """Coverage after so many evaluations, in the end cells where there is no set."""
+        column = "coverage" if budget == self.budget else f"coverage_{COVERAGE_AT[budget]}"
+        return (arm["cells"] if arm["coverage"].isna().all() else arm[column]).to_numpy(float)
+
+    def verdicts(self, budget: int, seeds: int) -> set[str]:
+        """The verdicts that an interval of other draws may give."""
+        _, low, high = self.interval(budget, seeds)
+        slack = 0.15 * (high - low)
+        ends = [(low + a * slack, high + b * slack) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+        return {verdict_of(self.letter, *one) for one in ends}
+
+    def check_stability(self, budgets: list[int]) -> None:
+        """Check from where on the verdict stays, over budgets with all seeds, and over seeds at the end."""
+        by_budget = {budget: self.verdicts(budget, self.seeds) for budget in budgets}
+        by_seeds = {seeds: self.verdicts(self.budget, seeds) for seeds in range(5, self.seeds + 1)}
+        for column, known in (("stable from evaluations", by_budget), ("from seeds", by_seeds)):
+            first = int(self.line[column].replace(",", ""))
+            assert all(self.line["verdict"] in some for at, some in known.items() if at >= first)
+            before = [some for at, some in known.items() if at < first]
+            assert not before or before[-1] != {self.line["verdict"]}
+
+
+def verdict_of(letter: str, low: float, high: float) -> str:
+    least, most = BANDS[letter]
+    if low > least and high < most:
+        return "agrees"
+    return "does not" if high <= least or low >= most else "cannot be said"
+
+
+def test_the_papers_claims_are_judged_from_the_runs() -> None:
+    section, every = part("The paper's claims"), read_runs()
+    runs = every[(every["protocol"] == "paper") & every["settings"].str.contains("surface_seed=seed")]
+    numbers = [ClaimLine(line, runs) for line in lines_with(section, "number")]
+    if not numbers:
+        pytest.skip("no runs of the claims' campaigns are in")
+    for one in numbers:
+        line, hands = one.line, {arm["gripper"].iloc[0] for scene in one.scenes for arm in scene}
+        assert (line["hands"], line["seeds"]) == (str(len(hands)), str(one.seeds))
+        value, low, high = one.interval(one.budget, one.seeds)
+        assert line["value"] == f"{value:.3g}"
+        if one.seeds < 5:
+            assert (line["95% interval"], line["stable from evaluations"]) == ("", "")
+            continue
+        said = [float(end) for end in line["95% interval"].split(" to ")]
+        width = 1.1 * (said[1] - said[0])
+        assert near(said[0], low, width)
+        assert near(said[1], high, width)
+        if line["verdict"] == "to compare with":
+            continue
+        assert line["verdict"] == verdict_of(one.letter, *said)
+        milestones = [at for at in COVERAGE_AT if at < one.budget]
+        if one.letter == "c":
+            milestones = [at for at in milestones if at // 2 in COVERAGE_AT]
+        one.check_stability([*([] if one.letter == "d" else milestones), one.budget])
+    for line in lines_with(section, "agrees when"):
+        for column, cell in line.items():
+            after = re.fullmatch(r"after ([\d,]+) evaluations", column)
+            if after is None:
+                continue
+            found = [
+                one.line["verdict"]
+                for one in numbers
+                if one.letter == line[""] and one.line["evaluations"] == after[1]
+                and one.line["verdict"] != "to compare with"
+            ]  # fmt: skip
+            weights = ("does not", "few seeds", "cannot be said", "agrees")
+            worst = min(found, key=weights.index, default="")
+            words = "cannot be said" if worst == "few seeds" else worst
+            assert cell == (
+                f"**{words}** ({found.count('agrees')} of {len(found)} number{'s' * (len(found) != 1)})"
+                if found else ""
+            )  # fmt: skip
