@@ -114,7 +114,7 @@ def best_of_kinds(rows: Rows, most: int, body: SceneObject, kinds: NDArray[np.in
     best = np.sort(rows["fitness"][order[first]])[-most:]
     decisive = rows["fitness"] >= best.min(initial=np.inf)  # no other row can be among the best
     rows, kinds = rows[decisive], kinds[decisive]
-    order = best_first(rows, recorded_margins(rows, body))
+    order = best_first(rows, body, len(rows))
     _, first = np.unique(kinds[order], return_index=True)
     return rows[order[np.sort(first)]][:most]
 

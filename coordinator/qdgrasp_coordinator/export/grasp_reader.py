@@ -129,15 +129,9 @@ class GraspReader:
 PART_ROWS = 8192  # Grasps that are in memory at a time, with all their columns
 CHOSEN = np.dtype([("number", "<i8"), ("confidence", "<f8"), ("is_success", "?"), ("is_settled", "?")])
 RANKED_BY = (
-    "generation",
-    "index",
-    "outcome",
-    "fitness",
-    "base_to_object",
-    "contacts",
-    "penetration",
-    "settled",
-)
+    "generation", "index", "outcome", "fitness", "base_to_object", "contacts", "penetration", "settled",
+    "contact_links", "contact_points",
+)  # fmt: skip
 """Columns that grasps are ranked and spread by."""
 NO_APPROACH = (None, None, 0.0, None)
 ALL_FAILURES = -1  # So many failures as there are

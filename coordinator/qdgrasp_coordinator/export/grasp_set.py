@@ -471,7 +471,7 @@ def select_grasps(
     if top is None and diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
-    chosen = chosen[best_first(chosen.rows, chosen.margin, bounds)[:top]]
+    chosen = chosen[best_first(chosen.rows, chosen.scene.object, top or 1, bounds)[:top]]
     return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
 
 

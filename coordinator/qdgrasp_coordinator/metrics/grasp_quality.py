@@ -57,9 +57,9 @@ def recorded_margins(rows: Rows, body: SceneObject) -> Floats:
     """(n,): the Ferrari-Canny margin of contacts (`grasp_margin`); NaN: none were recorded."""
     from qdgrasp_coordinator.metrics.grasp_margin import grasp_margins  # scipy takes its time
 
-    known, values = settled_mask(rows), contact_values(rows)
-    found = np.full(len(rows), np.nan)
+    known, found = settled_mask(rows), np.full(len(rows), np.nan)
     if known.any():
+        values = contact_values(rows)
         found[known] = grasp_margins(
             values[known, :, :3],
             values[known, :, 3:6],

@@ -11,7 +11,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.metrics.run_stats import success_mask, successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_protocol.rows import Outcome, Rows
@@ -119,16 +121,21 @@ def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
 
 
 def best_first(
-    rows: Rows, margins: NDArray[np.floating], scores: NDArray[np.floating] | None = None
+    rows: Rows, body: SceneObject, most: int, scores: NDArray[np.floating] | None = None
 ) -> NDArray[np.int64]:
-    """The places (n,) of nominal rows, best first.
+    """The places (n,) of nominal rows with an object; the first `most` are the best ones, best first.
 
     One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
-    a greater margin (n,), which predicts survival of other disturbances, as penetration does not
-    (docs/results/calibration.md); of equals with less penetration; of equals with more contacts; of equals
-    the earlier one in the journal. A score or margin that is not known is NaN, which is worse than any.
+    a greater margin, which says more of a grasp than its penetration (docs/coverage.md, "Margin of a grasp");
+    of equals with less penetration; of equals with more contacts; of equals the earlier one in the journal. A
+    score or margin that is not known is worse than any. Margins take some milliseconds each: they are
+    computed where they decide.
     """
     known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
+    order, margins = np.lexsort((-rows["fitness"], -known)), np.full(len(rows), -1.0)
+    if len(rows):
+        last = order[min(most, len(rows)) - 1]
+        ahead = (known > known[last]) | ((known == known[last]) & (rows["fitness"] >= rows["fitness"][last]))
+        margins[ahead] = np.nan_to_num(recorded_margins(rows[ahead], body), nan=-1.0)
     elder_last, contacts = (rows["index"], rows["generation"]), rows["contacts"].astype(np.int64)
-    margins = np.nan_to_num(margins, nan=-1.0)
     return np.lexsort((*elder_last, -contacts, rows["penetration"], -margins, -rows["fitness"], -known))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tests.coordinator.recorded_runs import record_spec
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.campaign import ranking
 from qdgrasp_coordinator.campaign.ranking import (
     best_of_kinds,
     is_reranking,
@@ -21,6 +20,7 @@ from qdgrasp_coordinator.campaign.ranking import (
     write_ranking,
     write_source,
 )
+from qdgrasp_coordinator.metrics import scores
 from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader, niches
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -74,7 +74,7 @@ def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(
         asked.extend(rows["index"].tolist())
         return np.array([0.02, np.nan, 0.0, 0.03])[rows["index"]]
 
-    monkeypatch.setattr(ranking, "recorded_margins", margins)
+    monkeypatch.setattr(scores, "recorded_margins", margins)
     found = rows(*[Outcome.HELD] * 3, Outcome.SHAKEN)
     found["penetration"] = [0.003, 0.001, 0.002, 0.0]
     assert best_of_kinds(found, 3, BODY)["index"].tolist() == [0, 2, 1]

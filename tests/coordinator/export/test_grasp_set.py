@@ -9,9 +9,9 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export.conftest import COM, MakeRun
 
-from qdgrasp_coordinator.export import grasp_set
 from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, select_grasps, spread_places
+from qdgrasp_coordinator.metrics import scores
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 
@@ -73,12 +73,12 @@ def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expe
 
 
 def test_the_best_come_first(grasps: Grasps, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grasp_set, "recorded_margins", lambda rows, body: rows["penetration"])
+    monkeypatch.setattr(scores, "recorded_margins", lambda rows, body: rows["penetration"])
     chosen = select_grasps(grasps, top=50)
     robust = grasps[grasps.fitness == 2]
     assert len(chosen) == 50
     assert (chosen.fitness[:40] == 2).all()
-    assert chosen.margin[:40].tolist() == sorted(robust.margin.tolist(), reverse=True)
+    assert chosen.rows["penetration"][:40].tolist() == sorted(robust.rows["penetration"], reverse=True)
 
 
 def test_a_known_eta_goes_before_fitness(grasps: Grasps) -> None:
