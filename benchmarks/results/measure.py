@@ -117,8 +117,13 @@ def _origin(journal: Journal, rows: Rows, spec: RunSpec) -> Figures:
         "code": code_of(platform, spec.engine),
         "platform": hashlib.sha256(json.dumps(platform, sort_keys=True).encode()).hexdigest()[:HEX],
         "scene": journal.scene[:HEX],
-        "journal": hashlib.sha256(rows.tobytes()).hexdigest()[:HEX],
+        "journal": rows_digest(rows),
     }
+
+
+def rows_digest(rows: Rows) -> str:
+    """The beginning of the digest of rows, as `qdgrasp digest` prints that of a journal's."""
+    return hashlib.sha256(rows.tobytes()).hexdigest()[:HEX]
 
 
 def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figures:

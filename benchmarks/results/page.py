@@ -209,20 +209,24 @@ campaigns in [deploy/results](../../deploy/results) ask for; `make results` carr
 def page(known: Programme, table: Mapping[Key, Row], sets: Sequence[SceneSet] = ()) -> str:
     """The whole page."""
     benchmark = arms(known.benchmark, table)
-    here = arms(known.part("", without=(BENCHMARK, CLAIMS)), table)
+    here, claimed = arms(known.part("", without=(BENCHMARK, CLAIMS)), table), known.part(CLAIMS)
     parts = [
         INTRODUCTION,
         benchmark_part(benchmark),
         comparison_part(benchmark, "## The benchmark, scene by scene"),
         sweep_part(arms(known.part(SWEEP), table)),
-        claims_part(arms(known.part(CLAIMS), table)),
-        sets_part(sets),
+        claims_part(arms(claimed, table)),
+        sets_part(sets, _scenes_with_runs((known.benchmark, claimed), table)),
         coverage_part(here),
         comparison_part(here, "## First touches: the search for touch against the others"),
         cpu_part(here),
         _standing(known, table),
     ]
     return "\n".join(part.rstrip("\n") + "\n" for part in parts if part)
+
+
+def _scenes_with_runs(parts: Sequence[Programme], table: Mapping[Key, Row]) -> int:
+    return len({one.scene for part in parts for one in part.wanted if one in table})
 
 
 def _standing(known: Programme, table: Mapping[Key, Row]) -> str:

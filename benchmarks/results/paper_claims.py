@@ -1,8 +1,8 @@
 """The paper's claims, judged from the table: value, verdict, and where the verdict becomes stable.
 
-Numbers and bands are those of `qdgrasp analyse` (report/claims.py), taken from runs of one budget, every
-method with its own settings. A verdict is stable from the least budget, and from the fewest seeds, from
-which on it is the same as with all of them.
+Numbers and bands are those of `qdgrasp analyse` (report/claims.py), taken for each hand from runs of one
+budget, every method with its own settings. A verdict is stable from the least budget, and from the fewest
+seeds, from which on it is the same as with all of them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,19 +23,20 @@ from qdgrasp_coordinator.report.bootstrap import (
 )
 from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim, agreement_of_all
 from qdgrasp_coordinator.report.tables import markdown_table
-from qdgrasp_protocol.text import counted
 
+JAW = "panda"
+"""The hand for which the paper has antipodal methods."""
 CAMPAIGN = "claims"
 """Beginning of the names of the campaigns that the claims are judged from."""
 COLUMNS = (
-    "", "number", "hands", "objects", "seeds", "evaluations", "value", f"{CONFIDENCE_LEVEL:.0%} interval",
+    "", "number", "hand", "objects", "seeds", "evaluations", "value", f"{CONFIDENCE_LEVEL:.0%} interval",
     "verdict", "stable from evaluations", "from seeds",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ClaimNumber:
-    """One number of a claim over the scenes that have its methods."""
+    """One number of a claim over the scenes of a hand that have its methods."""
 
     claim: PaperClaim
     methods: tuple[str, ...]
@@ -43,6 +44,12 @@ class ClaimNumber:
     """On each scene the arms of these methods, all of one budget."""
     is_judged: bool
     """False for numbers that only stand beside."""
+
+    @property
+    def part(self) -> tuple[str, int]:
+        """Hand and budget."""
+        key = self.scenes[0][0].key
+        return key.gripper, key.budget
 
     @property
     def seeds(self) -> int:
@@ -120,18 +127,19 @@ MEASURES: Mapping[Callable[..., object], Callable[[Sequence[Sequence[Arm]], int]
 
 
 def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
-    """The numbers of all claims whose methods are on a scene together, by budget.
+    """The numbers of all claims whose methods are on a scene together, by hand and budget.
 
     Left out are those that are not known in the end: half of the budget is no milestone.
     """
-    budgets: dict[int, dict[tuple[str, str, str], dict[str, Arm]]] = {}
+    parts: dict[tuple[str, int], dict[tuple[str, str, str], dict[str, Arm]]] = {}
     for arm in known:
         if arm.rows and not changed(arm.key):
-            budgets.setdefault(arm.key.budget, {}).setdefault(arm.key.scene, {})[arm.key.method] = arm
+            scenes = parts.setdefault((arm.key.gripper, arm.key.budget), {})
+            scenes.setdefault(arm.key.scene, {})[arm.key.method] = arm
     for claim in CLAIMS:
         judged = [(methods, True) for methods in claim.methods]
         for methods, is_judged in judged + [(methods, False) for methods in claim.beside]:
-            for budget, scenes in sorted(budgets.items()):
+            for (_, budget), scenes in sorted(parts.items()):
                 both = [arms for arms in scenes.values() if {*methods} <= {*arms}]
                 if both:
                     here = tuple(tuple(arms[name] for name in methods) for arms in both)
@@ -146,9 +154,11 @@ def claims_part(known: Iterable[Arm]) -> str:
     head = (
         "## The paper's claims\n\n"
         "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A claim agrees when all "
-        "its numbers do (in brackets: how many), and does not when one does not. A verdict is *stable* from "
-        "the least budget with all seeds, and from the fewest seeds at the end, from which on it stays the "
-        f"same. With fewer than {LEAST_RUNS} seeds there is none.\n"
+        "its numbers do (in brackets: how many of them), and does not when one does not. A verdict is "
+        "*stable* from the least budget with all seeds, and from the fewest seeds at the end, from which on "
+        f"it stays the same. With fewer than {LEAST_RUNS} seeds there is none. The paper's curves end at "
+        "100,000 evaluations. It has antipodal methods with the Panda alone, and speaks of several hands "
+        "together.\n"
     )
     if not found:
         return f"{head}\nNo runs of the claims' campaigns are in yet.\n"
@@ -156,24 +166,26 @@ def claims_part(known: Iterable[Arm]) -> str:
 
 
 def _summary(found: Sequence[ClaimNumber]) -> str:
-    """Each claim with its verdict after each budget."""
-    budgets = sorted({one.budgets[-1] for one in found})
-    columns = ("", "claim", "agrees when", *(f"after {budget:,} evaluations" for budget in budgets))
+    """Each claim with its verdict, by hand and budget."""
+    parts = sorted({one.part for one in found})
+    columns = ("", "claim", "agrees when", *(f"{hand}, {budget:,}" for hand, budget in parts))
     lines = []
     for claim in CLAIMS:
         judged = [one for one in found if one.claim is claim and one.is_judged]
-        by_budget = ([one for one in judged if one.budgets[-1] == budget] for budget in budgets)
-        lines.append((claim.letter, claim.words, claim.criterion, *map(_overall, by_budget)))
+        verdicts = (_overall(claim, [one for one in judged if one.part == part]) for part in parts)
+        lines.append((claim.letter, claim.words, claim.criterion, *verdicts))
     return markdown_table(columns, lines)
 
 
-def _overall(judged: Sequence[ClaimNumber]) -> str:
-    """The verdict on the numbers of a claim, and how many of these agree."""
+def _overall(claim: PaperClaim, judged: Sequence[ClaimNumber]) -> str:
+    """The verdict on the numbers of a claim with a hand, and how many of these agree."""
     if not judged:
         return ""
     verdicts = [one.verdict(one.budgets[-1], one.seeds) for one in judged]
-    agreeing = verdicts.count(ClaimAgreement.AGREES)
-    return f"**{agreement_of_all(verdicts).value}** ({agreeing} of {counted(len(judged), 'number')})"
+    hand, agreeing = judged[0].part[0], verdicts.count(ClaimAgreement.AGREES)
+    wanted = sum(hand == JAW or not any("antipodal" in name for name in names) for names in claim.methods)
+    absent = [ClaimAgreement.UNKNOWN] * (len(judged) < wanted)
+    return f"**{agreement_of_all([*verdicts, *absent]).value}** ({agreeing} of {wanted})"
 
 
 def _line(one: ClaimNumber) -> tuple[str, ...]:
@@ -183,7 +195,7 @@ def _line(one: ClaimNumber) -> tuple[str, ...]:
     budget, fewest = one.stable_from() if found.is_known and one.is_judged else (None, None)
     return (
         one.claim.letter, " / ".join(f"`{name}`" for name in one.methods),
-        str(len({arm.key.gripper for arm in arms})), str(len({arm.key.object for arm in arms})),
+        one.part[0], str(len({arm.key.object for arm in arms})),
         str(seeds), f"{end:,}", f"{found.value:.3g}",
         f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "",
         verdict if one.is_judged else "to compare with",

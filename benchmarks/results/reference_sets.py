@@ -1,26 +1,26 @@
 """Reference sets of our own: the cells that the runs of a scene found, and an estimate of the others.
 
-The published sets have no hand of most scenes, or fewer cells than a single run finds, and none of them says
-where a grasp holds. A set here is built as `qdgrasp reference build` does, from the finished runs of every
-method, and `runs.csv` beside the sets names these runs. Each further run of a scene goes into its set.
+The published sets know neither the protocol `physical` nor which run found which cell, and have no set of the
+hands and objects made here. A set here is built as `qdgrasp reference build` does, from the finished runs of
+every method, and `runs.csv` beside the sets names these runs. Each further run of a scene goes into its set.
 """
 
 import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from benchmarks.results.comparison import Arm, spread
+from benchmarks.results.measure import rows_digest
 from benchmarks.results.table import Key, Row, disk_text
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, read_references
-from qdgrasp_coordinator.metrics.richness import RichnessEstimate
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.storage import atomic_files
@@ -56,9 +56,27 @@ class SetRun(Struct, frozen=True, order=True):
         """The key of its row in the table of runs."""
         return Key(*(getattr(self, name) for name in Key._fields))
 
+    @property
+    def scene(self) -> "Scene":
+        """Hand, object and protocol."""
+        return self.key.scene
+
 
 COLUMNS = tuple(field.name for field in msgspec.structs.fields(SetRun))
 Scene = tuple[str, str, str]
+
+
+class MethodCoverage(NamedTuple):
+    """The shares of a set that the runs of a method found."""
+
+    budget: int
+    method: str
+    by_run: NDArray[np.float64]
+    """(n,): by each of its runs."""
+    together: float
+    """By any of them."""
+    alone: float
+    """By any of them, and by no run of another method."""
 
 
 @dataclass(frozen=True)
@@ -71,30 +89,31 @@ class SceneSet:
     runs: tuple[SetRun, ...]
 
     @property
-    def counts_holding(self) -> bool:
-        """Whether coverage counts cells where a grasp holds, and not all with a success."""
-        return self.scene[2].startswith("physical")
+    def counted(self) -> ReferenceSet:
+        """The cells that coverage counts: under `physical` those that hold, else all with a success."""
+        return self.found.robust if self.scene[2].startswith("physical") else self.found
 
     @property
-    def estimate(self) -> RichnessEstimate | None:
-        """Estimated number of the cells that coverage counts."""
-        return (self.found.robust if self.counts_holding else self.found).estimate
-
-    @cached_property
-    def coverage(self) -> dict[str, NDArray[np.float64]]:
-        """The share of the set that each run found (n,), by method: of cells that another run found too."""
-        counted = self.found.robust if self.counts_holding else self.found
+    def coverage(self) -> list[MethodCoverage]:
+        """The coverage of the set by each method, by budget; none where it counts no cell."""
+        counted = self.counted
         assert counted.by_run is not None
         assert counted.origin is not None
-        reached = counted.by_run > 0
-        times = reached.sum(axis=0)
-        lines = dict(zip(counted.origin.runs, reached, strict=True))
-        shares: dict[str, list[float]] = {}
+        if not len(counted):
+            return []
+        lines = dict(zip(counted.origin.runs, counted.by_run > 0, strict=True))
+        arms: dict[tuple[int, str], list[NDArray[np.bool_]]] = {}
         for run in self.runs:
-            line = lines[run.run]
-            others = times - line > 0
-            shares.setdefault(Arm(run.key, (), {}).method, []).append(float(line[others].mean()))
-        return {method: np.array(found) for method, found in shares.items()}
+            arms.setdefault((run.budget, Arm(run.key, (), {}).method), []).append(lines[run.run])
+        found = []
+        for (budget, method), reached in sorted(arms.items()):
+            mine = np.any(reached, axis=0)
+            others = [line for arm, some in arms.items() if arm[1] != method for line in some]
+            alone = mine & ~np.any([np.zeros_like(mine), *others], axis=0)
+            found.append(
+                MethodCoverage(budget, method, np.mean(reached, axis=1), float(mine.mean()), alone.mean())
+            )
+        return found
 
 
 def read(home: Path) -> list[SceneSet]:
@@ -103,16 +122,26 @@ def read(home: Path) -> list[SceneSet]:
     Raises
     ------
     InputError
-        The list of runs or a set cannot be read; AssetError: a set is none.
+        The list of runs cannot be read, or it and the sets differ; AssetError: a set is none.
     """
     scenes: dict[Scene, list[SetRun]] = {}
     for run in read_runs(home):
-        scenes.setdefault(run.key.scene, []).append(run)
-    sets = []
-    for scene, runs in scenes.items():
-        (found,) = read_references(home / file_name(scene)).values()
-        sets.append(SceneSet(scene, found, tuple(runs)))
-    return sets
+        scenes.setdefault(run.scene, []).append(run)
+    return [_read_set(home / file_name(scene), scene, tuple(runs)) for scene, runs in scenes.items()]
+
+
+def _read_set(file: Path, scene: Scene, runs: tuple[SetRun, ...]) -> SceneSet:
+    if not file.exists():
+        why = "it does not exist"
+    else:
+        (found,) = read_references(file).values()
+        if found.origin is not None and {*found.origin.runs} == {run.run for run in runs}:
+            return SceneSet(scene, found, runs)
+        why = "it was built from other runs"
+    raise InputError(
+        f"{file} is not the set that {file.with_name(RUNS)} describes: {why}; delete it and the lines of its "
+        "scene there, and add the folders of its runs again."
+    )
 
 
 def file_name(scene: Scene) -> str:
@@ -142,35 +171,50 @@ def read_runs(home: Path) -> list[SetRun]:
     return sorted(runs)
 
 
-def gather(home: Path, folders: Mapping[Key, RunFolder], rows: Mapping[Key, Row]) -> bool:
-    """Add runs with a row, which are finished, to the sets of their scenes; returns whether there were some.
+def gather(
+    home: Path, folders: Mapping[Key, RunFolder], rows: Mapping[Key, Row], current: Collection[str]
+) -> bool:
+    """Add runs to the sets of their scenes; returns whether there were some.
 
-    A set with a run of other evaluation code than the new ones is begun anew. It is written before the list
-    of runs: after a stop between the two, the same runs are added again, which changes nothing.
+    Left out are folders that are not those of their rows, and scenes on which no run has a success yet. A set
+    with a run of code that is not current is begun anew. A set is written before the list of runs: after a
+    stop between the two, the same runs are added again, which changes nothing.
+
+    Parameters
+    ----------
+    rows
+        The rows of finished runs, of current code.
+    current
+        Digests of evaluation code that count as today's.
     """
-    known = read_runs(home)
-    here = {(run.key, run.code) for run in known}
-    new: dict[Scene, list[Key]] = {}
+    listed = read_runs(home)
+    known = {run.run: run for run in listed if run.code in current and (home / file_name(run.scene)).exists()}
+    there = {(run.key, run.code) for run in known.values()}
+    new: dict[Scene, dict[str, SetRun]] = {}
     for key in sorted(folders.keys() & rows.keys()):
-        if (key, rows[key].code) not in here:
-            new.setdefault(key.scene, []).append(key)
-    for scene, keys in new.items():
-        added = [_set_run(folders[key], rows[key]) for key in keys]
-        old = [run for run in known if run.key.scene == scene]
-        file = home / file_name(scene)
-        if {run.code for run in old} - {run.code for run in added}:
+        run = None if (key, rows[key].code) in there else _set_run(folders[key], rows[key])
+        if run is not None and (run.run not in known or known[run.run].budget < run.budget):
+            new.setdefault(run.scene, {})[run.run] = run  # of equal runs the longest comes last
+    is_more = False
+    for scene, added in new.items():
+        here = {name: run for name, run in known.items() if run.scene == scene}
+        if not here and not any(rows[run.key].successes for run in added.values()):
+            continue
+        file, is_more = home / file_name(scene), True
+        if not here:
             file.unlink(missing_ok=True)
-            old = []
-        build_reference_sets([folders[key] for key in keys], file)
-        names = {run.run for run in added}
-        others = [run for run in known if run.key.scene != scene]
-        known = sorted([*others, *(run for run in old if run.run not in names), *added])
-        _write_runs(home, known)
-    return bool(new)
+        build_reference_sets([folders[run.key] for run in added.values()], file)
+        listed = sorted([run for run in listed if run.scene != scene] + [*(here | added).values()])
+        _write_runs(home, listed)
+    return is_more
 
 
-def _set_run(folder: RunFolder, row: Row) -> SetRun:
+def _set_run(folder: RunFolder, row: Row) -> SetRun | None:
+    """The run in a folder; None: the row is that of another folder."""
     with folder.journal() as journal:
+        rows = journal.rows(0, journal.count)
+        if rows_digest(rows) != row.journal:
+            return None
         return SetRun(*row.key, code=row.code, run=search_digest(folder.spec, journal.scene))
 
 
@@ -189,25 +233,40 @@ SIZES = (
 )  # fmt: skip
 
 
-def sets_part(sets: Sequence[SceneSet]) -> str:
-    """The section of the page; empty while there is no set."""
+COVERED = (
+    "hand", "object", "protocol", "evaluations", "method", "runs", "coverage, %", "together, %", "alone, %",
+)  # fmt: skip
+
+
+def sets_part(sets: Sequence[SceneSet], scenes: int) -> str:
+    """The section of the page, with the number of scenes of which there are runs; empty without a set."""
     if not sets:
         return ""
-    parts = [
-        "## Reference sets of our own\n\n"
-        "The cells of all successes, and those that hold, of the runs of all methods on a scene: published "
-        "sets have no hand or object of most of these, and count first touches alone. *Estimated*: the "
-        "number of cells that runs like these can find, a lower bound, with its 95% interval "
-        f"([how](../coverage.md#how-it-is-estimated)); a set of {COMPLETE:.0%} of them would be complete "
-        f"enough. The sets are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
-        markdown_table(SIZES, [(*one.scene, *_sizes(one.found)) for one in sets]),
-        "*Coverage* of these sets by a run, in percent: under `physical` of cells that hold, else of all. "
-        "Those that no other run found do not count, so that no run is measured by its own finds; median "
-        "over runs, and in brackets their range; the greatest median stands out. *Complete*: the estimated "
-        "share of such cells that the set has. A method that finds more has a greater part in the set.\n",
-        *_coverage_tables(sets),
-    ]
-    return "\n".join(parts)
+    lines = [
+        (*one.scene, f"{each.budget:,}", each.method, str(len(each.by_run)), spread(100 * each.by_run),
+         f"{100 * each.together:.1f}", f"{100 * each.alone:.1f}")
+        for one in sets
+        for each in one.coverage
+    ]  # fmt: skip
+    return "\n".join(
+        [
+            "## Reference sets of our own\n\n"
+            "The cells of all successes, and those that hold, of the runs of all methods on a scene. The "
+            "published sets are of another protocol, and do not say which run found which cell, so that "
+            "nothing can be estimated from them. *Estimated*: the number of cells that runs like these can "
+            f"find, a lower bound, with its 95% interval ([how](../coverage.md#how-it-is-estimated)); a set "
+            f"of {COMPLETE:.0%} of them would be complete enough. There are sets of {len(sets)} of the "
+            f"{scenes} scenes of the benchmark and of the claims that have runs: a set needs the folders of "
+            f"its runs. They are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
+            markdown_table(SIZES, [(*one.scene, *_sizes(one.found)) for one in sets]),
+            "*Coverage*: the share of the set that a run found, its own finds among them, median over runs, "
+            "and in brackets their range; under `physical` of the cells that hold, else of all. *Together*: "
+            "that all runs of the method with as many evaluations found; *alone*: that no run of another "
+            "method found. Of all cells that there are the shares are lower, by the share that is in the set "
+            "or more.\n",
+            markdown_table(COVERED, lines),
+        ]
+    )
 
 
 def _sizes(found: ReferenceSet) -> Iterator[str]:
@@ -215,30 +274,8 @@ def _sizes(found: ReferenceSet) -> Iterator[str]:
     yield str(len(found.by_run))
     for some in (found, found.robust):
         yield str(len(some))
-        estimate = some.estimate
-        if estimate is None:
+        if (estimate := some.estimate) is None:
             yield from ("", "")
         else:
-            yield f"{estimate.total:.0f}" + (
-                "" if estimate.low is None else f" ({estimate.low:.0f} to {estimate.high:.0f})"
-            )
+            yield estimate.total_words().removeprefix("an estimated ").removesuffix(" or more")
             yield f"{100 * estimate.completeness:.0f}"
-
-
-def _coverage_tables(sets: Sequence[SceneSet]) -> Iterator[str]:
-    """A table for each protocol, with a column for each method."""
-    for protocol in dict.fromkeys(one.scene[2] for one in sets):
-        here = [one for one in sets if one.scene[2] == protocol]
-        methods = sorted({method for one in here for method in one.coverage})
-        lines = []
-        for one in here:
-            complete = f"{100 * one.estimate.completeness:.0f}" if one.estimate else ""
-            best = max(float(np.median(shares)) for shares in one.coverage.values())
-            shares = (one.coverage.get(method, np.zeros(0)) for method in methods)
-            lines.append((*one.scene, complete, *(_share(share, best) for share in shares)))
-        yield markdown_table(("hand", "object", "protocol", "complete, %", *methods), lines)
-
-
-def _share(shares: NDArray[np.float64], best: float) -> str:
-    words = spread(100 * shares)
-    return f"**{words}**" if words and np.median(shares) == best else words

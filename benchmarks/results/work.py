@@ -114,7 +114,7 @@ class Store:
                 tables.write(self.file, after)
             in_sets = {**self.known.benchmark.wanted, **self.known.part(CLAIMS).wanted}
             rows = {one: after[one] for one in in_sets if one in after and after[one].code in self._current}
-            if reference_sets.gather(self.sets, folders_by_key(directories), rows) or is_more:
+            if reference_sets.gather(self.sets, folders_by_key(directories), rows, self._current) or is_more:
                 self.write_page()
         return Added(
             new=sum(before.get(key) != row for key, row in after.items()),

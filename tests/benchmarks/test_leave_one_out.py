@@ -12,13 +12,7 @@ from benchmarks.leave_one_out import __main__ as program
 from benchmarks.leave_one_out import runs
 from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, holders, patched, values_of, variant
 from benchmarks.leave_one_out.page import page
-from benchmarks.leave_one_out.refit import (
-    compare,
-    refits,
-    robust_cells,
-    scores,
-    standard_error,
-)
+from benchmarks.leave_one_out.refit import compare, refits, robust_cells, scores, standard_error
 from benchmarks.leave_one_out.runs import (
     COLUMNS,
     EVALUATIONS,

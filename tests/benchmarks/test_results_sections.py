@@ -1,5 +1,6 @@
 """Sections of the page of results: the paper's claims, judged from the table, and reference sets."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.results import reference_sets
 from benchmarks.results.comparison import Arm
+from benchmarks.results.measure import rows_digest
 from benchmarks.results.paper_claims import claims_part, numbers
 from benchmarks.results.reference_sets import SceneSet, gather, read, sets_part
 from benchmarks.results.table import Key, key
@@ -56,22 +58,25 @@ def test_a_verdict_is_stable_from_where_it_stays() -> None:
 def test_with_four_seeds_there_is_no_verdict() -> None:
     text = claims_part([arm("contact_me_scs", *FIVE[:4]), arm("approach_me_scs", *FIVE)])
     summary, line = (line.split(" | ") for line in text.splitlines() if line.startswith("| b |"))
-    assert summary[3].startswith("**cannot be said** (0 of 1 number)")
+    assert summary[3].startswith("**cannot be said** (0 of 1)")
     assert line[4] == "4"
     assert "few seeds" in line
 
 
-def test_a_claim_agrees_when_all_its_numbers_do() -> None:
-    ends = {"contact_me_scs": 1.0, "approach_me_scs": 1.2, "contact_rand": 0.3, "approach_rand": 1.1}
-    text = claims_part([arm(name, *(end * value for value in FIVE)) for name, end in ends.items()])
-    verdicts = dict(
-        line.split(" | ")[::3] for line in text.splitlines() if line.startswith("| ") and "**" in line
-    )
-    assert verdicts | {"| d": ""} == {
-        "| d": "",
-        "| a": "**does not** (3 of 4 numbers) |",
-        "| b": "**agrees** (1 of 1 number) |",
-    }
+def test_a_claim_agrees_when_all_its_numbers_are_in_and_do() -> None:
+    ends = {"contact_me_scs": 1.0, "approach_me_scs": 1.2, "contact_rand": 0.3, "approach_rand": 0.4}
+
+    def verdict(hand: str, **more: float) -> str:
+        found = [
+            arm(name, *(end * value for value in FIVE), gripper=hand) for name, end in (ends | more).items()
+        ]
+        (line,) = (line for line in claims_part(found).splitlines() if line.startswith("| a | ME"))
+        return line.split(" | ")[3].removesuffix(" |")
+
+    assert verdict("allegro") == "**agrees** (4 of 4)"
+    assert verdict("panda") == "**cannot be said** (4 of 6)"
+    assert verdict("panda", antipodal_rand=0.5) == "**agrees** (6 of 6)"
+    assert verdict("panda", antipodal_rand=1.1) == "**does not** (5 of 6)"
 
 
 def test_the_second_half_is_taken_where_half_of_the_budget_is_a_milestone() -> None:
@@ -117,7 +122,17 @@ def runs(path: Path, *seeds: int, **settings: Any) -> dict[Key, RunFolder]:
 
 
 def rows_of(folders: dict[Key, RunFolder], code: str = TODAY) -> dict[Key, Any]:
-    return {one: replace(row("any"), **one._asdict(), code=code) for one in folders}
+    """A row of each run, with the digest of its journal."""
+    found = {}
+    for one, folder in folders.items():
+        with folder.journal() as journal:
+            digest = rows_digest(journal.rows(0, journal.count))
+        found[one] = replace(row("any"), **one._asdict(), code=code, journal=digest)
+    return found
+
+
+def gathered(home: Path, folders: dict[Key, RunFolder], known: dict[Key, Any] | None = None) -> bool:
+    return gather(home, folders, rows_of(folders) if known is None else known, [TODAY])
 
 
 def found_cells(folder: RunFolder) -> set[tuple[int, ...]]:
@@ -134,77 +149,115 @@ def one_set(home: Path) -> SceneSet:
 
 
 def test_a_set_has_the_cells_of_all_runs_with_a_row(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1, 2, 3)
+    folders, home = runs(tmp_path, 1, 2, 3), tmp_path / "sets"
     known = rows_of(folders)
     last = sorted(known)[-1]
     without_row = known.pop(last)
-    home = tmp_path / "sets"
-    assert gather(home, folders, known)
-    assert not gather(home, folders, known)
+    assert gathered(home, folders, known)
+    assert not gathered(home, folders, known)
     expected = [found_cells(folder) for one, folder in sorted(folders.items())]
     assert set(map(tuple, one_set(home).found.cells.tolist())) == expected[0] | expected[1]
 
-    assert gather(home, folders, known | {last: without_row})
+    assert gathered(home, folders, known | {last: without_row})
     assert len(one_set(home).found) == len(set.union(*expected))
     assert [run.seed for run in one_set(home).runs] == [1, 2, 3]
 
 
-def test_a_longer_run_takes_the_place_of_the_shorter(tmp_path: Path) -> None:
-    short = record(tmp_path / "short", random_rows(200, 1), evaluations=200)
-    long = record(tmp_path / "long", random_rows(300, 1), evaluations=300)
-    for folder in (short, long):
-        folders = {key(folder.spec): folder}
-        gather(tmp_path / "sets", folders, rows_of(folders))
+@pytest.mark.parametrize("first", [0, 1], ids=["short first", "long first"])
+def test_of_a_run_and_a_longer_one_the_longer_counts(tmp_path: Path, first: int) -> None:
+    rows = random_rows(300, 1, reach=0.03)
+    known = [record(tmp_path / f"run{n}", rows[:n], evaluations=n) for n in (200, 300)]
+    for folder in (known[first], known[1 - first]):
+        gathered(tmp_path / "sets", {key(folder.spec): folder})
     assert [run.budget for run in one_set(tmp_path / "sets").runs] == [300]
+    assert len(one_set(tmp_path / "sets").found) == len(found_cells(known[1]))
 
 
-def test_runs_of_other_code_begin_a_set_anew(tmp_path: Path) -> None:
+def test_runs_of_code_that_is_not_current_begin_a_set_anew(tmp_path: Path) -> None:
     home, (old, new) = tmp_path / "sets", (runs(tmp_path, 1), runs(tmp_path, 2))
-    gather(home, old, rows_of(old, "b" * 16))
-    gather(home, new, rows_of(new))
+    gather(home, old, rows_of(old, "b" * 16), ["b" * 16])
+    gathered(home, new)
     assert [(run.seed, run.code) for run in one_set(home).runs] == [(2, TODAY)]
     (folder,) = new.values()
     assert len(one_set(home).found) == len(found_cells(folder))
 
 
-def test_coverage_is_of_the_cells_that_another_run_found(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1, 2) | runs(tmp_path, 1, method="contact_rand", population=500)
-    gather(tmp_path / "sets", folders, rows_of(folders))
-    found = {(one.method, one.seed): found_cells(folder) for one, folder in folders.items()}
-    coverage = one_set(tmp_path / "sets").coverage
-    others = found["me_rand", 1] | found["me_rand", 2]
-    assert coverage["`contact_rand`"] == pytest.approx([len(found["contact_rand", 1] & others) / len(others)])
-    assert len(coverage["`me_rand` (population=10)"]) == 2
+def test_a_folder_that_is_not_the_one_of_its_row_is_left_out(tmp_path: Path) -> None:
+    folders = runs(tmp_path, 1)
+    (known,) = rows_of(folders).values()
+    assert not gathered(tmp_path / "sets", folders, {known.key: replace(known, journal="f" * 16)})
+    assert read(tmp_path / "sets") == []
+
+
+def test_a_scene_without_a_success_has_no_set_yet(tmp_path: Path) -> None:
+    rows = random_rows(300)
+    rows["outcome"], rows["fitness"] = Outcome.MISSED, 0
+    nothing = {key(folder.spec): folder for folder in [record(tmp_path / "nothing", rows, seed=9)]}
+    known = {one: replace(found, successes=0) for one, found in rows_of(nothing).items()}
+    assert not gathered(tmp_path / "sets", nothing, known)
+    some = runs(tmp_path, 1)
+    assert gathered(tmp_path / "sets", nothing | some, known | rows_of(some))
+    assert [run.seed for run in one_set(tmp_path / "sets").runs] == [1, 9]
+
+
+def test_coverage_is_by_each_run_by_all_of_a_method_and_by_it_alone(tmp_path: Path) -> None:
+    folders = runs(tmp_path, 1, 2) | runs(tmp_path, 3, method="contact_rand", population=500)
+    gathered(tmp_path / "sets", folders)
+    found = {one.seed: found_cells(folder) for one, folder in folders.items()}
+    whole = len(set.union(*found.values()))
+    other, mine = one_set(tmp_path / "sets").coverage
+    assert (other.method, mine.method, mine.budget) == ("`contact_rand`", "`me_rand` (population=10)", 300)
+    assert mine.by_run.tolist() == pytest.approx([len(found[seed]) / whole for seed in (1, 2)])
+    assert mine.together == pytest.approx(len(found[1] | found[2]) / whole)
+    assert mine.alone == pytest.approx(len((found[1] | found[2]) - found[3]) / whole)
+    assert 0 < other.alone == pytest.approx(1 - mine.together)
 
 
 def test_under_physical_it_is_of_cells_that_hold(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1, 2)
-    gather(tmp_path / "sets", folders, rows_of(folders))
+    gathered(tmp_path / "sets", runs(tmp_path, 1, 2))
     of_touch = one_set(tmp_path / "sets")
     of_hold = SceneSet(("panda", "tennis_ball", "physical in mujoco"), of_touch.found, of_touch.runs)
-    assert (of_touch.estimate.seen, of_hold.estimate.seen) == (
-        len(of_touch.found),
-        len(of_touch.found.robust),
-    )
-    (one,), (other,) = (each.coverage.values() for each in (of_touch, of_hold))
-    assert not np.array_equal(one, other)
+    assert (len(of_touch.counted), len(of_hold.counted)) == (len(of_touch.found), len(of_touch.found.robust))
+    (one,), (other,) = of_touch.coverage, of_hold.coverage
+    assert not np.array_equal(one.by_run, other.by_run)
 
 
-def test_the_section_names_the_best_method_of_each_scene(tmp_path: Path) -> None:
+def test_the_section_has_a_line_for_each_set_and_for_each_method_on_it(tmp_path: Path) -> None:
     folders = runs(tmp_path, 1, 2) | runs(tmp_path, 3, 4, method="contact_rand", population=500)
-    gather(tmp_path / "sets", folders, rows_of(folders))
+    gathered(tmp_path / "sets", folders)
     found = one_set(tmp_path / "sets")
-    sizes, coverage = (line for line in sets_part([found]).splitlines() if line.startswith("| panda |"))
+    text = sets_part([found], 3)
+    sizes, *coverage = (line for line in text.splitlines() if line.startswith("| panda |"))
+    assert "There are sets of 1 of the 3 scenes" in text
     assert f"| 4 | {len(found.found)} | {found.found.estimate.total:.0f} (" in sizes
-    best = max(np.median(shares) for shares in found.coverage.values())
-    assert f"| **{100 * best:.1f} (" in coverage
-    assert coverage.count("**") == 2
-    assert sets_part([]) == ""
+    for line, each in zip(coverage, found.coverage, strict=True):
+        assert f"| 300 | {each.method} | 2 | {100 * np.median(each.by_run):.1f} (" in line
+        assert line.endswith(f" | {100 * each.together:.1f} | {100 * each.alone:.1f} |")
+    assert sets_part([], 3) == ""
+
+
+def test_one_run_has_no_estimate_and_a_set_in_which_nothing_holds_no_coverage(tmp_path: Path) -> None:
+    gathered(tmp_path / "sets", runs(tmp_path, 1))
+    found = one_set(tmp_path / "sets")
+    none = {"cells": found.found.cells[:0], "fitness": found.found.fitness[:0]}
+    empty = dataclasses.replace(found.found, **none, by_run=found.found.by_run[:, :0])
+    text = sets_part([found, SceneSet(found.scene, empty, found.runs)], 2)
+    assert "nan" not in text
+    assert f"| 1 | {len(found.found)} |  |  |" in text
+
+
+def test_a_set_that_is_gone_is_named_until_its_runs_make_it_again(tmp_path: Path) -> None:
+    folders, home = runs(tmp_path, 1), tmp_path / "sets"
+    gathered(home, folders)
+    (home / reference_sets.file_name(SCENE)).unlink()
+    with pytest.raises(InputError, match=r"ball-paper\.npz is not the set .* it does not exist; delete it"):
+        read(home)
+    assert gathered(home, folders)
+    assert len(one_set(home).runs) == 1
 
 
 def test_a_damaged_list_of_runs_is_named_with_its_line(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1)
-    gather(tmp_path / "sets", folders, rows_of(folders))
+    gathered(tmp_path / "sets", runs(tmp_path, 1))
     file = tmp_path / "sets" / reference_sets.RUNS
     file.write_text(file.read_text().replace(",1,300,", ",one,300,"))
     with pytest.raises(InputError, match=r"runs\.csv, line 2: .*restore the line"):

@@ -346,10 +346,7 @@ class TestComparisons:
         assert "| panda" not in coverage_part(arms(*of(long)))
 
 
-BENCH = {
-    "aimed": "aim_for=hold in_flight=400 population=50 surface_seed=seed",
-    "me_scs": "surface_seed=seed",
-}
+BENCH = {"aimed": "aim_for=hold in_flight=400 population=50 surface_seed=seed", "me_scs": "surface_seed=seed"}
 
 
 def bench_arms(*ends: tuple[str, str, str, float, float]) -> list[Arm]:

@@ -11,26 +11,13 @@ from tests.worker.test_world import TABLE
 
 from qdgrasp_assets.catalog import ROLLING_FRICTION, SPINNING_FRICTION, find_gripper
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
-from qdgrasp_assets.grippers.gripper import (
-    CARRIED_MASS,
-    ROTATION_X,
-    SHAKE_FORCES,
-    TRANSLATION_Z,
-    TWO_AXES,
-)
+from qdgrasp_assets.grippers.gripper import CARRIED_MASS, ROTATION_X, SHAKE_FORCES, TRANSLATION_Z, TWO_AXES
 from qdgrasp_assets.object_model import LATERAL_FRICTION
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.rows import SHAKES as NUMBER_OF_SHAKES
 from qdgrasp_protocol.rows import TRIALS, Outcome
 from qdgrasp_worker.engines.bullet import Bullet, Motor
-from qdgrasp_worker.evaluation_protocols import (
-    CLOSING_STEPS,
-    MIXTURE,
-    PAPER,
-    ROBUST,
-    SHAKES,
-    TARGET_STEPS,
-)
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, MIXTURE, PAPER, ROBUST, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import HAND_FRICTION
 
 PAGE = (ROOT / "docs/protocols.md").read_text(encoding="utf-8")

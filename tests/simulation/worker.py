@@ -412,7 +412,5 @@ class Forger(Process):
             own, strange = {"wid": self._wid, "key": self._key}, {"wid": result.wid, "key": bytes(32)}
             for name in (own, strange):
                 put(
-                    self.bus,
-                    KEYS.result(str(name["wid"])),
-                    msgspec.structs.replace(result, **forged, **name),
+                    self.bus, KEYS.result(str(name["wid"])), msgspec.structs.replace(result, **forged, **name)
                 )

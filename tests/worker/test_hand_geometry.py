@@ -16,9 +16,4 @@ URDF = """<robot name="hand"><link name="palm"/><link name="pad"/><link name="fi
 
 def test_neighbours_have_no_joint_that_moves_between_them_or_one() -> None:
     robot = parse_robot(Path(), ET.fromstring(URDF))  # noqa: S314  # written above
-    assert neighbours(robot) == {
-        ("pad", "palm"),
-        ("finger", "palm"),
-        ("finger", "pad"),
-        ("finger", "tip"),
-    }
+    assert neighbours(robot) == {("pad", "palm"), ("finger", "palm"), ("finger", "pad"), ("finger", "tip")}

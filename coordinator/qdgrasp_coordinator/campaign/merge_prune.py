@@ -216,16 +216,32 @@ def _prune_locked(folder: RunFolder) -> int:
         with atomic_files.writing(folder.path):
             for table, payload in tables.items():
                 atomic_files.write_through(table, payload)
-            for table in tables:  # a process that is killed leaves no table beside rows of other numbers
-                table.with_suffix("").unlink()
-            for made in (part, *tables):
-                atomic_files.sync(folder.path)
-                made.replace(made.with_suffix(""))
-            atomic_files.sync(folder.path)
+            _replace_journal(part, list(tables))
     finally:
         for left in (part, *tables):
             left.unlink(missing_ok=True)
     return before - file.stat().st_size
+
+
+def _replace_journal(part: Path, tables: list[Path]) -> None:
+    """Put a journal and tables in the place of the old ones, or leave all as it was.
+
+    A process that is killed leaves no table beside rows of other numbers.
+    """
+    old = {table.with_suffix(""): table.with_suffix("").read_bytes() for table in tables}
+    try:
+        for table in old:
+            table.unlink()
+        atomic_files.sync(part.parent)
+        part.replace(part.with_suffix(""))
+    except BaseException:
+        for table, payload in old.items():
+            atomic_files.write_through(table, payload)
+        raise
+    for made in tables:
+        atomic_files.sync(part.parent)
+        made.replace(made.with_suffix(""))
+    atomic_files.sync(part.parent)
 
 
 def _renumbered_tables(folder: RunFolder) -> dict[Path, bytes]:

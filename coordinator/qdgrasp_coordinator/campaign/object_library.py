@@ -194,7 +194,7 @@ def _skipped(name: str, file: str, why: str) -> SkippedObject:
 
 
 def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:
-    """Find rows whose file, or whose runs' names, are those of an earlier one that can be used."""
+    """Find rows whose file, or whose runs' names, are those of an earlier row without a fault."""
     files, parts, faults = dict[Path, str](), dict[str, str](), dict[str, str]()
     for row in rows:
         if row.fault:

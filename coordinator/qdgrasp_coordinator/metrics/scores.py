@@ -123,7 +123,7 @@ def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
 def best_first(
     rows: Rows, body: SceneObject, most: int, scores: NDArray[np.floating] | None = None
 ) -> NDArray[np.int64]:
-    """The places (n,) of nominal rows with an object; the first `most` are the best ones, best first.
+    """The places (n,) of nominal rows on an object; the first `most` are the best ones.
 
     One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
     a greater margin, which says more of a grasp than its penetration (docs/coverage.md, "Margin of a grasp");

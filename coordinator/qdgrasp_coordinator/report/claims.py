@@ -243,4 +243,16 @@ CLAIMS = (
         AgreementBand(1.0, math.inf),
         "every ratio above 1",
     ),
+    PaperClaim(
+        "g",
+        "of the searches with one prior ME_scs is the best (Figure 2)",
+        reached_ratio,
+        tuple(
+            (f"{prior}_me_scs", f"{prior}_{other}")
+            for prior in ("contact", "approach", "antipodal")
+            for other in ("me_rand", "cma_mae")
+        ),
+        AgreementBand(1.0, math.inf),
+        "every ratio above 1",
+    ),
 )

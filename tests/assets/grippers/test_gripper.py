@@ -89,16 +89,8 @@ IN_TOML = (
     ("closed = 1.2", "closed = -inf", r"joints\.bend\.closed must be a finite number, got -inf"),
     ("palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
     ("palm_offset = 0.05", "", "says no palm_offset: say how far the palm is"),
-    (
-        "palm_offset",
-        "carrier_hold_force = 0.0\npalm_offset",
-        f"{HELD_BY} 0",
-    ),
-    (
-        "palm_offset",
-        "carrier_hold_force = -5.0\npalm_offset",
-        f"{HELD_BY} -5",
-    ),
+    ("palm_offset", "carrier_hold_force = 0.0\npalm_offset", f"{HELD_BY} 0"),
+    ("palm_offset", "carrier_hold_force = -5.0\npalm_offset", f"{HELD_BY} -5"),
     (
         "palm_offset = 0.05\nstandoff = [0.0, 0.03]",
         "",

@@ -97,11 +97,14 @@ def test_a_table_of_another_engine_gets_the_new_numbers_of_its_rows(runs) -> Non
     assert not list(run.path.glob("*.part"))
 
 
-@pytest.mark.parametrize("end", ["run.sqlite.part", "engine-mujoco.csv.part"])
-def test_a_prune_that_is_killed_leaves_no_table_with_numbers_of_other_rows(runs, monkeypatch, end) -> None:
+@pytest.mark.parametrize(("end", "is_kept"), [("run.sqlite.part", True), ("engine-mujoco.csv.part", False)])
+def test_an_interrupted_prune_leaves_no_table_with_numbers_of_other_rows(
+    runs, monkeypatch, end, is_kept
+) -> None:
     run, *_ = runs
     judge(run)
-    replace = Path.replace
+    table, before, replace = table_path(run, "mujoco"), digest_of(run), Path.replace
+    judged = table.read_bytes()
 
     def killed(path: Path, target: Path) -> Path:
         if path.name == end:
@@ -111,7 +114,8 @@ def test_a_prune_that_is_killed_leaves_no_table_with_numbers_of_other_rows(runs,
     monkeypatch.setattr(Path, "replace", killed)
     with pytest.raises(KeyboardInterrupt):
         prune_run(run)
-    assert not list(run.path.glob("engine-*"))
+    assert [path.read_bytes() for path in run.path.glob("engine-*")] == [judged] * is_kept
+    assert not is_kept or digest_of(run) == before
 
 
 def test_a_full_disk_leaves_a_table_of_another_engine_as_it_was(runs, monkeypatch) -> None:

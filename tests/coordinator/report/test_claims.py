@@ -38,13 +38,14 @@ def verdicts(*methods: list[RunHistory]) -> dict[str, ClaimAgreement]:
 def test_claims_name_methods_that_exist() -> None:
     named = {name for claim in CLAIMS for names in (*claim.methods, *claim.beside) for name in names}
     assert named <= set(METHODS)
-    assert [claim.letter for claim in CLAIMS] == ["a", "b", "c", "d", "e", "f"]
+    assert [claim.letter for claim in CLAIMS] == ["a", "b", "c", "d", "e", "f", "g"]
 
 
 def test_a_campaign_like_the_paper_s_agrees_with_it() -> None:
     found = verdicts(
         runs("contact_me_scs", 100, 104, 98, 99, 103, nu=np.ones(24, np.int64), near=20),
         runs("approach_me_scs", 101, 99, 103, 100, 98),
+        runs("contact_me_rand", 60, 62, 59, 61, 60),
         runs("me_scs", 3, 1, 2, 2, 1),
         runs("contact_rand", 10, 12, 11, 9, 10),
         runs("approach_rand", 30, 33, 28, 29, 31),
@@ -61,6 +62,7 @@ def test_a_campaign_unlike_the_paper_s_does_not() -> None:
         runs("me_scs", 40, 41, 42, 41, 40),
         runs("antipodal_rand", 50, 52, 54, 52, 50),
         runs("antipodal_me_scs", 20, 22, 24, 22, 20),
+        runs("contact_me_rand", 30, 31, 33, 31, 30),
     )
     assert set(found.values()) == {ClaimAgreement.DOES_NOT}
 

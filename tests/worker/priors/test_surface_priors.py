@@ -134,9 +134,7 @@ def mirrored(scene):
         finder_low=(-high, *lows),
         finder_high=(-low, *highs),
         object=msgspec.structs.replace(
-            scene.object,
-            mesh_vertices=vertices.tobytes(),
-            mesh_faces=np.ascontiguousarray(faces).tobytes(),
+            scene.object, mesh_vertices=vertices.tobytes(), mesh_faces=np.ascontiguousarray(faces).tobytes()
         ),
     )
 

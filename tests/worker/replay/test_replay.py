@@ -90,8 +90,7 @@ def test_a_replay_comes_to_the_verdict_of_the_evaluation(on_the_cube):
 
 
 @pytest.mark.parametrize(
-    ("gripper", "protocol", "trial"),
-    [("panda", "robust", 3), ("barrett", "released", 0)],
+    ("gripper", "protocol", "trial"), [("panda", "robust", 3), ("barrett", "released", 0)]
 )
 def test_so_it_does_with_other_hands_and_protocols(make_scene, gripper, protocol, trial):
     found = record_evaluation(make_scene(gripper, "rubiks_cube", protocol), 12, trial)
