@@ -104,11 +104,15 @@ class AssetError(InputError):
     """A file, mesh, URDF or gripper that cannot be used."""
 
 
+class LacksReader(AssetError):
+    """A file that cannot be read here, as a package for its format is not installed."""
+
+
 class WrongScan(AssetError):
     """Fetched data that is not the expected scan; it was deleted."""
 
     def __init__(self, name: str, reason: object) -> None:
-        super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
+        super().__init__(f"The data fetched for '{name}' was thrown away: {reason}")
 
 
 class UnusableMeshes(AssetError):

@@ -16,6 +16,7 @@ MEMORY = 1 << 29
 GREEDY = f"bytearray({2 * MEMORY})"
 READER = "(_ for _ in ()).throw(builder.AssetError('it cannot be read: MemoryError'))"
 SCARCE = "(_ for _ in ()).throw(MemoryError())\nbuilder.limit_memory = lambda _: False"
+LACKING = "(_ for _ in ()).throw(builder.LacksReader('a package is lacking'))"
 BUSY = "sum(1 for _ in iter(int, 1))"
 REPLACED = """
 import sys, qdgrasp_assets.shape_builder as builder
@@ -82,11 +83,14 @@ def test_a_mesh_that_takes_too_much_is_said_in_a_sentence(tmp_path, build, means
     assert ShapeBuild(tmp_path, "block").ended(build) == (UNUSABLE, "", sentence)
 
 
-def test_a_mesh_for_which_this_machine_allows_too_little_memory_is_left_to_others(tmp_path):
-    sentence = (
-        "The mesh takes more than this worker's memory; simplify it, for example with --simplify 20000.\n"
-    )
-    assert ShapeBuild(tmp_path, "block").ended(SCARCE) == (FAILED, "", sentence)
+@pytest.mark.parametrize(
+    ("build", "reason"),
+    [(SCARCE, "The mesh takes more than this worker's memory;"), (LACKING, "a package is lacking")],
+)
+def test_a_mesh_that_this_machine_alone_cannot_build_is_left_to_others(tmp_path, build, reason):
+    code, said, faults = ShapeBuild(tmp_path, "block").ended(build)
+    assert (code, said) == (FAILED, "")
+    assert faults.startswith(reason)
 
 
 def test_it_ends_with_the_process_that_started_it(tmp_path):
