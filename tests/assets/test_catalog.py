@@ -67,8 +67,7 @@ def test_a_bundle_that_was_packed_before_hands_had_ratings_is_read():
 
 
 def test_a_bundle_whose_trials_did_not_come_along_the_approach_axis_is_refused():
-    made = scene(protocol="robust", base="physical")
-    values = msgpack.unpackb(pack_scene(made).payload)
+    values = msgpack.unpackb(pack_scene(scene(protocol="robust", base="physical")).payload)
     assert unpack_scene(msgpack.packb(values)).base == "physical"
     with pytest.raises(MessageError, match="begin the run anew"):
         unpack_scene(msgpack.packb(values | {"format": 3}))

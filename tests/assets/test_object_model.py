@@ -38,8 +38,7 @@ def test_a_solid_is_read_from_any_format_and_may_have_any_name(tmp_path, name):
 
 def test_a_solid_that_nothing_is_wrong_with_stays_as_it_came(tmp_path):
     """To the last bit and in its order: scenes of scans were recorded so."""
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
-    path = write(tmp_path / "ball.ply", ball)
+    path = write(tmp_path / "ball.ply", trimesh.creation.icosphere(subdivisions=3, radius=0.03))
     as_came, draft = trimesh.load_mesh(path), read_draft(path)
     assert draft.repairs == ()
     assert np.array_equal(draft.mesh.vertices, as_came.vertices)

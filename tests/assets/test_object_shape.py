@@ -280,8 +280,7 @@ def test_files_that_a_mesh_names_are_part_of_its_task(tmp_path):
     "uri", ["../gltf_buffer_0.bin", "{folder}/gltf_buffer_0.bin", "lost.bin", "mesh.gltf"]
 )
 def test_a_mesh_whose_files_no_other_folder_can_have_has_no_task(tmp_path, uri):
-    spec = buffered(tmp_path, uri.format(folder=tmp_path))
-    assert shape_task(spec) is None
+    assert shape_task(buffered(tmp_path, uri.format(folder=tmp_path))) is None
 
 
 def test_a_mesh_reads_no_file_outside_its_folder(tmp_path):

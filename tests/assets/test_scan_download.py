@@ -32,8 +32,7 @@ MEMBER = SCANS[NAME].member
 
 
 def bar() -> trimesh.Trimesh:
-    mesh = trimesh.creation.box((0.06, 0.04, 0.02)).subdivide()
-    return mesh.apply_translation((0.01, -0.02, 0.03))
+    return trimesh.creation.box((0.06, 0.04, 0.02)).subdivide().apply_translation((0.01, -0.02, 0.03))
 
 
 def ply(mesh: trimesh.Trimesh) -> bytes:
@@ -263,8 +262,7 @@ def test_units_frame_winding_and_folds_are_put_right(site):
 
 def test_pairs_of_triangles_vanish_and_one_of_three_stays():
     faces = np.array([[0, 1, 2], [2, 1, 0], [0, 1, 3], [1, 2, 3], [1, 2, 3], [2, 1, 3], [3, 3, 0]])
-    kept = drop_folded(Mesh(np.eye(4, 3), faces)).faces
-    assert kept.tolist() == [[0, 1, 3], [1, 2, 3]]
+    assert drop_folded(Mesh(np.eye(4, 3), faces)).faces.tolist() == [[0, 1, 3], [1, 2, 3]]
 
 
 def test_a_fetched_scan_has_the_constants_of_the_set_and_its_own_parts_but_not_those_of_released(site):

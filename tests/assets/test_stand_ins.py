@@ -117,8 +117,7 @@ def test_a_chain_of_outlines_is_the_union_of_its_parts():
         np.column_stack([point + size * (square - point), np.full(4, z)]) for z, size in enumerate((1, 3, 1))
     ]
     surface, parts = loft(flat)
-    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    assert mesh.is_volume
+    assert trimesh.Trimesh(surface.vertices, surface.faces, process=False).is_volume
     assert len(parts) == 2
     assert surface.volume == pytest.approx(2 * (1 + 3 + 9) / 3)
     assert surface.areas.sum() == pytest.approx(2 * 1 + 8 * 2 * 2**0.5)

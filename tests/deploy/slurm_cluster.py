@@ -75,8 +75,7 @@ class Cluster:
 
     def state(self, job: str) -> str:
         """Return the state of a job, such as RUNNING."""
-        found = self.command("scontrol", "-o", "show", "job", job)
-        return found.partition("JobState=")[2].split()[0]
+        return self.command("scontrol", "-o", "show", "job", job).partition("JobState=")[2].split()[0]
 
     def restarts(self, job: str) -> int:
         """Return how often a job was queued again."""

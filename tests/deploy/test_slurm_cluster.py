@@ -121,11 +121,20 @@ def test_a_head_that_is_signalled_is_queued_again_and_goes_on(site: Site, undist
     assert digest(site.home / "many") == undisturbed
 
 
-def test_workers_that_are_signalled_are_queued_again_and_go_on(site: Site, undisturbed: str) -> None:
+SIGNAL = ("scancel", "--signal=TERM", "{workers}")
+NEED_OF_ROOM = (
+    "sbatch", "--partition=urgent", "--cpus-per-task=14", "--wait", "--output=/dev/null", "--wrap=true"
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", [SIGNAL, NEED_OF_ROOM], ids=["signalled", "to make room"])
+def test_workers_that_end_for_the_cluster_are_queued_again_and_go_on(
+    site: Site, undisturbed: str, command: tuple[str, ...]
+) -> None:
     job = site.submit()
     wait_for(lambda: site.rows, "rows")
     (workers,) = site.cluster.jobs("qdgrasp-workers")
-    site.cluster.command("scancel", "--signal=TERM", workers)
+    site.cluster.command(*(word.format(workers=workers) for word in command))
     wait_for(lambda: site.cluster.restarts(workers) == 1, "another turn of the workers")
     site.finish(job)
     assert digest(site.home / "many") == undisturbed
@@ -136,18 +145,6 @@ def test_a_head_whose_time_is_over_is_queued_again_until_it_is_done(site: Site, 
     wait_for(lambda: site.cluster.restarts(job) == 1, "another turn of the head")
     assert site.rows < BUDGET
     site.cluster.command("scontrol", "update", f"JobId={job}", "TimeLimit=60")
-    site.finish(job)
-    assert digest(site.home / "many") == undisturbed
-
-
-def test_workers_that_make_room_are_queued_again_and_go_on(site: Site, undisturbed: str) -> None:
-    job = site.submit()
-    wait_for(lambda: site.rows, "rows")
-    (workers,) = site.cluster.jobs("qdgrasp-workers")
-    site.cluster.command(
-        "sbatch", "--partition=urgent", "--cpus-per-task=14", "--wait", "--output=/dev/null", "--wrap=true"
-    )
-    wait_for(lambda: site.cluster.restarts(workers) == 1, "another turn of the workers")
     site.finish(job)
     assert digest(site.home / "many") == undisturbed
 

@@ -133,6 +133,5 @@ def seeds() -> dict[str, bytes]:
     made = {}
     for kind in KINDS:
         values = {name: value for name, value in batch.items() if name in kind.__struct_fields__}
-        good = replace(example(kind), **values, **known.get(kind, {}))
-        made[kind.wire_name] = messages.encode(good)
+        made[kind.wire_name] = messages.encode(replace(example(kind), **values, **known.get(kind, {})))
     return made | {name: to_json(example(kind)) for name, kind in SHOWN.items()}

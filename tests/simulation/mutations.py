@@ -4,7 +4,7 @@
 are too tame, or an invariant is missing.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from math import inf
@@ -49,15 +49,9 @@ class Mutation:
     """The rule of docs/bus.md, or what else is broken."""
     invariant: str
     """The one that is to notice; others do not count, for any fault may break anything."""
-    patches: tuple[Any, ...]
+    patches: Sequence[Any]
     histories: Callable[[int], History] = wild
     """Makes the histories of numbers in which it is to be noticed."""
-
-
-def mutation(
-    name: str, rule: str, invariant: str, *patches: Any, histories: Callable[[int], History] = wild
-) -> Mutation:
-    return Mutation(name, rule, invariant, patches, histories)
 
 
 def around(owner: object, name: str, act: Callable[..., Any]) -> Any:
@@ -223,173 +217,124 @@ def _confirm_all(must_wait: Real, checks: CrossChecks, worker: Any) -> bool:
     return must_wait(checks, worker)
 
 
+PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] = {
+    ("3", "fenced", wild): {
+        "drop the join fence": [patch.object(JobSession, "accept", _accept_any_join)],
+        "keep work of an older epoch": [around(JobSession, "on_answer", _keep_held)],
+    },
+    ("5", "settled once", wild): {
+        "settle twice": [
+            around(BatchTable, "close", _keep_settled),
+            around(BatchTable, "classify", _settle_again),
+        ],
+        "take a result from a worker that was not leased it": [
+            around(BatchTable, "classify", _accept_any_worker)
+        ],
+    },
+    ("8", "acknowledged when durable", wild): {
+        "acknowledge before durable": [around(Recorder, "_report", _report_expected)]
+    },
+    ("8", "progress", wild): {
+        "forget before durable": [around(Outbox, "take_due", _forget_sent)],
+        "send rows once": [off(Outbox, "resend")],
+        "report commits only, once": [
+            off(ReportSchedule, "keep_reporting"),
+            patch.object(Recorder, "_take_rows", _take_in_silence),
+        ],
+        "pass over a higher epoch": [off(JobScheduler, "_on_token")],
+    },
+    ("7", "told in order", wild): {
+        "tell out of order": [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)]
+    },
+    ("8", "epochs rise", unchecked): {
+        "take rows of an older epoch": [around(Recorder, "add_rows", _take_any_epoch)]
+    },
+    ("8", "true journal", wild): {"take rows past a gap": [around(RunWriter, "add", _take_past_gaps)]},
+    ("4", "progress", wild): {
+        "no lease ever passes": [patch.object(Worker, "deadline", lambda *_: inf)],
+        "only lost tokens end leases": [
+            patch.object(
+                Worker,
+                "deadline",
+                lambda member, limit: inf if member.gone_at is None else member.gone_at + 1.0,
+            )
+        ],
+    },
+    ("5", "nothing is lost", wild): {"queue again without taking away": [patch.object(BatchQueue, "remove")]},
+    ("4", "nothing is lost", wild): {
+        "forget what is to be queued again": [around(Dispatcher, "requeue", _forget_requeued)],
+        "a join queues nothing again": [around(Dispatcher, "join", _join_without_requeue)],
+        "no second worker is freed of what the first has answered": [
+            patch.object(Dispatcher, "_release_others", lambda *_: ())
+        ],
+        "a batch is queued again that another worker holds": [around(Dispatcher, "requeue", _requeue_held)],
+    },
+    ("1", "bounded work", wild): {
+        "ignore credit": [value(Worker, "has_credit", lambda m: len(m.batches) < 9)]
+    },
+    ("1", "nothing is lost", wild): {"give no credit back": [off(WorkerRegistry, "release")]},
+    ("9", "no machine fails", wild): {
+        "replay skips a row": [around(Pipeline, "replay", _replay_without_last)]
+    },
+    ("8", "recorded before forgotten", wild): {
+        "number batches, not rows": [patch.object(Outbox, "push", _number_batches)]
+    },
+    ("4", "patience while cut off", wild): {"give up while cut off": [off(WorkerRegistry, "on_link")]},
+    ("8", "bounded memory", wild): {"ask without end": [value(Outbox, "is_full", lambda _: False)]},
+    ("4", "bounded memory", wild): {
+        "never forget a worker": [around(WorkerRegistry, "_give_up", _never_forget)]
+    },
+    ("4", "no machine spins", wild): {
+        "give up for ever again who is gone": [around(WorkerRegistry, "_give_up", _stay_due)]
+    },
+    ("1", "work is handed out", wild): {
+        "overlook a worker with credit": [
+            around(worker_registry, "fewest_batches_first", _overlook_the_first)
+        ],
+    },
+    ("5", "bounded memory", wild): {
+        "remember every batch": [patch.object(BatchTable, "close", _close_and_keep)]
+    },
+    ("6", "progress", wild): {"poison is tried for ever": [patch.object(dispatching, "STRIKES", 10**9)]},
+    ("7", "bounded memory", wild): {
+        "a finished run stays in the backlog": [around(Dispatcher, "withdraw", _withdraw_half)]
+    },
+    ("8", "epochs rise", wild): {"the epoch is not stored": [off(LockedJobFolder, "store_epoch")]},
+    ("13", "bounded work", wild): {"a worker that builds gets batches": [value(Worker, "is_building", _no)]},
+    ("13", "nothing is lost", wild): {"queue no build again": [patch.object(ShapeQueue, "requeue")]},
+    ("14", "settled once", with_bad_workers): {
+        "a worker's first results count unchecked": [around(CrossChecks, "must_wait", _confirm_all)],
+        "the odd one is believed": [around(CrossChecks, "decide", _believe_the_odd_one)],
+    },
+    ("14", "progress", with_bad_workers): {
+        "results of an excluded worker are kept": [patch.object(CrossChecks, "take_excluded", lambda _: [])]
+    },
+    ("14", "progress", wild): {
+        "a check waits for a worker that never comes": [
+            patch.object(CrossChecks, "end_hopeless", lambda *_: iter(()))
+        ],
+    },
+    ("6", "settled once", with_bad_workers): {
+        "one worker's failures make an error": [
+            patch.object(Dispatcher, "_may_have", _give_back),
+            patch.object(Dispatcher, "_is_given_up", lambda _, tried, __: len(tried) >= dispatching.STRIKES),
+        ],
+    },
+    ("6", "nothing is lost", wild): {
+        "a failed row is lost": [patch.object(BatchQueue, "requeue_row", lambda *_: None)]
+    },
+    ("3", "settled once", wild): {
+        "take an answer without its worker's key": [
+            patch.object(JobScheduler, "_check_sender", lambda *_: None)
+        ],
+    },
+    ("2", "progress", wild): {"ask once to join": [off(JobSession, "join_later")]},
+}
+"""By rule, invariant and histories, the patches of each mutation."""
 MUTATIONS = [
-    mutation("drop the join fence", "3", "fenced", patch.object(JobSession, "accept", _accept_any_join)),
-    mutation(
-        "settle twice",
-        "5",
-        "settled once",
-        around(BatchTable, "close", _keep_settled),
-        around(BatchTable, "classify", _settle_again),
-    ),
-    mutation(
-        "take a result from a worker that was not leased it",
-        "5",
-        "settled once",
-        around(BatchTable, "classify", _accept_any_worker),
-    ),
-    mutation(
-        "acknowledge before durable",
-        "8",
-        "acknowledged when durable",
-        around(Recorder, "_report", _report_expected),
-    ),
-    mutation("forget before durable", "8", "progress", around(Outbox, "take_due", _forget_sent)),
-    mutation(
-        "tell out of order",
-        "7",
-        "told in order",
-        patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps),
-    ),
-    mutation(
-        "take rows of an older epoch",
-        "8",
-        "epochs rise",
-        around(Recorder, "add_rows", _take_any_epoch),
-        histories=unchecked,
-    ),
-    mutation("take rows past a gap", "8", "true journal", around(RunWriter, "add", _take_past_gaps)),
-    mutation("no lease ever passes", "4", "progress", patch.object(Worker, "deadline", lambda *_: inf)),
-    mutation(
-        "only lost tokens end leases",
-        "4",
-        "progress",
-        patch.object(
-            Worker, "deadline", lambda member, limit: inf if member.gone_at is None else member.gone_at + 1.0
-        ),
-    ),
-    mutation("queue again without taking away", "5", "nothing is lost", patch.object(BatchQueue, "remove")),
-    mutation(
-        "forget what is to be queued again",
-        "4",
-        "nothing is lost",
-        around(Dispatcher, "requeue", _forget_requeued),
-    ),
-    mutation(
-        "a join queues nothing again",
-        "4",
-        "nothing is lost",
-        around(Dispatcher, "join", _join_without_requeue),
-    ),
-    mutation("ignore credit", "1", "bounded work", value(Worker, "has_credit", lambda m: len(m.batches) < 9)),
-    mutation("give no credit back", "1", "nothing is lost", off(WorkerRegistry, "release")),
-    mutation("replay skips a row", "9", "no machine fails", around(Pipeline, "replay", _replay_without_last)),
-    mutation(
-        "number batches, not rows",
-        "8",
-        "recorded before forgotten",
-        patch.object(Outbox, "push", _number_batches),
-    ),
-    mutation("give up while cut off", "4", "patience while cut off", off(WorkerRegistry, "on_link")),
-    mutation("send rows once", "8", "progress", off(Outbox, "resend")),
-    mutation("ask without end", "8", "bounded memory", value(Outbox, "is_full", lambda _: False)),
-    mutation(
-        "report commits only, once",
-        "8",
-        "progress",
-        off(ReportSchedule, "keep_reporting"),
-        patch.object(Recorder, "_take_rows", _take_in_silence),
-    ),
-    mutation(
-        "never forget a worker", "4", "bounded memory", around(WorkerRegistry, "_give_up", _never_forget)
-    ),
-    mutation(
-        "give up for ever again who is gone",
-        "4",
-        "no machine spins",
-        around(WorkerRegistry, "_give_up", _stay_due),
-    ),
-    mutation(
-        "overlook a worker with credit",
-        "1",
-        "work is handed out",
-        around(worker_registry, "fewest_batches_first", _overlook_the_first),
-    ),
-    mutation(
-        "remember every batch", "5", "bounded memory", patch.object(BatchTable, "close", _close_and_keep)
-    ),
-    mutation("poison is tried for ever", "6", "progress", patch.object(dispatching, "STRIKES", 10**9)),
-    mutation(
-        "a finished run stays in the backlog",
-        "7",
-        "bounded memory",
-        around(Dispatcher, "withdraw", _withdraw_half),
-    ),
-    mutation("the epoch is not stored", "8", "epochs rise", off(LockedJobFolder, "store_epoch")),
-    mutation("pass over a higher epoch", "8", "progress", off(JobScheduler, "_on_token")),
-    mutation("keep work of an older epoch", "3", "fenced", around(JobSession, "on_answer", _keep_held)),
-    mutation("a worker that builds gets batches", "13", "bounded work", value(Worker, "is_building", _no)),
-    mutation("queue no build again", "13", "nothing is lost", patch.object(ShapeQueue, "requeue")),
-    mutation(
-        "a worker's first results count unchecked",
-        "14",
-        "settled once",
-        around(CrossChecks, "must_wait", _confirm_all),
-        histories=with_bad_workers,
-    ),
-    mutation(
-        "the odd one is believed",
-        "14",
-        "settled once",
-        around(CrossChecks, "decide", _believe_the_odd_one),
-        histories=with_bad_workers,
-    ),
-    mutation(
-        "results of an excluded worker are kept",
-        "14",
-        "progress",
-        patch.object(CrossChecks, "take_excluded", lambda _: []),
-        histories=with_bad_workers,
-    ),
-    mutation(
-        "a check waits for a worker that never comes",
-        "14",
-        "progress",
-        patch.object(CrossChecks, "end_hopeless", lambda *_: iter(())),
-    ),
-    mutation(
-        "one worker's failures make an error",
-        "6",
-        "settled once",
-        patch.object(Dispatcher, "_may_have", _give_back),
-        patch.object(Dispatcher, "_is_given_up", lambda _, tried, __: len(tried) >= dispatching.STRIKES),
-        histories=with_bad_workers,
-    ),
-    mutation(
-        "a failed row is lost",
-        "6",
-        "nothing is lost",
-        patch.object(BatchQueue, "requeue_row", lambda *_: None),
-    ),
-    mutation(
-        "no second worker is freed of what the first has answered",
-        "4",
-        "nothing is lost",
-        patch.object(Dispatcher, "_release_others", lambda *_: ()),
-    ),
-    mutation(
-        "a batch is queued again that another worker holds",
-        "4",
-        "nothing is lost",
-        around(Dispatcher, "requeue", _requeue_held),
-    ),
-    mutation(
-        "take an answer without its worker's key",
-        "3",
-        "settled once",
-        patch.object(JobScheduler, "_check_sender", lambda *_: None),
-    ),
-    mutation("ask once to join", "2", "progress", off(JobSession, "join_later")),
+    Mutation(name, rule, invariant, patches, histories)
+    for (rule, invariant, histories), group in PATCHES.items()
+    for name, patches in group.items()
 ]
 
 

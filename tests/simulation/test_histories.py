@@ -304,8 +304,7 @@ class Pair:
         self.network.subscribe(self.hearer, "a/b/*")
 
     def send(self, number: int, session: Session | None = None) -> None:
-        payload = str(number).encode()
-        self.network.put(session or self.sender, "a/b/c", payload, "text", Channel.DATA)
+        self.network.put(session or self.sender, "a/b/c", str(number).encode(), "text", Channel.DATA)
 
     def run(self, seconds: float) -> None:
         until = self.world.now + seconds

@@ -130,8 +130,7 @@ def test_a_folder_that_holds_other_files_is_left_alone(qdgrasp):
 
 
 def test_a_folder_that_holds_a_run_names_resume(qdgrasp, reference):
-    said = sentence(qdgrasp(*RUN[:-1], reference[0]))
-    assert "qdgrasp resume" in said
+    assert "qdgrasp resume" in sentence(qdgrasp(*RUN[:-1], reference[0]))
     assert qdgrasp.digest(reference[0]) == reference[1]
 
 

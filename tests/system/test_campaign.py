@@ -218,8 +218,7 @@ def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done
     assert "pair" in ended.err
     assert not list((qdgrasp.home / "out" / "runs").glob("*pair*"))
     assert digests(qdgrasp) == digests(done)
-    mended = qdgrasp.succeed("campaign", "out", "--workers", 2)
-    assert "4 of 4 runs" in mended.out
+    assert "4 of 4 runs" in qdgrasp.succeed("campaign", "out", "--workers", 2).out
 
 
 def test_meshes_that_cannot_be_used_are_all_named_before_anything_is_begun(qdgrasp):
@@ -256,8 +255,7 @@ def test_a_damaged_journal_is_told_of_at_the_end_and_the_others_are_done(done, q
     with closing(sqlite3.connect(path / "run.sqlite")) as journal, journal:
         journal.execute("UPDATE blocks SET crc = crc + 1 WHERE first = 0")
     grown = SMALL.replace('method = ["contact_rand"', 'seed = [0, 1]\nmethod = ["contact_rand"')
-    ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
-    said = sentence(ended)
+    said = sentence(qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2))
     assert f"1 of 5 runs could not be carried out; the first is '{name}'" in said
     assert "are not what was recorded" in said
     others = [found for other, found in runs(qdgrasp, "out") if other != name]
@@ -340,8 +338,7 @@ def test_a_worker_started_by_hand_helps(qdgrasp, done):
     job = qdgrasp.start("campaign", write(qdgrasp.home), "--workers", 0, "--out", "out")
     endpoint = qdgrasp.home / "out" / "endpoint"
     wait_for(endpoint.is_file, "the router")
-    options = ("--connect", endpoint.read_text().strip(), "--job", "out")
-    worker = qdgrasp.start(*options, module=WORKER)
+    worker = qdgrasp.start("--connect", endpoint.read_text().strip(), "--job", "out", module=WORKER)
     out, _ = end_of(job)
     assert "3 of 3 runs" in out
     worker.terminate()

@@ -123,8 +123,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
 @pytest.mark.slow
 def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
     command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
-    process = qdgrasp.start(*command, file_size=110_000)
-    _, err = end_of(process, 2)
+    _, err = end_of(qdgrasp.start(*command, file_size=110_000), 2)
     assert "paused: " in err
     assert "has had no room for 2 s" in err
     assert "qdgrasp resume run" in err
@@ -231,7 +230,6 @@ def test_a_journal_or_folder_that_is_deleted_meanwhile_ends_the_run_with_a_sente
     path = qdgrasp.home / name
     path.rename(qdgrasp.home / "elsewhere")  # so that nothing is made in it while it is being deleted
     _, err = end_of(process, 2)
-    last = err.splitlines()[-1]
-    assert last.startswith(f"qdgrasp: {words}")
+    assert err.splitlines()[-1].startswith(f"qdgrasp: {words}")
     assert "Traceback" not in err
     assert folder.exists() == (path != folder)

@@ -77,8 +77,7 @@ def test_a_replay_that_differs_is_drawn_and_told(qdgrasp: Commands, untrue: Path
 
 
 def test_recorded_rows_are_the_same_again(qdgrasp: Commands, reference: Reference) -> None:
-    done = qdgrasp.succeed("verify", reference[0], "--sample", 40, "--workers", 1, "--json")
-    told = done.json
+    told = qdgrasp.succeed("verify", reference[0], "--sample", 40, "--workers", 1, "--json").json
     assert (told["rows"], told["same"], told["different"]) == (40, 40, [])
     assert {"overlap", "held"} <= set(told["outcomes"])
     (origin,) = told["origins"]

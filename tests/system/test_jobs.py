@@ -47,8 +47,7 @@ class Running:
 
     def at_rest(self):
         """Stop the workers for a while, so that the job does not end."""
-        workers = wait_for(lambda: two(pids(self.process, "worker")), "both workers")
-        return held(*workers)
+        return held(*wait_for(lambda: two(pids(self.process, "worker")), "both workers"))
 
     def jobs(self) -> list[dict]:
         """The views of all jobs; none while there is no router."""
@@ -194,8 +193,7 @@ def start(qdgrasp: Commands, endpoint: str, *options: object) -> subprocess.Pope
 
 def simulators(worker: int) -> list[int]:
     """The simulators of a worker that are at work: they have taken their name."""
-    found = processes_of(worker)
-    return [pid for name, pid in found.items() if name.startswith("qdgrasp-simulator")]
+    return [pid for name, pid in processes_of(worker).items() if name.startswith("qdgrasp-simulator")]
 
 
 def simulator(worker: subprocess.Popen[str]) -> int:
@@ -296,8 +294,7 @@ def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_dige
 
 
 def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoint):
-    done = qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module=WORKER)
-    _, err = end_of(done, 2)
+    _, err = end_of(qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module=WORKER), 2)
     assert "Nothing answers at" in err
     assert "Traceback" not in err
 

@@ -338,8 +338,7 @@ def _run_in(text: str) -> Counts:
 
 def _counts(told: Counts) -> Counts:
     """The figures that are compared, where a source has more."""
-    found = {name: told[name] for name in ALL_COUNTS}
-    return found | told.get("outcomes", {})
+    return {name: told[name] for name in ALL_COUNTS} | told.get("outcomes", {})
 
 
 def _in_metrics(text: str, subject: str) -> Counts:
@@ -388,8 +387,7 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
     assert looked == watched.told() == watched.streamed()
     assert looked == looked | info
     assert sum(looked[one.name.lower()] for one in Outcome) == looked["rows"]
-    journal = _in_journal(watched.folder)
-    assert looked == looked | journal
+    assert looked == looked | _in_journal(watched.folder)
     metrics = watched.fetch("/metrics")
     assert _in_metrics(metrics, "run") == looked
     assert looked == looked | _in_metrics(metrics, "job")

@@ -72,8 +72,7 @@ def optimise(make: Callable[[qdgrasp.Layout], Steps], out: Path, **changes: Any)
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> qdgrasp.Run:
     """A run with a search of a program's own."""
-    out = tmp_path_factory.mktemp("mine") / "run"
-    return optimise(Steps, out)
+    return optimise(Steps, tmp_path_factory.mktemp("mine") / "run")
 
 
 # Evaluations.
@@ -175,8 +174,7 @@ def test_encrypted_links_change_no_row_and_no_journal(
 ) -> None:
     with qdgrasp.Evaluations(prior="approach", place=secure, **SCENE) as encrypted:
         assert encrypted.evaluate(near).tobytes() == evaluations.evaluate(near).tobytes()
-    run = optimise(Steps, tmp_path / "run", place=secure)
-    assert digest_of(run.path) == digest_of(mine.path)
+    assert digest_of(optimise(Steps, tmp_path / "run", place=secure).path) == digest_of(mine.path)
 
 
 # A search of one's own.
@@ -186,10 +184,8 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert mine.spec.method == "custom_approach"
     assert mine.summary.evaluations == 140
     assert mine.summary.complete
-    rows = mine.rows()
-    assert np.unique(rows["generation"]).tolist() == [0, 1, 2, 3, 4]
-    shown = commands.succeed("info", mine.path)
-    assert "custom_approach" in shown.out
+    assert np.unique(mine.rows()["generation"]).tolist() == [0, 1, 2, 3, 4]
+    assert "custom_approach" in commands.succeed("info", mine.path).out
 
 
 def test_its_journal_is_the_same_whatever_the_workers(
@@ -210,8 +206,7 @@ def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path
         made.append(Steps(layout))
         return made[-1]
 
-    whole = optimise(make, out, resume=True)
-    assert digest_of(whole.path) == digest_of(mine.path)
+    assert digest_of(optimise(make, out, resume=True).path) == digest_of(mine.path)
     assert made[0].told == [0, 1, 2, 3]
 
 

@@ -64,8 +64,7 @@ def test_a_router_stops_cleanly_also_with_clients(
 def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> None:
     endpoint = own_endpoint()
     routers.start(endpoint)
-    process = qdgrasp.start("--listen", endpoint, module=ROUTER)
-    _, said = end_of(process, 2)
+    _, said = end_of(qdgrasp.start("--listen", endpoint, module=ROUTER), 2)
     assert said == (
         f"qdgrasp-router: Cannot listen on {endpoint}: address already in use; "
         "name another endpoint with --listen.\n"
@@ -82,8 +81,7 @@ def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> No
     ],
 )
 def test_bad_input_is_one_sentence(qdgrasp: Commands, flags: list[str], sentence: str) -> None:
-    process = qdgrasp.start(*flags, module=ROUTER)
-    _, said = end_of(process, 2)
+    _, said = end_of(qdgrasp.start(*flags, module=ROUTER), 2)
     assert sentence in said
     assert said.count("\n") == 1
 

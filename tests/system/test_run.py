@@ -115,8 +115,7 @@ def test_an_extended_run_is_the_longer_run(qdgrasp, reference):
 
 
 def test_resuming_a_finished_run_does_nothing_and_says_so(qdgrasp, reference):
-    done = qdgrasp.succeed("resume", reference[0])
-    assert "is finished" in done.out
+    assert "is finished" in qdgrasp.succeed("resume", reference[0]).out
     assert qdgrasp.digest(reference[0]) == reference[1]
 
 
@@ -230,8 +229,7 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
     lines = ranking(qdgrasp.home / "again")
     assert len(lines) == 3
     for line in lines:
-        source = int(line["source_generation"]), int(line["source_index"])
-        assert float(line["eta"]) == heard[source]
+        assert float(line["eta"]) == heard[(int(line["source_generation"]), int(line["source_index"]))]
     info = qdgrasp.info("again")
     assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
 

@@ -99,8 +99,7 @@ def seeking(*command: str, module: str = "qdgrasp") -> Beginning:
 def checking(qdgrasp: Commands) -> subprocess.Popen[str]:
     """A check of an access list whose router is not there."""
     folder = SecurityFolder.create(qdgrasp.home / "security", hosts=["localhost"], days=1).path
-    endpoint = own_endpoint("tls")
-    process = qdgrasp.start("security", "check", "--security", folder, "--connect", endpoint)
+    process = qdgrasp.start("security", "check", "--security", folder, "--connect", own_endpoint("tls"))
     wait_for(lambda: _is_loaded(process.pid), "its threads")
     return process
 

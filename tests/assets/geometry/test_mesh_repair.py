@@ -73,8 +73,7 @@ def test_winding_is_made_the_same_everywhere_and_outward(share):
 
 
 def test_a_body_that_is_inside_out_is_turned_and_the_others_are_not():
-    pair = join((SOLID, SOLID.flipped().moved((0.1, 0, 0))))
-    mesh, done = repair_mesh(pair)
+    mesh, done = repair_mesh(join((SOLID, SOLID.flipped().moved((0.1, 0, 0)))))
     assert done == ("1 of 2 bodies turned: they were inside out (negative volume)",)
     assert mesh.volume == pytest.approx(2 * np.prod(BLOCK))
 
@@ -158,8 +157,7 @@ def hollow(radius: float) -> trimesh.Trimesh:
 
 
 def link(x: float, turn: np.ndarray) -> trimesh.Trimesh:
-    torus = trimesh.creation.torus(0.03, 0.005)
-    return torus.apply_transform(turn).apply_translation((x, 0, 0))
+    return trimesh.creation.torus(0.03, 0.005).apply_transform(turn).apply_translation((x, 0, 0))
 
 
 def air(*bodies: trimesh.Trimesh) -> float:

@@ -11,8 +11,7 @@ CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) 
 
 @pytest.fixture(params=range(6))
 def hull(request):
-    random = np.random.default_rng(request.param)
-    return convex_hulls([random.normal(0.0, 0.01, (12, 3))])[0]
+    return convex_hulls([np.random.default_rng(request.param).normal(0.0, 0.01, (12, 3))])[0]
 
 
 def centres(voxels):
@@ -72,5 +71,4 @@ def test_points_find_the_level_of_their_voxel_and_zero_outside():
     voxels.mark(cube, 3)
     points = np.random.default_rng(2).uniform(-0.05, 0.05, (4000, 3)).astype(np.float32)
     points[0] = 1e30, -1e30, 0.0
-    found = voxels.at(*points.T)
-    np.testing.assert_array_equal(found, 3 * (np.abs(points) < 0.02).all(axis=1))
+    np.testing.assert_array_equal(voxels.at(*points.T), 3 * (np.abs(points) < 0.02).all(axis=1))

@@ -214,8 +214,7 @@ def test_each_line_of_the_file_stands_under_its_reason(jaw_urdf):
 
 def test_names_that_toml_would_take_apart_are_quoted(jaw_urdf, edit):
     edit(jaw_urdf, '"slide"', '"slide.0"')
-    written = tomllib.loads(draft_toml(guessed(jaw_urdf), "own.toml"))
-    assert "slide.0" in written["joints"]
+    assert "slide.0" in tomllib.loads(draft_toml(guessed(jaw_urdf), "own.toml"))["joints"]
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -236,8 +235,7 @@ def test_a_hand_that_is_turned_is_guessed_alike(jaw_urdf, edit, turn):
     joint = f'<joint name="j" type="fixed">{ends}<origin rpy="{turn}"/></joint>'
     edit(jaw_urdf, "</robot>", base + shape + joint + "</robot>")
     turned = guessed(jaw_urdf).file
-    robot = read_urdf(jaw_urdf)
-    rotation = robot.forward({})["palm"][:3, :3]
+    rotation = read_urdf(jaw_urdf).forward({})["palm"][:3, :3]
     assert turned.approach_axis == pytest.approx(tuple(rotation @ still.approach_axis), abs=1e-6)
     assert turned.standoff == pytest.approx(still.standoff, abs=1e-4)
     assert turned.jaw is not None

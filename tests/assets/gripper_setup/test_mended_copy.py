@@ -85,8 +85,7 @@ def test_limits_that_forbid_what_a_joint_mimics_are_widened_and_warned_of(jaw_ur
     before = draft_gripper(read_urdf(jaw_urdf), jaw_urdf.name, DraftOverrides())
     assert before.file.joints["other"].closed is None
     assert any("--mend takes those of the <mimic>" in words for words in before.warnings)
-    copy = mended(jaw_urdf)
-    assert "the joint 'other' is limited to where <mimic> takes it" in copy.changes[0]
+    assert "the joint 'other' is limited to where <mimic> takes it" in mended(jaw_urdf).changes[0]
     assert read_gripper_file(jaw_urdf.parent / "own.toml").joints["other"].closed == 0.04
 
 
@@ -112,8 +111,7 @@ def test_a_mesh_that_the_simulator_does_not_read_becomes_a_hull(jaw_urdf, edit, 
     text = SOLID.export(file_type="stl_ascii" if kind == "stl" else kind)
     (jaw_urdf.parent / f"pad.{kind}").write_bytes(text.encode() if isinstance(text, str) else text)
     edit(jaw_urdf, BOX, f'<mesh filename="pad.{kind}"/>')
-    copy = mended(jaw_urdf)
-    assert "was made a convex hull, as the simulator reads no such file" in copy.changes[0]
+    assert "was made a convex hull, as the simulator reads no such file" in mended(jaw_urdf).changes[0]
     assert sorted(path.name for path in mended_meshes(jaw_urdf.parent / "own.toml").iterdir()) == ["pad.obj"]
 
 
@@ -128,8 +126,7 @@ def test_a_mesh_in_millimetres_is_written_in_metres(jaw_urdf, edit):
 def test_a_hollow_mesh_is_split_into_parts_that_leave_its_room(jaw_urdf, edit):
     write_arch(jaw_urdf.parent / "arch.stl")
     edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
-    copy = mended(jaw_urdf)
-    assert "was split into" in copy.changes[0]
+    assert "was split into" in mended(jaw_urdf).changes[0]
     assert examine(jaw_urdf.parent / "own.toml", "own").notes == ()
 
 

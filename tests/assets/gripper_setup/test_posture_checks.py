@@ -16,7 +16,6 @@ from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 
 NAMES = tuple(sorted(path.stem for path in GRIPPERS.glob("*.toml")))
-OWN = tuple(name for name in NAMES if not name.startswith(REFERENCE))
 
 
 def postures(gripper):
@@ -28,24 +27,19 @@ def pairs_of(toml):
     return overlapping_pairs(postures(read_gripper(toml, "hand", toml.name)))
 
 
-def assert_file_has_its_pairs(name):
-    hand = postures(find_gripper(name))
+@pytest.fixture(params=NAMES)
+def hand(request):
+    """A hand of the catalog; those of the reference data are skipped where there is none."""
+    if request.param.startswith(REFERENCE):
+        request.getfixturevalue("asset_path")
+    return postures(find_gripper(request.param))
+
+
+def test_the_file_of_a_hand_has_the_pairs_that_its_shapes_give(hand):
     assert hand.file.disabled_collisions == overlapping_pairs(hand)
 
 
-@pytest.mark.parametrize("name", OWN)
-def test_the_file_of_a_built_in_hand_has_the_pairs_that_its_shapes_give(name):
-    assert_file_has_its_pairs(name)
-
-
-@pytest.mark.parametrize("name", sorted(set(NAMES) - set(OWN)))
-def test_the_file_of_a_reference_hand_has_the_pairs_that_its_shapes_give(asset_path, name):
-    assert_file_has_its_pairs(name)
-
-
-def assert_is_rated(name):
-    """Every joint that closes has ratings that can be true, and the file says where they come from."""
-    hand = postures(find_gripper(name))
+def test_every_joint_that_closes_has_ratings_that_can_be_true_and_their_source(hand):
     assert hand.file.ratings_source != "not stated"
     for joint in hand.closing.closed:
         table = hand.file.joints[joint]
@@ -53,16 +47,6 @@ def assert_is_rated(name):
         assert table.rated_velocity is not None
         assert 1.0 < table.rated_effort / fingertip_arm(hand, joint) < STRONGEST_FINGER
     assert not [note for note in posture_notes(hand) if "rated" in note]
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_a_built_in_hand_is_rated(name):
-    assert_is_rated(name)
-
-
-@pytest.mark.parametrize("name", sorted(set(NAMES) - set(OWN)))
-def test_a_reference_hand_is_rated(asset_path, name):
-    assert_is_rated(name)
 
 
 def test_neighbours_by_joint_and_links_that_meet_only_when_closed_are_left_out(jaw_toml, edit):

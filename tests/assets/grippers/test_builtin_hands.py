@@ -117,8 +117,7 @@ def test_a_hand_with_a_thumb_has_the_synergies_of_the_paper(name):
 
 
 def test_the_little_finger_of_the_shadow_closes_with_the_others_as_the_index_does():
-    joints = find_gripper("shadow").on_carrier("paper").joints
-    by_name = {joint.name: joint for joint in joints}
+    by_name = {joint.name: joint for joint in find_gripper("shadow").on_carrier("paper").joints}
     everything = find_gripper("shadow").file.synergies[-1].joints
     for number in "321":
         little, index = by_name[f"LFJ{number}"], by_name[f"FFJ{number}"]

@@ -207,8 +207,7 @@ REFERENCE = ("ref_allegro", "ref_bh280", "ref_panda_2f", "ref_robotiq_2f", "ref_
 def test_a_reference_hand_closes_to_the_lower_limits_of_its_urdf(asset_path: Path, name):
     assert name in gripper_names()
     gripper = find_gripper(name)
-    joints = gripper.on_carrier("released").joints
-    driven = [joint for joint in joints if joint.driven]
+    driven = [joint for joint in gripper.on_carrier("released").joints if joint.driven]
     assert driven
     for joint in driven:
         assert joint.closed == pytest.approx(gripper.robot.joint(joint.name).lower, abs=1e-4)

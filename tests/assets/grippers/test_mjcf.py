@@ -18,8 +18,7 @@ POSTURES = 20
 def crooked(tmp_path):
     """The crooked hand: as MuJoCo's model and as the URDF made of it."""
     path = example_mjcf.write_crooked(tmp_path)
-    model = mujoco.MjModel.from_xml_path(str(path))
-    return model, read_mjcf(path)[0]
+    return mujoco.MjModel.from_xml_path(str(path)), read_mjcf(path)[0]
 
 
 def bodies(model, robot):

@@ -144,8 +144,7 @@ def test_a_closed_posture_that_opens_is_told_with_both_distances(jaw_toml, jaw_u
 
 
 def test_a_follower_that_the_file_sends_elsewhere_is_told_where_it_should_be(jaw_toml):
-    text = jaw_toml.read_text()
-    head, _, tail = text.partition("[joints.other]")
+    head, _, tail = jaw_toml.read_text().partition("[joints.other]")
     jaw_toml.write_text(head + "[joints.other]" + tail.replace("closed = -0.04", "closed = -0.02"))
     (fault,) = faults(jaw_toml)
     assert "joints.other is closed at -0.02, and by the URDF's <mimic> it is at -0.04 where slide is" in fault

@@ -210,8 +210,7 @@ def grown(tmp_path: Path) -> Path:
         rows = random_rows(N)
         rows["outcome"][int(share * N) :] = Outcome.MISSED
         until = RunCounter.of(spec).rows_until_stop(rows)
-        settings = msgspec.structs.asdict(spec)
-        record(tmp_path / name, scene, rows[:until], **settings)
+        record(tmp_path / name, scene, rows[:until], **msgspec.structs.asdict(spec))
         shutil.copytree(tmp_path / name, folder / "runs" / name)
     return folder
 

@@ -307,8 +307,7 @@ def test_what_is_left_out_is_reported_in_the_folder_and_counted(library, tmp_pat
     assert lost["reason"].endswith("lost.stl': it does not exist")
     found = campaign_summary(JobFolder(folder))
     assert (found.runs, found.runs_done, found.objects, found.skipped) == (2, 0, 2, 2)
-    printed = CliRunner().invoke(app, ["info", str(folder), "--json"])
-    assert json.loads(printed.stdout)["skipped"] == 2
+    assert json.loads(CliRunner().invoke(app, ["info", str(folder), "--json"]).stdout)["skipped"] == 2
     shutil.copy(library / "a" / "part.stl", library / "b" / "broken.stl")
     rows[2]["scale"] = 0.001
     begin_campaign(folder, asked_for(write_manifest(library / "o.csv", rows)))  # mended: it grows
@@ -321,16 +320,14 @@ def test_the_command_takes_a_manifest_and_nothing_is_begun_without_leave(library
     break_mesh(library / "b" / "broken.stl")
     manifest = write_manifest(library / "o.csv", [*ROWS, {"file": "b/broken.stl", "mass": 1}])
     flags = ["campaign", str(manifest), "--gripper", "panda", "--evaluations", "50", "--list"]
-    refused = CliRunner().invoke(app, flags)
-    assert isinstance(refused.exception, UnusableMeshes)
+    assert isinstance(CliRunner().invoke(app, flags).exception, UnusableMeshes)
     listed = CliRunner().invoke(app, [*flags, "--skip-unusable"])
     assert listed.exit_code == 0
     assert "left out: b/broken: it is not closed" in listed.stdout
     mended = CliRunner().invoke(app, [*flags, "--remesh"])
     assert mended.exit_code == 0
     assert "3 runs" in mended.stdout
-    both = CliRunner().invoke(app, [*flags, "--remesh", "--hull"])
-    assert "give one of them" in str(both.exception)
+    assert "give one of them" in str(CliRunner().invoke(app, [*flags, "--remesh", "--hull"]).exception)
 
 
 def test_a_check_that_fails_is_a_fault_of_the_mesh_and_not_remembered(library, monkeypatch):

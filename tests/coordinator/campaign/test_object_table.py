@@ -147,10 +147,8 @@ def test_where_all_got_nothing_all_got_little() -> None:
 def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     """Of three runs one is over: what the others have got so far does not count against it."""
     begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
-    found = list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])
-    assert not found[2].little
-    unjudged = list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])
-    assert not unjudged[1].little
+    assert not list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
+    assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
 
 
 def test_more_runs_are_no_more_grasps() -> None:

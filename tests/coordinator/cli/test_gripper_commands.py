@@ -41,8 +41,7 @@ def test_new_writes_a_file_that_check_finds_good(gripper):
 
 
 def test_new_draws_the_hand_beside_its_file_and_names_the_picture(gripper):
-    done = gripper("new", "jaw.urdf", "-o", "hands/own.toml")
-    assert "drawn: hands/own.png" in done.stdout
+    assert "drawn: hands/own.png" in gripper("new", "jaw.urdf", "-o", "hands/own.toml").stdout
     assert is_drawn_here(Path("hands/own.png"))
     assert gripper("new", "jaw.urdf", "-o", "hands/own.toml", "--force").exit_code == 0
 
@@ -65,8 +64,7 @@ def test_flags_say_which_links_begin_fingers_and_which_joints_do_not_close(gripp
 
 @pytest.mark.parametrize("flag", ["--finger", "--not-closing"])
 def test_a_name_that_the_hand_does_not_have_is_refused(gripper, flag):
-    done = gripper("new", "jaw.urdf", flag, "slid")
-    assert isinstance(done.exception, UnknownName)
+    assert isinstance(gripper("new", "jaw.urdf", flag, "slid").exception, UnknownName)
 
 
 @pytest.mark.usefixtures("bare")
@@ -79,8 +77,7 @@ def test_a_urdf_whose_links_have_no_masses_is_drawn_all_the_same(gripper):
 
 def test_a_urdf_with_visual_shapes_alone_is_drawn_by_these(gripper):
     Path("jaw.urdf").write_text(example_hands.JAW_URDF.replace("collision", "visual"))
-    done = gripper("check", "jaw.urdf", "--picture", "pictures")
-    assert isinstance(done.exception, AssetError)
+    assert isinstance(gripper("check", "jaw.urdf", "--picture", "pictures").exception, AssetError)
     assert is_drawn_here(Path("pictures/jaw.png"))
 
 
@@ -128,8 +125,7 @@ def test_what_cannot_be_used_is_refused_with_all_faults_and_what_helps(gripper):
 
 
 def test_a_mended_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare):
-    done = gripper("new", "jaw.urdf", "--mend")
-    assert "mended: the link 'palm' is given a mass" in done.stdout
+    assert "mended: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--mend").stdout
     assert read_gripper_file(Path("jaw.toml")).urdf == "jaw_mended.urdf"
     assert gripper("check", "jaw.toml").exit_code == 0
 
@@ -268,6 +264,5 @@ def test_what_is_found_bad_is_not_written_and_its_mended_copy_goes(gripper, bare
 def test_a_folder_of_somebody_else_stays_whatever_is_forced(gripper, bare):
     Path("jaw_meshes").mkdir()
     Path("jaw_meshes/keep.txt").write_text("mine")
-    done = gripper("new", "jaw.urdf", "--mend", "--force", "--yes")
-    assert isinstance(done.exception, AssetError)
+    assert isinstance(gripper("new", "jaw.urdf", "--mend", "--force", "--yes").exception, AssetError)
     assert Path("jaw_meshes/keep.txt").read_text() == "mine"

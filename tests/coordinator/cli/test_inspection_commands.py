@@ -164,8 +164,7 @@ def test_all_rows_leave_nothing_to_a_sample(tmp_path: Path) -> None:
 
 
 def test_a_run_without_rows_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
-    empty = record(tmp_path / "empty", make_scene(), random_rows(0))
-    refused = refusal(empty.path)
+    refused = refusal(record(tmp_path / "empty", make_scene(), random_rows(0)).path)
     assert isinstance(refused, InputError)
     assert str(refused) == "Nothing is recorded there that could be evaluated again."
 

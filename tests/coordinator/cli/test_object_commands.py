@@ -182,12 +182,10 @@ def test_nothing_is_written_of_a_mesh_that_cannot_be_used_nor_over_another_file(
 @pytest.mark.parametrize("good", [True, False])
 def test_an_object_is_drawn_also_where_it_is_open(check, good):
     (block() if good else without(5)).export("part.ply")
-    done = check("part.ply", "--picture", "pictures")
-    assert "drawn: pictures/part.png" in done.stdout
+    assert "drawn: pictures/part.png" in check("part.ply", "--picture", "pictures").stdout
     assert Path("pictures/part.png").read_bytes()[:4] == b"\x89PNG"
     assert is_drawn_here(Path("pictures/part.png"))
-    again = check("part.ply", "--picture", "pictures")
-    assert "drawn: pictures/part.png" in again.stdout
+    assert "drawn: pictures/part.png" in check("part.ply", "--picture", "pictures").stdout
 
 
 @pytest.mark.parametrize(

@@ -214,8 +214,7 @@ def webdataset(path: Path) -> Read:
         with np.load(io.BytesIO(sample["npz"]), allow_pickle=False) as arrays:
             columns.append({name: arrays[name] for name in arrays.files})
     every = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
-    flat = {name: values for name, values in every.items() if values.ndim == 1}
-    table = pandas.DataFrame(flat)
+    table = pandas.DataFrame({name: values for name, values in every.items() if values.ndim == 1})
     table["contact_points"] = [
         [
             {"link": told[0]["links"][link]} | dict(zip(CONTACT, map(float, numbers), strict=True))

@@ -111,8 +111,7 @@ START = np.array(COM) + POSES["from above"][1] + np.array([0.0, 0.0, WAY])
 
 
 def test_tables_say_how_hands_come(made: RunFolder, tmp_path: Path) -> None:
-    out = written(made, tmp_path, "parquet")
-    table = pyarrow.parquet.read_table(out)
+    table = pyarrow.parquet.read_table(written(made, tmp_path, "parquet"))
     about = json.loads(table.schema.metadata[b"qdgrasp"])
     row = table.to_pylist()[ABOVE]
     assert len(table) == 4

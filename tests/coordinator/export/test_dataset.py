@@ -90,8 +90,7 @@ def test_all_runs_are_in_it_with_as_many_grasps_as_their_journals(campaign, tmp_
     said = export_campaign(campaign.path, out, name, GRASPS)
     assert "24 grasps" in said
     assert "3 objects in 6 runs written" in said
-    expected = {run.run: int(read_run(run).is_grasp.sum()) for run in runs(campaign)}
-    assert counts(out, name) == expected
+    assert counts(out, name) == {run.run: int(read_run(run).is_grasp.sum()) for run in runs(campaign)}
     assert not out.with_name("out.part").exists()
     assert not {"progress.jsonl", "unfinished", "lock"} & {path.name for path in out.iterdir()}
 
@@ -346,8 +345,7 @@ def test_graspgen_lists_each_run_in_the_split_of_its_object(campaign, tmp_path) 
 def test_grasps_of_an_object_come_back_as_poses(evaluated_run: RunFolder, tmp_path: Path) -> None:
     job = JobFolder.create(tmp_path / "campaign", "campaign")
     for name in ("a-s0", "a-s1"):
-        one = shutil.copytree(evaluated_run.path, job.run_path(name))
-        (one / "job.json").unlink()
+        (shutil.copytree(evaluated_run.path, job.run_path(name)) / "job.json").unlink()
     out, poses = tmp_path / "out", tmp_path / "poses.npz"
     export_campaign(job.path, out, "parquet", GRASPS)
     gripper, object_ = evaluated_run.spec.gripper, evaluated_run.spec.object

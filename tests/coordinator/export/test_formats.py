@@ -118,8 +118,7 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
 def test_a_licence_of_several_lines_and_with_control_characters_is_kept_in_its_lines(
     make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
 ) -> None:
-    licence = "BSD-3\nCopyright\0 \x1b somebody"
-    hand = msgspec.structs.replace(scene.gripper, licence=licence)
+    hand = msgspec.structs.replace(scene.gripper, licence="BSD-3\nCopyright\0 \x1b somebody")
     rows = random_rows(scene, [Outcome.HELD] * 2)
     run = record(tmp_path / "run", msgspec.structs.replace(scene, gripper=hand), rows, method="contact_rand")
     export_run(run, tmp_path / "out", name)
@@ -232,8 +231,7 @@ def test_a_run_without_settled_poses_says_so_and_leaves_them_out(
     make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
 ) -> None:
     early = msgspec.structs.replace(scene, contact_slots=0)
-    rows = random_rows(early, [Outcome.HELD] * 2)
-    run = record(tmp_path / "run", early, rows, method="contact_rand")
+    run = record(tmp_path / "run", early, random_rows(early, [Outcome.HELD] * 2), method="contact_rand")
     assert export_run(run, tmp_path / "out", name).endswith(f" But {NOT_SETTLED}.")
     read = READERS[name](tmp_path / "out")
     assert words_of(tmp_path / "out", name)["settled"] == NOT_SETTLED
@@ -252,8 +250,7 @@ def test_the_motion_of_the_object_while_closing_is_told_in_each_table(run, grasp
     table = READERS["parquet"](tmp_path / "parquet").beside
     np.testing.assert_allclose(table.motion_mm, 1000 * way)
     np.testing.assert_allclose(table.motion_deg, np.degrees(angle))
-    read = READERS["isaac"](isaac_of(run, tmp_path))
-    np.testing.assert_allclose(way, centre_ways(read), atol=1e-7)
+    np.testing.assert_allclose(way, centre_ways(READERS["isaac"](isaac_of(run, tmp_path))), atol=1e-7)
 
 
 def isaac_of(run: RunFolder, tmp_path: Path) -> Path:

@@ -125,8 +125,7 @@ def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, 
     assert found.notes == (
         "The file names joints that gripper 'panda' does not have: left, right; they are left aside.",
     )
-    hand = run.scene().gripper
-    found = importer.import_poses(tmp_path / "f", hand, ObjectFrame(COM, 1.0))
+    found = importer.import_poses(tmp_path / "f", run.scene().gripper, ObjectFrame(COM, 1.0))
     assert [note[:39] for note in found.mismatches] == ["The object 'block' of the file has its "]
 
 

@@ -138,8 +138,7 @@ def test_what_is_no_result_is_passed_over() -> None:
 
 def test_a_result_tells_how_its_rows_ended() -> None:
     outcomes = [Outcome.OVERLAP, Outcome.OVERLAP, Outcome.BRUSHED, Outcome.DROPPED, Outcome.HELD]
-    columns = {"outcome": bytes(outcomes)}
-    result = result_message(generation=3, n=5, columns=columns, cpu_seconds=0.5)
+    result = result_message(generation=3, n=5, columns={"outcome": bytes(outcomes)}, cpu_seconds=0.5)
     assert returned_batch(result, 9.0) == ReturnedBatch(9.0, "0" * 32, 3, 5, 0.5, 2, 2)
 
 

@@ -131,6 +131,5 @@ def test_memory_is_bounded_by_the_niches_and_not_by_the_successes() -> None:
     found = NicheArchive(FOUR)
     for _ in range(30):
         found.insert(rows(1000))
-    waiting = sum(len(part) for part in found._waiting)
-    assert waiting <= 5000
+    assert sum(len(part) for part in found._waiting) <= 5000
     assert len(found) == 1

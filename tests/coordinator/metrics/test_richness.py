@@ -28,8 +28,7 @@ def test_the_unseen_cells_follow_from_those_that_one_run_and_two_runs_found() ->
 
 
 def test_where_no_cell_was_found_twice_the_corrected_form_is_taken() -> None:
-    found = estimated(incidence(4, *[1] * 6, *[3] * 2))
-    assert found.unseen == pytest.approx(3 / 4 * 6 * 5 / 2)
+    assert estimated(incidence(4, *[1] * 6, *[3] * 2)).unseen == pytest.approx(3 / 4 * 6 * 5 / 2)
 
 
 def spread(runs: int, once: int, twice: int) -> Found:
@@ -152,8 +151,7 @@ def test_as_many_more_runs_as_are_said_find_the_share_that_was_asked_for() -> No
     more = [one.further_runs(0.95) for one in estimates(5)]
     (needed,) = {round(float(np.mean(more)))}
     seen = [one.seen for one in estimates(5 + needed)]
-    fewer = [one.seen for one in estimates(5 + needed - 2)]
-    assert np.mean(fewer) < 0.95 * CELLS <= np.mean(seen)
+    assert np.mean([one.seen for one in estimates(5 + needed - 2)]) < 0.95 * CELLS <= np.mean(seen)
 
 
 @pytest.mark.parametrize(("each", "most"), [(2, 1.8), (5, 1.2)])

@@ -108,8 +108,7 @@ def test_bounds_hold_the_estimate_and_close_up_with_more_trials(values: list[flo
 
 
 def test_the_error_of_eta_is_that_of_drawn_shares_at_most() -> None:
-    random = np.random.default_rng(0)
-    shares = random.binomial(1, 0.3, (4000, 10)) / 1.0
+    shares = np.random.default_rng(0).binomial(1, 0.3, (4000, 10)) / 1.0
     assert np.std(shares.mean(axis=1)) == pytest.approx(
         np.sqrt((eta_error(shares.mean(axis=1), np.full(4000, 10)) ** 2).mean()), rel=0.05
     )

@@ -190,8 +190,7 @@ def test_a_job_of_many_objects_tells_how_many_are_done() -> None:
     finished = [ObjectRun(spec.object, spec, NO_TOTALS, is_done=True) for spec in specs]
     waiting = ObjectRun("d", RunSpec(gripper="panda", object="d"))
     objects = list_objects([*finished, waiting], [SkippedObject("torn", "torn.stl", "it is open", "")])
-    shapes = {"scenes": 4, "scenes_done": 3, "trials": 24}
-    (view,) = views(values(**shapes))
+    (view,) = views(values(scenes=4, scenes_done=3, trials=24))
     assert [*summary_lines(view, NOW, objects)][3] == (
         "  3 of 4 objects done, 1 skipped; 3 got little; 3 of 4 shapes; 1024 rows"
     )

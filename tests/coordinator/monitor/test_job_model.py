@@ -130,8 +130,7 @@ def test_what_is_left_out_where_not_all_runs_can_be_shown_is_over_or_silent(jobs
     publish(jobs, START + 2, stat_run_a=run("a"))
     view = view_of(jobs, START + 2)
     assert [one.run for one in view.runs] == ["a", "b", "c", "d"]
-    foremost = ["".join(one.run for one in view.foremost(most)) for most in (1, 2, 3)]
-    assert foremost == ["a", "ad", "abd"]
+    assert ["".join(one.run for one in view.foremost(most)) for most in (1, 2, 3)] == ["a", "ad", "abd"]
 
 
 def begins(jobs: JobModels, now: float, epoch: int, identity: str = "") -> None:
@@ -296,8 +295,7 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
 def test_curves_are_asked_for_also_when_another_job_begins(jobs: JobModels) -> None:
     publish(jobs, START, stat_run_resumed=run("resumed", evaluations=70))
     jobs.coordinator_changed(Keys("cubes").coordinator_token(1), True, START)
-    asked = jobs.due_queries(START)
-    assert {MUGS.stat("curve/resumed"), Keys("cubes").meta} <= {*asked}
+    assert {MUGS.stat("curve/resumed"), Keys("cubes").meta} <= {*jobs.due_queries(START)}
 
 
 def test_many_curves_are_one_question(jobs: JobModels) -> None:
@@ -309,8 +307,7 @@ def test_many_curves_are_one_question(jobs: JobModels) -> None:
 def test_curves_that_nobody_has_any_more_are_not_asked_for() -> None:
     jobs = JobModels()
     jobs.due_queries(START)
-    answers = {key: value for key, value in values().items() if "run" not in key}
-    jobs.receive_answers(answers, START)
+    jobs.receive_answers({key: value for key, value in values().items() if "run" not in key}, START)
     publish(jobs, START, stat_run_c=run("c", finished="all are spent"))
     assert jobs.due_queries(START) == []
     publish(jobs, START, stat_run_d=run("d"))

@@ -42,8 +42,7 @@ def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:
     for second in range(3 * MAX_POINTS):
         history.add(figures(evaluations=second, seconds=float(second)), float(second))
     series = history.series
-    lengths = {len(getattr(series, name)) for name in series.__struct_fields__}
-    assert lengths == {len(series.at)}
+    assert {len(getattr(series, name)) for name in series.__struct_fields__} == {len(series.at)}
     assert len(series.at) <= MAX_POINTS
     assert series.evaluations[-1] == 3 * MAX_POINTS - 1
 

@@ -212,8 +212,7 @@ def test_the_command_that_is_shown_prints_the_grasp(
 ) -> None:
     path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", path):
-        library = RunCaches(BusRecords(ours))
-        shown = json.loads(library.grasp("mug", "run", 3))
+        shown = json.loads(RunCaches(BusRecords(ours)).grasp("mug", "run", 3))
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     command = ["sh", "-c", shown["commands"][0]]
     said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)

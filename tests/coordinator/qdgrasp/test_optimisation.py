@@ -73,8 +73,7 @@ def test_a_run_that_begins_again_has_a_search_that_nothing_was_asked_of() -> Non
         made.append(Uniform(genes))
         return made[-1]
 
-    scene = build_scene(qdgrasp.RunSpec(**SCENE))
-    searches = SearchFactory(make, layout(scene, "contact"))
+    searches = SearchFactory(make, layout(build_scene(qdgrasp.RunSpec(**SCENE)), "contact"))
     assert len(made) == 1
     assert searches.next() is not searches.next()
     assert len(made) == 2

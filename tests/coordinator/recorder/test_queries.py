@@ -149,10 +149,7 @@ def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(
 ) -> None:
     monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 120)
     counted = RunIndex(campaign)
-    ends = []
-    for _ in range(4):
-        curve = counted.one(run).curve
-        ends.append([point.evaluations for point in curve.points])
+    ends = [[point.evaluations for point in counted.one(run).curve.points] for _ in range(4)]
     assert ends == [list(range(10, stop + 1, 10)) for stop in (120, 240, 300, 300)]
 
 

@@ -204,8 +204,7 @@ class TestOpening:
         assert not (path / "runs").exists()
 
     def test_runs_that_a_coordinator_began_on_this_machine_are_gone_on_with(self, path: Path) -> None:
-        job = JobFolder.create(path, JOB, {"campaign.toml": b""})
-        RunFolder.add(job, "a", SPEC, BUNDLE)
+        RunFolder.add(JobFolder.create(path, JOB, {"campaign.toml": b""}), "a", SPEC, BUNDLE)
         with recording(path) as recorder:
             with pytest.raises(Refused, match="run of scene"):
                 recorder.open(ask("a", scene="0" * 64))
@@ -321,8 +320,7 @@ class TestRows:
         assert {journalled(path, run) for run in names} == {ROWS.tobytes()}
 
     def test_a_scene_is_stored_once_for_each_run_that_misses_it(self, path: Path) -> None:
-        job = JobFolder.create(path, JOB)
-        RunFolder.add(job, "b", SPEC, BUNDLE)
+        RunFolder.add(JobFolder.create(path, JOB), "b", SPEC, BUNDLE)
         with recording(path) as recorder:
             recorder.open(ask("a", "b", "c"))
             recorder.open(ask("d", epoch=1, scene="0" * 64))

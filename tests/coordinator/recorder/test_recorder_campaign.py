@@ -57,8 +57,7 @@ def test_rows_of_several_runs_become_durable_each_in_its_own_journal(network, co
             coordinator.send(ROWS, first, first + 1000, run="b", cpu_seconds=2.5)
         for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
             coordinator.hears_durable(stop, run)
-            page = coordinator.page(500, 4096, run)
-            assert page.rows.tobytes() == ROWS[500:stop].tobytes()
+            assert coordinator.page(500, 4096, run).rows.tobytes() == ROWS[500:stop].tobytes()
             assert len(coordinator.page(stop, 10, run)) == 0
     assert recorded(path, "b") == ROWS.tobytes()
     with RunFolder.open(path / "runs" / "b").journal() as journal:

@@ -136,8 +136,7 @@ def test_a_kill_loses_nothing_durable_of_any_run(endpoint: str, router: ZenohBus
     for turn in range(3):
         with recorder(endpoint, path) as process:
             runs = ("a", "b")[: turn + 1]
-            epoch = min(turn, 1)
-            durable = coordinator.open_runs(*runs, epoch=epoch).durable
+            durable = coordinator.open_runs(*runs, epoch=min(turn, 1)).durable
             assert coordinator.epoch == 1
             for first, run in zip(durable, runs, strict=True):
                 coordinator.send(rows, first, first + 500, run=run)

@@ -135,8 +135,7 @@ class TestRecording:
                 bus.put(Keys(JOB).outcome(1), payload, encoding=messages.encoding(kind))
             bus.put(Keys(JOB).outcome(1), b"text", encoding="text/plain")
             coordinator.put(slice_to_message(JournalSlice(0, wide.empty(3)), "run", 1, wide))
-            failure = (Failure(row=3, reason="behind the end"),)
-            coordinator.send(rows, 0, 3, failures=failure)
+            coordinator.send(rows, 0, 3, failures=(Failure(row=3, reason="behind the end"),))
             coordinator.send(rows, 0, 10)
             coordinator.hears_durable(10)
 

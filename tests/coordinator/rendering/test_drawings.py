@@ -57,8 +57,7 @@ def share_drawn(image: np.ndarray) -> float:
 @pytest.mark.parametrize("outcomes", [[], [Outcome.OVERLAP], [Outcome.HELD], [Outcome.DROPPED] * 3])
 def test_a_run_is_drawn_however_little_it_found(tmp_path: Path, outcomes: list[Outcome]) -> None:
     draw_grasps(made_scene(), rows_of(outcomes), tmp_path / "grasps.png", pixels=SMALL)
-    image = matplotlib.image.imread(tmp_path / "grasps.png")
-    assert share_drawn(image) > 0.02
+    assert share_drawn(matplotlib.image.imread(tmp_path / "grasps.png")) > 0.02
 
 
 def test_the_same_rows_give_the_same_picture(tmp_path: Path) -> None:
@@ -135,8 +134,7 @@ def test_around_an_object_of_a_metre_cells_are_drawn_in_blocks_that_are_seen() -
 def test_a_cell_shows_its_fittest_success() -> None:
     rows = rows_of([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED])
     rows["descriptor"] = [[0.01, 0, 0], [0.012, 0, 0], [0.011, 0, 0], [0.05, 0, 0]]
-    best = best_in_cells(rows)
-    assert best["outcome"].tolist() == [Outcome.HELD, Outcome.DROPPED]
+    assert best_in_cells(rows)["outcome"].tolist() == [Outcome.HELD, Outcome.DROPPED]
 
 
 def halves(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -169,8 +167,7 @@ def test_an_object_is_drawn_with_its_parts_in_colours(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["\u5341\u5b57", "price $5$", r"$\frac$", "\U0001f600", "a\tb"])
 @pytest.mark.filterwarnings("error")
 def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path, name: str) -> None:
-    mug = stand_in("mug")
-    draw_object(replace(mug, name=name), tmp_path / "mug.png")
+    draw_object(replace(stand_in("mug"), name=name), tmp_path / "mug.png")
     assert share_drawn(halves(tmp_path / "mug.png")[0]) > 0.05
 
 

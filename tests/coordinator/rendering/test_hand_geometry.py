@@ -129,5 +129,4 @@ def test_an_orientation_that_is_none_is_refused(words: str) -> None:
 
 
 def test_angles_turn_about_the_fixed_axes_in_turn() -> None:
-    turned = orientation("90,0,90").apply([0, 1, 0])
-    assert np.allclose(turned, [0, 0, 1])
+    assert np.allclose(orientation("90,0,90").apply([0, 1, 0]), [0, 0, 1])

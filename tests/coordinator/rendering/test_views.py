@@ -58,8 +58,7 @@ def test_no_hand_stands_between_the_object_and_the_eye(jaw: SceneGripper) -> Non
 
 
 def test_of_a_hand_with_many_fingers_fewer_are_chosen(jaw: SceneGripper) -> None:
-    fingers = tuple(f"link_{number}" for number in range(20))
-    hand = msgspec.structs.replace(jaw, finger_links=fingers)
+    hand = msgspec.structs.replace(jaw, finger_links=tuple(f"link_{number}" for number in range(20)))
     assert len(spread_grasps(around(500, Outcome.HELD), hand, VIEW)) == LEAST_HANDS
 
 
@@ -67,8 +66,7 @@ def test_chosen_hands_are_apart_and_the_like_of_one_another_are_not_chosen_twice
     chosen = spread_grasps(around(500, Outcome.HELD), jaw, VIEW)["base_to_object"][:, :3]
     gaps = np.linalg.norm(chosen[:, None] - chosen[None], axis=2)[~np.eye(len(chosen), dtype=bool)]
     assert gaps.min() > LEAST_DISTANCE
-    alike = np.repeat(around(1, Outcome.HELD, 7), 50)
-    assert len(spread_grasps(alike, jaw, VIEW)) == 1
+    assert len(spread_grasps(np.repeat(around(1, Outcome.HELD, 7), 50), jaw, VIEW)) == 1
 
 
 def test_a_hand_before_the_object_is_chosen_when_there_is_no_other(jaw: SceneGripper) -> None:

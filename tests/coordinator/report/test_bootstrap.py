@@ -152,8 +152,7 @@ def test_a_ratio_cannot_be_less_than_nothing_where_runs_differ_much() -> None:
 
 
 def test_holm_multiplies_each_p_value_by_those_that_are_not_smaller() -> None:
-    adjusted = holm([0.01, 0.04, 0.03, 0.005])
-    assert adjusted == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
 def test_holm_leaves_out_comparisons_without_a_p_value_and_stops_at_one() -> None:

@@ -62,7 +62,7 @@ def test_the_paper_s_figures_with_their_data_and_the_tables_are_written(campaign
         assert len(table(found.out / f"{name}.csv")) > 3
     assert len(table(found.out / "runs.csv")) == 6
     assert {row["method"] for row in table(found.out / "methods.csv")} == set(METHODS)
-    assert {row["claim"] for row in table(found.out / "claims.csv")} == set("abcde")
+    assert {row["claim"] for row in table(found.out / "claims.csv")} == set("abcdefg")
 
 
 def test_the_tables_have_the_figures_of_info(campaign: Path) -> None:
@@ -106,8 +106,7 @@ def test_coverage_is_drawn_where_there_is_a_set(campaign: Path) -> None:
     own = campaign / "own.npz"
     build_reference_sets([RunFolder.open(campaign / "runs/jaw-block-contact_me_scs-s0")], own)
     out = analysed(campaign, references=[own]).out
-    curves = table(out / "coverage.csv")
-    assert {row["measure"] for row in curves} == {"coverage"}
+    assert {row["measure"] for row in table(out / "coverage.csv")} == {"coverage"}
     (whole,) = [row for row in table(out / "runs.csv") if row["run"] == "jaw-block-contact_me_scs-s0"]
     assert (float(whole["coverage"]), float(whole["robust_coverage"])) == (1.0, 1.0)
 
@@ -261,7 +260,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path) -> None
 
 def test_the_command_prints_the_verdicts(campaign: Path) -> None:
     said = CliRunner().invoke(app, ["analyse", str(campaign), "--log"]).stdout
-    assert "(c) antipodal plateaus: not in this campaign." in said
+    assert "(c) antipodal ME_scs plateaus: not in this campaign." in said
     assert "6 runs, 2 of them unfinished." in said
     done = CliRunner().invoke(app, ["analyse", str(campaign), "--json", "--method", "contact_rand"])
     values = json.loads(done.stdout)

@@ -138,8 +138,7 @@ def test_a_success_is_told_with_the_pose_after_closing_the_motion_and_its_contac
     rows["contact_links"][1] = (2, 0)
     rows["contact_points"][1, :7] = (0.01, 0, 0.02, 0, 1, 0, 12.5)
     scene = with_gripper(made_scene(), links=("palm", "left_finger", "right_finger"))
-    folder = record(tmp_path / "new", scene, rows, method=METHOD)
-    found = row_report(folder, 1)
+    found = row_report(record(tmp_path / "new", scene, rows, method=METHOD), 1)
     assert found.settled.position == pytest.approx((0.01, 0.02, 0.033))
     assert found.turned == pytest.approx(0.1, abs=1e-3)
     (contact,) = found.contact_points

@@ -63,8 +63,7 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
     runs = [
         made("me_scs", climb(1), seed=seed, mutation_sigma=sigma) for seed in (0, 1) for sigma in (0.3, 0.05)
     ]
-    other = made("cma_mae", climb(1), population=540)
-    found = group_runs([*runs, other])
+    found = group_runs([*runs, made("cma_mae", climb(1), population=540)])
     assert [(group.name, len(group.runs)) for group in found] == [
         ("me_scs mutation sigma 0.05", 2), ("me_scs mutation sigma 0.3", 2), ("cma_mae", 1),
     ]  # fmt: skip
@@ -121,8 +120,7 @@ def test_runs_are_found_in_a_campaign_and_side_by_side(tmp_path: Path, home: str
 
 
 def test_a_run_without_the_files_of_its_job_is_one_all_the_same(tmp_path: Path) -> None:
-    folder = record(tmp_path / "a", made_scene(), random_rows(20))
-    (folder.path / "job.json").unlink()
+    (record(tmp_path / "a", made_scene(), random_rows(20)).path / "job.json").unlink()
     (found,) = read_histories(search_run_folders(tmp_path), ReferenceLookup())
     assert found.evaluations == 20
 
@@ -226,8 +224,7 @@ def test_a_curve_is_the_median_over_its_runs() -> None:
 
 def test_a_shorter_run_counts_as_far_as_it_goes() -> None:
     long = made("me_scs", climb(*range(1, 11)), seed=0)
-    short = made("me_scs", climb(30, 60), seed=1, evaluations=25)
-    found = quartile_curve(group(long, short), CELLS)
+    found = quartile_curve(group(long, made("me_scs", climb(30, 60), seed=1, evaluations=25)), CELLS)
     at = {e: (n, m) for e, n, m in zip(found.evaluations, found.runs, found.median, strict=True)}
     assert at[25] == (2, (2 + 60) / 2)
     assert at[26] == (1, 2)

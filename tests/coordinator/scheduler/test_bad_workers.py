@@ -199,8 +199,7 @@ def test_a_batch_has_two_holders_at_most() -> None:
 
 def test_a_batch_is_not_leased_to_a_second_worker_while_rows_wait() -> None:
     dispatch = pool(ANN, EVE, n=12, batch_size=4)
-    first = by_worker(dispatch.leases(0.0))
-    settle(dispatch, first[EVE], 5.0)
+    settle(dispatch, by_worker(dispatch.leases(0.0))[EVE], 5.0)
     (lease,) = dispatch.leases(5.1)
     assert indices([lease]) == [[8, 9, 10, 11]]
 
@@ -317,8 +316,7 @@ def test_a_liar_is_found_by_a_third_worker_and_its_rows_are_evaluated_again() ->
             taken |= dict.fromkeys(one.rows["index"].tolist(), one.worker.wid)
     assert sorted(taken) == list(range(12))
     assert set(taken.values()) == {ANN, FAY}
-    wrong = [name.wid for verdict in dispatch.take_verdicts() for name in verdict.wrong]
-    assert wrong == [EVE]
+    assert [name.wid for verdict in dispatch.take_verdicts() for name in verdict.wrong] == [EVE]
     assert dispatch.counters["differing"] > 0
     assert dispatch.workers.get(EVE).state == "excluded"
 
@@ -376,8 +374,7 @@ def test_two_workers_that_disagree_wait_for_a_third_and_the_job_says_so() -> Non
 def test_of_two_workers_that_disagree_the_one_that_stays_is_believed() -> None:
     dispatch = dispute()
     dispatch.workers.drain(EVE)
-    found = released(dispatch)
-    assert {wid for wid, _ in found} == {ANN}
+    assert {wid for wid, _ in released(dispatch)} == {ANN}
     assert {name.wid for verdict in dispatch.take_verdicts() for name in verdict.wrong} == {EVE}
 
 

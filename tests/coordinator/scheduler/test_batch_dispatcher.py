@@ -221,8 +221,7 @@ def test_only_the_scenes_that_a_worker_keeps_open_are_remembered() -> None:
 def test_a_withdrawn_run_is_leased_no_more_and_its_batches_may_be_dropped() -> None:
     dispatch = with_work(n=10)
     submit(dispatch, 4, "other", scene="2" * 64)
-    leases = dispatch.leases(0.0)
-    mine = [lease for lease in leases if lease.batch.run.run == "run"]
+    mine = [lease for lease in dispatch.leases(0.0) if lease.batch.run.run == "run"]
     assert dispatch.withdraw("run") == {ANN: [lease.batch.id for lease in mine]}
     assert {lease.batch.run.run for lease in dispatch.leases(0.1)} == {"other"}
     assert settle(dispatch, mine[0], 0.2).kind is Settlement.LATE
@@ -439,8 +438,7 @@ def test_what_a_worker_does_not_hold_when_it_rejoins_is_leased_again_under_the_n
 
 def test_nothing_is_evaluated_twice_for_a_rejoin_with_everything_in_hand() -> None:
     dispatch = with_work(n=4)
-    leases = dispatch.leases(0.0)
-    dispatch.admit(ANN, 2, 2, [lease.batch.id for lease in leases], 0.1)
+    dispatch.admit(ANN, 2, 2, [lease.batch.id for lease in dispatch.leases(0.0)], 0.1)
     assert (dispatch.leases(0.2), dispatch.counters["requeued"]) == ([], 0)
 
 

@@ -68,8 +68,7 @@ def test_a_row_with_a_number_that_cannot_be_fails_alone(column: str, number: flo
 
 
 def test_all_rows_of_a_result_that_cannot_be_read_fail() -> None:
-    message = result_message(n=2, columns={"outcome": b"12"})
-    read, rows = read_result(message, SHAPE)
+    read, rows = read_result(result_message(n=2, columns={"outcome": b"12"}), SHAPE)
     assert [failure.row for failure in read.failures] == [0, 1]
     assert not rows["outcome"].any()
 

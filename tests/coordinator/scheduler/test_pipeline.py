@@ -174,8 +174,7 @@ def test_a_most_below_the_first_changes_nothing() -> None:
 
 def test_the_generation_that_spends_the_budget_is_not_told() -> None:
     spy = Spy(4)
-    pipeline = Pipeline(spy, SHAPE, 8, "count")
-    journal(pipeline, 0)
+    journal(Pipeline(spy, SHAPE, 8, "count"), 0)
     assert spy.calls == ["ask 0", "tell 0", "ask 1"]
 
 
@@ -216,8 +215,7 @@ def test_rows_that_come_again_are_ignored() -> None:
     changed["nu"] += 1
     assert len(pipeline.settle(rows[3:])) == 0
     assert len(pipeline.settle(np.concatenate([changed[3:], rows[:1], changed[:1]]))) == 1
-    rest = pipeline.settle(rows[:3])
-    assert rest.rows.tobytes() == rows[1:].tobytes()
+    assert pipeline.settle(rows[:3]).rows.tobytes() == rows[1:].tobytes()
     assert len(pipeline.settle(changed)) == 0
 
 
@@ -245,8 +243,7 @@ def test_the_reason_of_an_error_comes_out_with_its_row() -> None:
     rows = asked(pipeline)
     rows[4]["outcome"] = Outcome.ERROR
     assert pipeline.settle(rows[3:], failures=[Failure(row=1, reason="it burst")]).failures == ()
-    found = pipeline.settle(rows[:3])
-    assert found.failures == (Failure(row=4, reason="it burst"),)
+    assert pipeline.settle(rows[:3]).failures == (Failure(row=4, reason="it burst"),)
 
 
 @pytest.mark.parametrize(
@@ -350,8 +347,7 @@ def test_a_run_ends_with_the_trials_of_the_rows_that_its_budget_reaches() -> Non
 
 
 def test_where_overlaps_are_redrawn_no_trial_is_asked_behind_the_row_that_ends_the_run() -> None:
-    plan = Plan(population=9, evaluations=3, overlaps="redraw", trials=3, seed=2)
-    pipeline = plan.pipeline()
+    pipeline = Plan(population=9, evaluations=3, overlaps="redraw", trials=3, seed=2).pipeline()
     pipeline.settle(asked(pipeline)[::-1])
     end = pipeline.tally.rows
     assert end < 9

@@ -59,8 +59,7 @@ def test_rows_are_sent_once_while_all_is_well() -> None:
 
 
 def test_many_rows_go_in_slices_and_small_stretches_together() -> None:
-    outbox = filled(*[7] * 400)
-    slices = outbox.take_due(0.0)
+    slices = filled(*[7] * 400).take_due(0.0)
     assert numbers(slices) == list(range(2800))
     assert len(slices) == 3
 

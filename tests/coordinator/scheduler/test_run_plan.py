@@ -150,8 +150,7 @@ def test_it_is_over_with_the_last_row(repetition: ReevaluationPlan) -> None:
 
 
 def test_why_a_row_failed_is_told_with_it(repetition, heard) -> None:
-    rows = evaluated(repetition)[::-1]
-    repetition.settle(rows, failures=[Failure(row=1, reason="it burst")])
+    repetition.settle(evaluated(repetition)[::-1], failures=[Failure(row=1, reason="it burst")])
     assert [(place, reason) for place, _, reason in heard if reason] == [(N - 2, "it burst")]
 
 

@@ -111,8 +111,7 @@ def test_what_remains_is_of_runs_that_are_not_over() -> None:
 
 def test_a_run_that_is_put_back_is_opened_once() -> None:
     coming = Coming("run", "other")
-    run = coming.open()
-    coming.runs.reopen(run)
+    coming.runs.reopen(coming.open())
     assert [coming.open().name for _ in range(2)] == ["run", "other"]
     assert coming.ask() == NoRunLeft()
 

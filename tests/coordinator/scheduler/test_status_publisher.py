@@ -142,8 +142,7 @@ def carried_out(job: Job, **how: int) -> Heard:
 def test_the_last_figures_of_a_run_are_those_of_its_journal_and_say_why_it_is_over() -> None:
     plan = PLANS["run-3"]
     job = Job({"run-3": plan})
-    heard = carried_out(job)
-    last = from_json(heard.of(KEYS.stat("run/run-3"))[-1], RunStatus)
+    last = from_json(carried_out(job).of(KEYS.stat("run/run-3"))[-1], RunStatus)
     tally = RunCounter(plan.evaluations, "count")
     tally.count(job.records["run-3"].rows)
     counts = attrgetter(
@@ -157,8 +156,7 @@ def test_the_last_figures_of_a_run_are_those_of_its_journal_and_say_why_it_is_ov
 
 
 def test_the_figures_of_the_job_are_the_sums_of_those_of_its_runs() -> None:
-    job = Job(dict(PLANS))
-    heard = carried_out(job)
+    heard = carried_out(Job(dict(PLANS)))
     runs = {one.run: one for one in (from_json(text, RunStatus) for text in heard.of(KEYS.stat("run/*")))}
     last = from_json(heard.of(KEYS.stat("job"))[-1], JobStatus)
     for name in ("evaluations", "successes", "grasps", "robust", "errors", "cells", "overlaps"):
@@ -199,8 +197,7 @@ def test_what_happens_is_told_when_it_does() -> None:
     assert heard.words("worker")[0] == f"Worker {made_id(0)[:8]} on here (process 1) joined."
     assert heard.words("error")[0] == "Run 'bad' cannot be carried out: Its mesh is no mesh."
     given_up = [words for words in heard.words("error") if "given up after 3 tries: poison" in words]
-    poison = int((job.records["run-1"].rows["outcome"] == Outcome.ERROR).sum())
-    assert len(given_up) == poison > 0
+    assert len(given_up) == int((job.records["run-1"].rows["outcome"] == Outcome.ERROR).sum()) > 0
     numbers = [from_json(payload, JobEvent).number for payload in heard.of(KEYS.event())]
     assert numbers == list(range(1, len(numbers) + 1))
 

@@ -117,8 +117,7 @@ def test_the_indexes_agree_with_a_pass_over_all_workers(seed: int) -> None:
         assert len(workers) == sum(worker.is_well for worker in workers)
         assert leased(workers) == turmoil.free
         assert workers.next_deadline() <= turmoil.deadline
-        late = turmoil.late
-        assert {lost.worker.wid for lost in workers.overdue(turmoil.now)} == late
+        assert turmoil.late == {lost.worker.wid for lost in workers.overdue(turmoil.now)}
 
 
 def test_no_more_workers_that_are_gone_are_kept_than_can_be_shown() -> None:

@@ -154,8 +154,7 @@ def play(
 
 def covered(rows: Rows, least: Outcome = Outcome.DROPPED) -> int:
     """Number of cells that hold a success, or such an outcome at least."""
-    found = rows[rows["outcome"] >= least]["descriptor"][:, :3]
-    return len(np.unique(cells(found), axis=0))
+    return len(np.unique(cells(rows[rows["outcome"] >= least]["descriptor"][:, :3]), axis=0))
 
 
 def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -101,8 +101,7 @@ def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Touc
 
 def test_before_anything_is_learned_near_cells_come_first(frontier: TouchFrontier) -> None:
     succeed(frontier, MIDDLE)
-    best = frontier.centres(frontier.best(9, generator()))
-    assert best[:, 2] == pytest.approx(np.full(9, -0.01))
+    assert frontier.centres(frontier.best(9, generator()))[:, 2] == pytest.approx(np.full(9, -0.01))
 
 
 @pytest.mark.parametrize("n", [0, 1, 20, 26, 400])
@@ -244,8 +243,7 @@ def test_there_is_room_for_any_number() -> None:
         told["surface_point"] += start
         offer(kept, np.arange(start, start + len(told)), told)
     assert len(kept) == n
-    points = kept.points(np.arange(n))
-    assert points[501].tolist() == [503, 504, 505]
+    assert kept.points(np.arange(n))[501].tolist() == [503, 504, 505]
 
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0)])

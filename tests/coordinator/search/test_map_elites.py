@@ -63,8 +63,7 @@ def test_only_successes_are_taken_when_there_are_enough(successes: int) -> None:
 
 @pytest.mark.parametrize("successes", [0, 1, 12, 30])
 def test_a_small_archive_gives_every_elite_once_and_then_any(successes: int) -> None:
-    found = elites(30, successes)
-    picked = times(select_successes(found, 50, generator()), 30)
+    picked = times(select_successes(elites(30, successes), 50, generator()), 30)
     assert picked.sum() == 50
     assert picked.min() == 1
 
@@ -76,8 +75,7 @@ def test_without_successes_the_selection_is_uniform() -> None:
 
 
 def test_mutation_moves_the_stated_share_of_genes_by_the_stated_spread() -> None:
-    parents = np.zeros((20_000, 7), dtype=np.float32)
-    children = mutate(parents, 0.1, 0.3, generator())
+    children = mutate(np.zeros((20_000, 7), dtype=np.float32), 0.1, 0.3, generator())
     moved = children != 0
     assert moved.mean() == pytest.approx(0.3, abs=0.01)
     assert children[moved].std() == pytest.approx(0.1, abs=0.002)

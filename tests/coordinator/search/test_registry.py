@@ -92,8 +92,7 @@ class TestEverySearch:
         assert not any(map(np.array_equal, asked(build(0), shape), asked(build(1), shape)))
 
     def test_no_generation_repeats_another(self, build, shape) -> None:
-        genomes = [one.tobytes() for one in asked(build(), shape)]
-        assert len(set(genomes)) == GENERATIONS
+        assert len({one.tobytes() for one in asked(build(), shape)}) == GENERATIONS
 
     def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build, shape) -> None:
         one, other = build(), build()
@@ -289,8 +288,7 @@ def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
 
 def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
     pipeline = Pipeline(FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
-    generation = pipeline.ask()
-    assert len(pipeline.settle(_rows(SHAPE, generation))) == 5
+    assert len(pipeline.settle(_rows(SHAPE, pipeline.ask()))) == 5
     assert pipeline.finished == "the search has nothing left to ask"
 
 

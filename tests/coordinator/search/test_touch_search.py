@@ -125,8 +125,7 @@ def weak(found: Found) -> Places:
 @pytest.mark.parametrize("n", [0, 1, 13, 26])
 def test_a_weak_cell_is_worth_the_share_of_its_neighbours_that_are_robust(found: Found, n: int) -> None:
     found.succeed(around(n), Outcome.HELD)
-    weak = found.succeed(MIDDLE, Outcome.SHAKEN)
-    assert found.retries.worth(weak).tolist() == [n / 26]
+    assert found.retries.worth(found.succeed(MIDDLE, Outcome.SHAKEN)).tolist() == [n / 26]
 
 
 def test_a_cell_that_is_robust_again_counts_once(found: Found) -> None:

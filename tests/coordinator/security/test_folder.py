@@ -74,8 +74,7 @@ def test_openssl_takes_the_certificates_for_the_authoritys(made: SecurityFolder)
     context = ssl.create_default_context(cafile=str(made.path / "ca.pem"))
     for role in Role:
         context.load_cert_chain(made.path / f"{role}.pem", made.path / f"{role}.key")
-    worker = certificate(made.path / "worker.pem")
-    worker.verify_directly_issued_by(certificate(made.path / "ca.pem"))
+    certificate(made.path / "worker.pem").verify_directly_issued_by(certificate(made.path / "ca.pem"))
 
 
 def test_nothing_is_overwritten(made: SecurityFolder) -> None:
@@ -97,8 +96,7 @@ def test_what_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 def test_a_folder_for_one_node_holds_what_it_needs_and_nothing_else(made: SecurityFolder) -> None:
     place = made.add(Role.WORKER, "lab-7", hosts=HOSTS, days=1)
     assert {path.name for path in place.iterdir()} == {"ca.pem", "worker.pem", "worker.key", "worker.json5"}
-    found = certificate(place / "worker.pem")
-    assert found.subject.rfc4514_string() == "OU=lab-7,CN=qdgrasp-worker"
+    assert certificate(place / "worker.pem").subject.rfc4514_string() == "OU=lab-7,CN=qdgrasp-worker"
     Credentials(place, Role.WORKER).check()
 
 

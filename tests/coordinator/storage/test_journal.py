@@ -304,8 +304,7 @@ class TestRefusals:
             list(journal.blocks())
 
     def test_an_altered_row_is_said_to_be_damaged(self, tmp_path: Path) -> None:
-        rows = make_rows(100)
-        record(tmp_path, rows, [50, 50])
+        record(tmp_path, make_rows(100), [50, 50])
         spoil_block(tmp_path / JOURNAL, 0)
         with Journal.open(tmp_path) as journal:
             assert len(journal.rows(50, 50)) == 50
@@ -482,8 +481,7 @@ def test_a_part_has_the_rows_and_failures_of_its_numbers(first: int, stop: int) 
 @pytest.mark.parametrize("cuts", [[100, 110], [100, 101, 110], [100, 103, 104, 109, 110]])
 def test_parts_join_to_the_whole(cuts: list[int]) -> None:
     whole = ten_rows()
-    parts = [whole.part(first, stop) for first, stop in itertools.pairwise(cuts)]
-    again = join_slices(parts)
+    again = join_slices([whole.part(first, stop) for first, stop in itertools.pairwise(cuts)])
     assert (again.first, again.stop, again.failures) == (whole.first, whole.stop, whole.failures)
     assert again.rows.tobytes() == whole.rows.tobytes()
     assert again.cpu_seconds == pytest.approx(whole.cpu_seconds)

@@ -287,8 +287,7 @@ def test_what_is_to_be_done_instead_may_be_said_otherwise(tmp_path: Path) -> Non
 def test_what_a_killed_process_left_in_a_folder_is_in_the_way_of_none_and_is_swept(tmp_path: Path) -> None:
     (tmp_path / "out" / ".new.1.part").mkdir(parents=True)
     (tmp_path / "out" / ".new.1.part" / "drawing.png").touch()
-    folder = SharedFolder(tmp_path / "out", is_kind=lambda _: False)
-    put(folder, {"one": "1"})
+    put(SharedFolder(tmp_path / "out", is_kind=lambda _: False), {"one": "1"})
     assert there(tmp_path) == ["out", "out/one"]
 
 

@@ -207,8 +207,7 @@ def test_no_word_covers_hand_or_object(held: ReplayTarget) -> None:
 
 
 def test_a_picture_without_labels_has_the_size_that_is_asked_for(held: ReplayTarget) -> None:
-    layout = PictureLayout(SIZE, has_labels=False)
-    assert layout.scene == SIZE
+    assert PictureLayout(SIZE, has_labels=False).scene == SIZE
 
 
 def film(held: ReplayTarget) -> tuple[list[ReplayFrame], list[Image.Image]]:

@@ -62,8 +62,7 @@ def test_of_fewer_grasps_all_are_chosen(run: RunFolder) -> None:
 def test_rows_are_chosen_by_their_numbers_in_this_order_failures_too(run: RunFolder) -> None:
     chosen = SheetChoice.parse("31,2,30,2").read(run)
     assert chosen.numbers.tolist() == [31, 2, 30]
-    titles = [title for title, *_ in grasp_labels(chosen)]
-    assert titles == ["31  missed", "2  held", "30  overlap"]
+    assert [title for title, *_ in grasp_labels(chosen)] == ["31  missed", "2  held", "30  overlap"]
     assert [label.colour == FAILURE_COLOUR for label in grasp_labels(chosen)] == [True, False, True]
 
 

@@ -88,8 +88,7 @@ def rows_of(folder: RunFolder) -> Rows:
 
 
 def test_all_rows_are_chosen_where_all_are_asked_for_also_those_that_failed(folders) -> None:
-    lots = choose_rows(folders, None, 0)
-    assert [lot.numbers.tolist() for lot in lots] == [list(range(N))] * 2
+    assert [lot.numbers.tolist() for lot in choose_rows(folders, None, 0)] == [list(range(N))] * 2
 
 
 def test_a_row_that_failed_and_has_a_result_now_differs(folders: list[RunFolder]) -> None:
@@ -141,8 +140,7 @@ def test_a_sample_has_rows_of_every_outcome(folders: list[RunFolder]) -> None:
 
 def test_a_lot_has_its_rows_as_they_are_recorded(folders: list[RunFolder]) -> None:
     for lot in choose_rows(folders, 30, 0):
-        expected = rows_of(lot.folder)[lot.numbers]
-        assert lot.rows().tobytes() == expected.tobytes()
+        assert lot.rows().tobytes() == rows_of(lot.folder)[lot.numbers].tobytes()
 
 
 def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path) -> None:

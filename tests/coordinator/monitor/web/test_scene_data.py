@@ -249,8 +249,7 @@ def test_every_find_is_on_the_pages() -> None:
 
 def test_a_page_says_how_closing_went() -> None:
     kept = VoxelPages()
-    found = np.array([settled_find(), finds([42], [(0, 0, 1)], [Outcome.DROPPED])[0]])
-    kept.insert(found, 43)
+    kept.insert(np.array([settled_find(), finds([42], [(0, 0, 1)], [Outcome.DROPPED])[0]]), 43)
     columns = columns_of(kept.page(0))
     assert columns["penetration"] == pytest.approx([0.004, 0])
     assert columns["motion"] == pytest.approx([0.03, np.nan], nan_ok=True)
