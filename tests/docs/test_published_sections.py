@@ -89,6 +89,28 @@ def test_the_survival_of_ranked_grasps_is_that_of_the_table(ranked: Runs) -> Non
             assert near(high, ends[1], high - low + 0.02)
 
 
+def test_the_advice_on_trust_has_the_numbers_of_the_table(ranked: Runs) -> None:
+    page = " ".join((RESULTS.parent / "trust.md").read_text(encoding="utf-8").split())
+    said = re.search(
+        r"best-ranked grasps of a run survive (\S+) and (\S+) of them with the Panda and the Allegro hand, "
+        r"random grasps that hold (\S+) and (\S+)\. .* told by eta in (\S+) and (\S+) of pairs, by the margin "
+        r"in (\S+) and (\S+), and by holding in the second engine too in (\S+) and (\S+) \(",
+        page,
+    )
+    values = []
+    for hand in ("panda", "allegro"):
+        grasps = ranked[ranked["gripper"] == hand]
+        groups = (of_scenes(grasps[grasps["group"] == group]) for group in ("best", "held"))
+        drawn = grasps[(grasps["group"] != "best") & (grasps["fitness"] == 6)]
+        values.append(
+            [
+                *(np.mean([scene.mean() for scene in scenes]) for scenes in groups),
+                *(concordance(drawn, name) for name in ("eta", "margin", "both")),
+            ]
+        )
+    assert said.groups() == tuple(f"{value:.2f}" for pair in zip(*values, strict=True) for value in pair)
+
+
 def again(random: np.random.Generator, groups: list[list[Values]]) -> float:
     """The mean over scenes of resampled grasps, of a group, or of the first less the second."""
     means = [np.mean([random.choice(scene, len(scene)).mean() for scene in group]) for group in groups]
