@@ -93,7 +93,7 @@ def test_the_advice_on_trust_has_the_numbers_of_the_table(ranked: Runs) -> None:
     page = " ".join((RESULTS.parent / "trust.md").read_text(encoding="utf-8").split())
     said = re.search(
         r"best-ranked grasps of a run survive (\S+) and (\S+) of them with the Panda and the Allegro hand, "
-        r"random grasps that hold (\S+) and (\S+)\. .* told by eta in (\S+) and (\S+) of pairs, by the margin "
+        r"random grasps that hold (\S+) and (\S+)\. .* by eta in (\S+) and (\S+) of pairs, by the margin "
         r"in (\S+) and (\S+), and by holding in the second engine too in (\S+) and (\S+) \(",
         page,
     )
