@@ -8,6 +8,7 @@
         * EndsTooSoon            a run that is to end before what is recorded of it
         * JawNeeded              a prior for two-finger hands with another hand
         * AssetError             a file, mesh, URDF or gripper that cannot be used
+            * LacksReader            a mesh whose format needs a package that is not installed
             * WrongScan              a fetched file is not the one expected
             * UnusableMeshes         mesh files of which no objects can be made
             * DecompositionTimeout   a mesh that is not decomposed in time

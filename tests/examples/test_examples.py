@@ -140,7 +140,7 @@ def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands)
 @pytest.mark.parametrize(
     ("gripper", "urdf", "most"), [("jaw.toml", "jaw.urdf", 15), ("hand.toml", "hand_mended.urdf", 60)]
 )
-def test_an_exported_grasp_is_held_by_the_hand_of_a_urdf_in_mujoco(
+def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
     gripper: str, urdf: str, most: float, scripts: Scripts, commands: Commands
 ) -> None:
     home = commands.home
@@ -154,12 +154,17 @@ def test_an_exported_grasp_is_held_by_the_hand_of_a_urdf_in_mujoco(
     commands.succeed(
         "run", *scene, "--evaluations", 60, "--workers", 1, "--listen", own_endpoint(), "--out", "run"
     )
-    commands.succeed("export", "run", "--format", "csv", "--top", 1, "-o", "best.csv")
-    said = scripts("in_mujoco.py", urdf, "part.stl", "best.csv")
-    found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, object moved ([\d.]+) mm\n", said)
-    assert found, said
-    assert int(found[1]) >= 2
-    assert float(found[2]) < most
+    commands.succeed("export", "run", "--format", "csv", "--top", 3, "-o", "best.csv")
+    *head, first, second, third = (home / "best.csv").read_text().splitlines()
+    moved = []
+    for grasp in (first, second, third):
+        (home / "one.csv").write_text("\n".join([*head, grasp, ""]))
+        said = scripts("in_mujoco.py", urdf, "part.stl", "one.csv")
+        found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, object moved ([\d.]+) mm\n", said)
+        assert found, said
+        assert int(found[1]) >= 2
+        moved.append(float(found[2]))
+    assert sorted(moved)[1] < most, moved
 
 
 def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
