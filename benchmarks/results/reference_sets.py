@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks.results.comparison import Arm, spread
 from benchmarks.results.measure import rows_digest
 from benchmarks.results.table import Key, Row, disk_text
-from msgspec import Struct
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.cli.reference_commands import ENOUGH
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, read_references
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets
 from qdgrasp_coordinator.report.tables import markdown_table
@@ -30,39 +30,20 @@ from qdgrasp_protocol.errors import InputError
 FOLDER = "reference-sets"
 """Name of their folder beside the table."""
 RUNS = "runs.csv"
-COMPLETE = 0.95
-"""Share of the estimated cells with which a set is complete enough, as in `qdgrasp reference build`."""
 
 
-class SetRun(Struct, frozen=True, order=True):
+class SetRun(NamedTuple):
     """A run that a set was built from."""
 
-    gripper: str
-    object: str
-    protocol: str
-    method: str
-    overlaps: str
-    settings: str
-    seed: int
-    budget: int
-    """The greatest with which it was added."""
+    key: Key
+    """The key of its row in the table of runs, with the greatest budget with which it was added."""
     code: str
-    """Beginning of the digest of the evaluation's code, as in the table of runs."""
+    """Beginning of the digest of the evaluation's code, as in that row."""
     run: str
     """Its name in the set: `search_digest`."""
 
-    @property
-    def key(self) -> Key:
-        """The key of its row in the table of runs."""
-        return Key(*(getattr(self, name) for name in Key._fields))
 
-    @property
-    def scene(self) -> "Scene":
-        """Hand, object and protocol."""
-        return self.key.scene
-
-
-COLUMNS = tuple(field.name for field in msgspec.structs.fields(SetRun))
+COLUMNS = (*Key._fields, "code", "run")
 Scene = tuple[str, str, str]
 
 
@@ -104,7 +85,7 @@ class SceneSet:
         lines = dict(zip(counted.origin.runs, counted.by_run > 0, strict=True))
         arms: dict[tuple[int, str], list[NDArray[np.bool_]]] = {}
         for run in self.runs:
-            arms.setdefault((run.budget, Arm(run.key, (), {}).method), []).append(lines[run.run])
+            arms.setdefault((run.key.budget, Arm(run.key, (), {}).method), []).append(lines[run.run])
         found = []
         for (budget, method), reached in sorted(arms.items()):
             mine = np.any(reached, axis=0)
@@ -126,7 +107,7 @@ def read(home: Path) -> list[SceneSet]:
     """
     scenes: dict[Scene, list[SetRun]] = {}
     for run in read_runs(home):
-        scenes.setdefault(run.scene, []).append(run)
+        scenes.setdefault(run.key.scene, []).append(run)
     return [_read_set(home / file_name(scene), scene, tuple(runs)) for scene, runs in scenes.items()]
 
 
@@ -165,7 +146,8 @@ def read_runs(home: Path) -> list[SetRun]:
         reader = csv.DictReader(lines, strict=True)
         for values in reader:
             try:
-                runs.append(msgspec.convert(values, SetRun, strict=False))
+                *of_key, code, run = (values[name] for name in COLUMNS)
+                runs.append(SetRun(msgspec.convert(of_key, Key, strict=False), code, run))
             except msgspec.ValidationError as error:
                 raise InputError(f"{file}, line {reader.line_num}: {error}; restore the line.") from None
     return sorted(runs)
@@ -188,23 +170,25 @@ def gather(
         Digests of evaluation code that count as today's.
     """
     listed = read_runs(home)
-    known = {run.run: run for run in listed if run.code in current and (home / file_name(run.scene)).exists()}
+    known = {
+        run.run: run for run in listed if run.code in current and (home / file_name(run.key.scene)).exists()
+    }
     there = {(run.key, run.code) for run in known.values()}
     new: dict[Scene, dict[str, SetRun]] = {}
     for key in sorted(folders.keys() & rows.keys()):
         run = None if (key, rows[key].code) in there else _set_run(folders[key], rows[key])
-        if run is not None and (run.run not in known or known[run.run].budget < run.budget):
-            new.setdefault(run.scene, {})[run.run] = run  # of equal runs the longest comes last
+        if run is not None and (run.run not in known or known[run.run].key.budget < run.key.budget):
+            new.setdefault(run.key.scene, {})[run.run] = run  # of equal runs the longest comes last
     is_more = False
     for scene, added in new.items():
-        here = {name: run for name, run in known.items() if run.scene == scene}
+        here = {name: run for name, run in known.items() if run.key.scene == scene}
         if not here and not any(rows[run.key].successes for run in added.values()):
             continue
         file, is_more = home / file_name(scene), True
         if not here:
             file.unlink(missing_ok=True)
         build_reference_sets([folders[run.key] for run in added.values()], file)
-        listed = sorted([run for run in listed if run.scene != scene] + [*(here | added).values()])
+        listed = sorted([run for run in listed if run.key.scene != scene] + [*(here | added).values()])
         _write_runs(home, listed)
     return is_more
 
@@ -215,14 +199,14 @@ def _set_run(folder: RunFolder, row: Row) -> SetRun | None:
         rows = journal.rows(0, journal.count)
         if rows_digest(rows) != row.journal:
             return None
-        return SetRun(*row.key, code=row.code, run=search_digest(folder.spec, journal.scene))
+        return SetRun(row.key, row.code, search_digest(folder.spec, journal.scene))
 
 
 def _write_runs(home: Path, runs: Collection[SetRun]) -> None:
     lines = io.StringIO()
-    writer = csv.DictWriter(lines, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(map(msgspec.structs.asdict, runs))
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows((*run.key, run.code, run.run) for run in runs)
     with atomic_files.writing(home):
         atomic_files.write(home / RUNS, lines.getvalue().encode())
 
@@ -255,7 +239,7 @@ def sets_part(sets: Sequence[SceneSet], scenes: int) -> str:
             "published sets are of another protocol, and do not say which run found which cell, so that "
             "nothing can be estimated from them. *Estimated*: the number of cells that runs like these can "
             f"find, a lower bound, with its 95% interval ([how](../coverage.md#how-it-is-estimated)); a set "
-            f"of {COMPLETE:.0%} of them would be complete enough. There are sets of {len(sets)} of the "
+            f"of {ENOUGH:.0%} of them would be complete enough. There are sets of {len(sets)} of the "
             f"{scenes} scenes of the benchmark and of the claims that have runs: a set needs the folders of "
             f"its runs. They are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
             markdown_table(SIZES, [(*one.scene, *_sizes(one.found)) for one in sets]),

@@ -160,7 +160,7 @@ def test_a_set_has_the_cells_of_all_runs_with_a_row(tmp_path: Path) -> None:
 
     assert gathered(home, folders, known | {last: without_row})
     assert len(one_set(home).found) == len(set.union(*expected))
-    assert [run.seed for run in one_set(home).runs] == [1, 2, 3]
+    assert [run.key.seed for run in one_set(home).runs] == [1, 2, 3]
 
 
 @pytest.mark.parametrize("first", [0, 1], ids=["short first", "long first"])
@@ -169,7 +169,7 @@ def test_of_a_run_and_a_longer_one_the_longer_counts(tmp_path: Path, first: int)
     known = [record(tmp_path / f"run{n}", rows[:n], evaluations=n) for n in (200, 300)]
     for folder in (known[first], known[1 - first]):
         gathered(tmp_path / "sets", {key(folder.spec): folder})
-    assert [run.budget for run in one_set(tmp_path / "sets").runs] == [300]
+    assert [run.key.budget for run in one_set(tmp_path / "sets").runs] == [300]
     assert len(one_set(tmp_path / "sets").found) == len(found_cells(known[1]))
 
 
@@ -177,7 +177,7 @@ def test_runs_of_code_that_is_not_current_begin_a_set_anew(tmp_path: Path) -> No
     home, (old, new) = tmp_path / "sets", (runs(tmp_path, 1), runs(tmp_path, 2))
     gather(home, old, rows_of(old, "b" * 16), ["b" * 16])
     gathered(home, new)
-    assert [(run.seed, run.code) for run in one_set(home).runs] == [(2, TODAY)]
+    assert [(run.key.seed, run.code) for run in one_set(home).runs] == [(2, TODAY)]
     (folder,) = new.values()
     assert len(one_set(home).found) == len(found_cells(folder))
 
@@ -197,7 +197,7 @@ def test_a_scene_without_a_success_has_no_set_yet(tmp_path: Path) -> None:
     assert not gathered(tmp_path / "sets", nothing, known)
     some = runs(tmp_path, 1)
     assert gathered(tmp_path / "sets", nothing | some, known | rows_of(some))
-    assert [run.seed for run in one_set(tmp_path / "sets").runs] == [1, 9]
+    assert [run.key.seed for run in one_set(tmp_path / "sets").runs] == [1, 9]
 
 
 def test_coverage_is_by_each_run_by_all_of_a_method_and_by_it_alone(tmp_path: Path) -> None:

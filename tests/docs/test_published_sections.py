@@ -55,11 +55,11 @@ def percentiles(draw: Callable[[np.random.Generator], float]) -> tuple[float, fl
     return tuple(np.quantile([draw(random) for _ in range(DRAWS)], (0.025, 0.975)))
 
 
-def concordance(grasps: Runs, figure: str) -> float:
-    """How often the grasp with the greater figure survives more, of two of a scene that survive unequally."""
+def concordance(grasps: Runs, figure: str, told: str = "survival") -> float:
+    """How often the grasp with the greater figure has the greater `told`, of two of a scene that differ."""
     right = pairs = 0.0
     for _, scene in grasps.groupby("object"):
-        values, survived = scene[figure].to_numpy(float), scene["survival"].to_numpy()
+        values, survived = scene[figure].to_numpy(float), scene[told].to_numpy()
         more = survived[:, None] > survived
         right += np.sum(more * (np.sign(values[:, None] - values) + 1) / 2)
         pairs += np.sum(more)
@@ -109,6 +109,16 @@ def test_the_advice_on_trust_has_the_numbers_of_the_table(ranked: Runs) -> None:
             ]
         )
     assert said.groups() == tuple(f"{value:.2f}" for pair in zip(*values, strict=True) for value in pair)
+
+
+def test_the_page_on_coverage_says_how_often_margin_and_penetration_tell_eta(ranked: Runs) -> None:
+    is_tuning = (ranked["gripper"] == "panda") & ranked["object"].isin(["ycb_mug", "ycb_power_drill"])
+    drawn = ranked[is_tuning & (ranked["group"] != "best") & (ranked["fitness"] == 6)]
+    drawn = drawn.assign(little=-drawn["penetration_mm"])
+    told = [concordance(drawn, name, "eta") for name in ("margin", "little")]
+    page = " ".join((RESULTS.parent / "coverage.md").read_text(encoding="utf-8").split())
+    said = re.search(r"had the greater epsilon in (\S+) of pairs, and less penetration in (\S+) \(", page)
+    assert said.groups() == tuple(f"{value:.2f}" for value in told)
 
 
 def again(random: np.random.Generator, groups: list[list[Values]]) -> float:
