@@ -62,7 +62,7 @@ def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterab
         raise ImpossibleValue(name, make, "a class or function that is called with the genes")
     made = make(of)
     if missing := [verb for verb in verbs if not callable(getattr(made, verb, None))]:
-        raise InputError(f"What {name} makes, {made!r}, has no {' and no '.join(missing)}.")
+        raise InputError(f"The result of {name}, {made!r}, has no {' and no '.join(missing)}.")
     return made
 
 

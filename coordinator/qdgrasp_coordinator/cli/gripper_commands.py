@@ -143,7 +143,7 @@ def new(
             "--out",
             "-o",
             metavar="FILE.toml",
-            help="What to write; its folder is made; default: the URDF's name, here.",
+            help="File to write; its folder is made; default: the URDF's name, here.",
         ),
     ] = None,
     base_link: Annotated[str | None, typer.Option(help="The link that the hand hangs on.")] = None,

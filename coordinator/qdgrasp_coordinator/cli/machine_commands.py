@@ -256,8 +256,8 @@ def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
 @security_app.command()
 def add(
     directory: Directory,
-    role: Annotated[Role, typer.Argument(help="What it allows.")],
-    name: Annotated[str, typer.Argument(help="Whose it is: a node's name.")],
+    role: Annotated[Role, typer.Argument(help="The role that the certificate allows.")],
+    name: Annotated[str, typer.Argument(help="Name of the node that it is for.")],
     host: Hosts = None,
     days: Days = 365,
 ) -> None:

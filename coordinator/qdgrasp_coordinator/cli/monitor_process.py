@@ -72,7 +72,7 @@ def monitor(
         str | None,
         typer.Option(
             envvar="QDGRASP_TOKEN",
-            help="What a browser must show; beyond loopback there is always one, if need be a new one. "
+            help="Token that a browser must show; beyond loopback there always is one, if need be a new one. "
             "Other users of this machine read it in the list of processes: rather use --token-file.",
         ),
     ] = None,

@@ -38,7 +38,7 @@ def check(
     units: options.Units = None,
     scale: options.Scale = None,
     mass: Annotated[
-        float | None, typer.Option(metavar="KG", help="What it weighs; a run of it needs that.")
+        float | None, typer.Option(metavar="KG", help="Mass of the object; runs need it.")
     ] = None,
     simplify: options.Simplify = None,
     remesh: options.Remesh = False,

@@ -81,7 +81,7 @@ BaseOption = Annotated[
     str | None,
     typer.Option(
         "--base",
-        help="What the trials of robust disturb: paper or physical; default paper.",
+        help="Protocol of each trial of robust: paper or physical; default paper.",
         rich_help_panel=EVALUATION,
     ),
 ]
@@ -135,14 +135,14 @@ Finalists = Annotated[
 AimFor = Annotated[
     str | None,
     typer.Option(
-        help="What aimed seeks: hold, touch, eta (needs --protocol robust), margin; default hold.",
+        help="Aim of the search aimed: hold, touch, eta (needs --protocol robust), margin; default hold.",
         rich_help_panel=SEARCH,
     ),
 ]
 Diversity = Annotated[
     str | None,
     typer.Option(
-        help="What tells grasps apart: position, orientation, posture; default position.",
+        help="Values that tell grasps apart: position, orientation, posture; default position.",
         rich_help_panel=SEARCH,
     ),
 ]

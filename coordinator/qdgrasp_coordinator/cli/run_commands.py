@@ -292,7 +292,8 @@ def rerank(
     directory: options.RunDir,
     protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
     base: Annotated[
-        str | None, typer.Option(help="What the trials disturb: paper or physical; default: as in the run.")
+        str | None,
+        typer.Option(help="Protocol of each trial: paper or physical; default: as in the run."),
     ] = None,
     engine: Annotated[
         str | None,

@@ -257,7 +257,7 @@ CAPTIONS = {
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
     "of 1 cm are counted instead and the panel says so. `coverage.csv` has the count as published beside it.",
     "priors": "Hands and scenes prior by prior; grey: the other priors.",
-    "settings": "What was reached by the value of a setting that differs within a method, all else equal, "
+    "settings": "Results by the value of a setting that differs within a method, all else equal, "
     "after as many evaluations of each run.",
 }
 COUNTED = {"count": "every genome", "redraw": "the simulated"}

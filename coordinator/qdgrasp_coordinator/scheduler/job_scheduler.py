@@ -453,7 +453,7 @@ class JobScheduler:
                 return f"Job '{self.job}' goes on."
             case "cancel":
                 self.stop(now, Cancelled(self.job))
-                stays = "What is recorded stays: `qdgrasp resume DIR` (or `campaign`) goes on."
+                stays = "Recorded results stay: `qdgrasp resume DIR` (or `campaign`) goes on."
                 return f"Job '{self.job}' ends. {stays}"
             case "drain":
                 return self._drain(order)
