@@ -16,7 +16,7 @@ from benchmarks.results.comparison import (
     spread,
 )
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
-from benchmarks.results.paper_claims import claims_part
+from benchmarks.results.paper_claims import SIGMA_GRID, claims_part, sigma_part
 from benchmarks.results.programme import BENCHMARK, SWEEP, TUNING, Programme
 from benchmarks.results.reference_sets import SceneSet, sets_part
 from benchmarks.results.table import MILESTONES, Key, Row
@@ -209,13 +209,14 @@ campaigns in [deploy/results](../../deploy/results) ask for; `make results` carr
 def page(known: Programme, table: Mapping[Key, Row], sets: Sequence[SceneSet] = ()) -> str:
     """The whole page."""
     benchmark = arms(known.benchmark, table)
-    here, claimed = arms(known.part("", without=(BENCHMARK, CLAIMS)), table), known.part(CLAIMS)
+    here, claimed = arms(known.part("", without=(BENCHMARK, CLAIMS, SIGMA_GRID)), table), known.part(CLAIMS)
     parts = [
         INTRODUCTION,
         benchmark_part(benchmark),
         comparison_part(benchmark, "## The benchmark, scene by scene"),
         sweep_part(arms(known.part(SWEEP), table)),
         claims_part(arms(claimed, table)),
+        sigma_part(arms(known.part(SIGMA_GRID), table)),
         sets_part(sets, _scenes_with_runs((known.benchmark, claimed), table)),
         coverage_part(here),
         comparison_part(here, "## First touches: the search for touch against the others"),

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.results import reference_sets
 from benchmarks.results.comparison import Arm
 from benchmarks.results.measure import rows_digest
-from benchmarks.results.paper_claims import claims_part, numbers
+from benchmarks.results.paper_claims import claims_part, numbers, sigma_part
 from benchmarks.results.reference_sets import SceneSet, gather, read, sets_part
 from benchmarks.results.table import Key, key
 from msgspec.structs import replace
@@ -102,6 +102,14 @@ def test_a_method_with_other_settings_says_nothing_of_it() -> None:
     other = arm("contact_me_scs", *FIVE, settings="population=50")
     assert not [one for one in numbers([other, arm("approach_me_scs", *FIVE)]) if one.claim.letter == "b"]
     assert "No runs of the claims' campaigns are in yet" in claims_part([])
+
+
+def test_sigma_has_a_line_for_each_method_with_the_best_value_standing_out() -> None:
+    usual = arm("contact_me_scs", 0.4, 0.6, 0.5)
+    other = arm("contact_me_scs", 0.8, 0.7, 0.9, settings="mutation_sigma=0.02")
+    (line,) = (line for line in sigma_part([usual, other]).splitlines() if "`contact_me_scs`" in line)
+    assert line.split(" | ")[3:] == ["6", "**80.00 (70.00 to 90.00)**", "50.00 (40.00 to 60.00)", "62 |"]
+    assert not sigma_part([])
 
 
 SCENE = ("panda", "tennis_ball", "paper")
