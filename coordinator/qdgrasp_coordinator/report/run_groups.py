@@ -33,6 +33,8 @@ SPEC_DEFAULTS = {
     field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in GROUP_KEYS
 }
 """Values of a spec where neither its method nor the user asks for others."""
+OWN_SEED = "of the run"
+"""Stands for a surface seed that is the seed of the run."""
 
 
 @dataclass(frozen=True)
@@ -182,13 +184,20 @@ def _scene_order(scene: SceneName) -> tuple[Any, ...]:
 
 
 def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator[RunGroup]:
-    """Yield one group for each setting that occurs, told apart by their differences."""
+    """Yield one group for each setting that occurs, told apart by their differences.
+
+    Where each run's seed chooses the points of the surface too, these are no difference.
+    """
     settings = [_settings(run.spec) for run in runs]
+    if all(run.spec.surface_seed == run.spec.seed for run in runs):
+        settings = [setting | {"surface_seed": OWN_SEED} for setting in settings]
     differing = [key for key in settings[0] if len({setting[key] for setting in settings}) > 1]
     parts: dict[tuple[Any, ...], list[RunHistory]] = {}
     for run, setting in zip(runs, settings, strict=True):
         parts.setdefault(tuple(setting[key] for key in differing), []).append(run)
-    for values in sorted(parts, key=lambda values: [(value is not None, value) for value in values]):
+    for values in sorted(
+        parts, key=lambda values: [(value is not None, isinstance(value, str), value) for value in values]
+    ):
         setting = dict(zip(differing, values, strict=True))
         members = sorted(parts[values], key=lambda run: (run.spec.seed, run.path.name))
         yield RunGroup(scene, method, setting_words(setting), tuple(members), setting)
@@ -205,6 +214,8 @@ def setting_words(settings: Mapping[str, Any]) -> str:
 def _settings(spec: RunSpec) -> dict[str, Any]:
     """Return the settings of a run; without a recorded objective `aimed` aimed for touch."""
     values = {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+    if spec.surface_seed == spec.seed != SPEC_DEFAULTS["surface_seed"]:
+        values["surface_seed"] = OWN_SEED
     if spec.first_weights is not None:
         values["first_weights"] = hashlib.sha256(repr(spec.first_weights).encode()).hexdigest()[:8]
     if spec.mesh is not None:

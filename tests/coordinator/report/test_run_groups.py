@@ -69,6 +69,15 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
     ]  # fmt: skip
 
 
+def test_runs_whose_seed_chooses_the_surface_points_too_are_one_entry() -> None:
+    own = [made("me_scs", climb(1), seed=seed, surface_seed=seed) for seed in (0, 1, 2)]
+    assert [(group.name, len(group.runs)) for group in group_runs(own)] == [("me_scs", 3)]
+    others = [made("me_scs", climb(1), seed=seed, surface_seed=7) for seed in (1, 2)]
+    assert [(group.name, len(group.runs)) for group in group_runs([*own[1:], *others])] == [
+        ("me_scs surface seed 7", 2), ("me_scs surface seed of the run", 2)
+    ]  # fmt: skip
+
+
 def test_runs_with_and_without_a_warm_start_are_variants() -> None:
     starts = [None, *(FirstWeights(touch=(weight,)) for weight in (0.5, 1.0, 1.0))]
     found = group_runs([made("aimed", climb(1), seed=i, first_weights=one) for i, one in enumerate(starts)])
