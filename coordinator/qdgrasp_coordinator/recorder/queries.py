@@ -276,13 +276,15 @@ class ObjectIndex:
                 self._finished.add(name)
 
     def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
-        """Return the runs of the campaign by name, or those that have begun."""
+        """Return the runs of the campaign by name, or those that have begun, less those of no good spec."""
         file = self._path / CAMPAIGN
         if not file.is_file():
-            known = self._asked[1]
-            found = {name: known.get(name) or RunFolder(path).spec for name, path in begun.items()}
-            self._asked = (), found
-            return found
+            found = dict(self._asked[1])
+            for name in begun.keys() - found.keys():
+                with suppress(InputError):
+                    found[name] = RunFolder(begun[name]).spec
+            self._asked = (), {name: found[name] for name in begun if name in found}
+            return self._asked[1]
         stat = file.stat()
         stamp = ((stat.st_ino, stat.st_size, stat.st_mtime_ns),)
         if self._asked[0] != stamp:

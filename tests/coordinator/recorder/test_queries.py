@@ -359,6 +359,9 @@ def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(
 def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign: Path) -> None:
     (found,) = ObjectIndex(campaign, RunIndex(campaign)).page(0).objects
     assert (found.object, found.runs, found.runs_done, found.state) == ("block.stl", 2, 1, "running")
+    JobFolder(campaign).run_paths[0].joinpath("spec.toml").write_text("no spec")
+    (found,) = ObjectIndex(campaign, RunIndex(campaign)).page(0).objects
+    assert found.runs == 1
 
 
 def test_objects_are_told_page_by_page(network: MemoryNetwork, library: JobFolder, monkeypatch) -> None:
