@@ -23,7 +23,7 @@ SPEC = COURSE.spec(seed=4, evaluations=300)
 """The run of test_chaos too, which is carried out undisturbed for both."""
 EARLY = 60  # rows that are recorded when it happens
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 
 @pytest.fixture(scope="session")
@@ -64,8 +64,7 @@ def garble(wal: Path) -> None:
         file.write(bytes(1000))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tear", [cut, pytest.param(garble, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tear", [cut, garble])
 def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     household: JobProcesses, expected: str, tear: Callable[[Path], None]
 ) -> None:
@@ -78,7 +77,6 @@ def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     assert ends_well(household) == expected
 
 
-@pytest.mark.slow
 def test_a_disk_that_is_full_for_a_while_is_waited_for(household: JobProcesses, expected: str) -> None:
     recorder = household["recorder"]
     largest = max(file.stat().st_size for file in household.run.glob(f"{JOURNAL}*"))
@@ -92,7 +90,6 @@ def test_a_disk_that_is_full_for_a_while_is_waited_for(household: JobProcesses, 
     assert ends_well(household) == expected
 
 
-@pytest.mark.slow
 def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProcesses, expected: str) -> None:
     for name in ("coordinator", "recorder", "worker-0", "worker-1"):
         household[name].send(signal.SIGKILL)
@@ -100,7 +97,6 @@ def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProce
     assert ends_well(household) == expected
 
 
-@pytest.mark.slow
 def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     household: JobProcesses, expected: str
 ) -> None:
@@ -116,7 +112,6 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     assert RunFolder.open(household.run).job.epoch == 2
 
 
-@pytest.mark.slow
 def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
     household: JobProcesses, expected: str
 ) -> None:
@@ -130,7 +125,6 @@ def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
     assert ends_well(household) == expected
 
 
-@pytest.mark.slow
 def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
     tmp_path: Path, expected: str
 ) -> None:
@@ -144,7 +138,6 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
     assert {deed.name for deed in deeds.iterdir()} == set(WAYS)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(
     household: JobProcesses, expected: str

@@ -276,7 +276,7 @@ class ObjectIndex:
                 self._finished.add(name)
 
     def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
-        """Return the runs of the campaign by name, or those that have begun, less those of no good spec."""
+        """Return the runs of the campaign, or those that have begun and whose spec is good, by name."""
         file = self._path / CAMPAIGN
         if not file.is_file():
             found = dict(self._asked[1])

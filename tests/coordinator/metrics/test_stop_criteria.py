@@ -43,11 +43,14 @@ def test_a_run_ends_with_the_same_row_whatever_the_order_of_arrival(plan: Plan) 
     )
 
 
-@pytest.mark.parametrize(
+some_plans = pytest.mark.parametrize(
     "plan",
     [pytest.param(plan, marks=pytest.mark.slow if plan.population == 1 else ()) for plan in PLANS[::3]],
     ids=str,
 )
+
+
+@some_plans
 def test_any_recorded_beginning_goes_on_to_the_same_end(plan: Plan) -> None:
     expected = rows_in(reference(plan))
     for n in range(len(expected) + 1):
@@ -60,11 +63,7 @@ def test_any_recorded_beginning_goes_on_to_the_same_end(plan: Plan) -> None:
         assert b"".join(rest) == expected[n:].tobytes()
 
 
-@pytest.mark.parametrize(
-    "plan",
-    [pytest.param(plan, marks=pytest.mark.slow if plan.population == 1 else ()) for plan in PLANS[::3]],
-    ids=str,
-)
+@some_plans
 def test_a_tally_of_the_journal_knows_that_the_run_is_over(plan: Plan) -> None:
     rows = rows_in(reference(plan))
     spec = spec_of(plan)
