@@ -95,15 +95,17 @@ def percentile(sample: Sample, seed: int) -> tuple[float, float]:
 
 
 def bca(sample: Sample, seed: int) -> tuple[float, float]:
-    """The BCa interval; its jackknife leaves out scenes, or runs where there is one scene."""
+    """The BCa interval; its jackknife leaves out scenes, or where these are few a run of one arm."""
     draws = _draws(sample, seed)
     bias = norm.ppf(np.clip((draws < sample.difference).mean(), 1 / len(draws), 1 - 1 / len(draws)))
-    axis = 0 if len(sample.runs) >= LEAST_SCENES else 2
-    left = [
-        Sample(np.delete(sample.runs, i, axis), sample.effects).difference
-        for i in range(sample.runs.shape[axis])
-    ]
-    influence = np.mean(left) - np.array(left)
+    scenes, _, runs = sample.runs.shape
+    if scenes >= LEAST_SCENES:
+        effects = sample.runs[:, 0].mean(axis=1) - sample.runs[:, 1].mean(axis=1)
+        left = (effects.sum() - effects) / (scenes - 1)
+    else:
+        changes = (sample.runs.mean(axis=2, keepdims=True) - sample.runs) / (runs - 1)
+        left = sample.difference + np.concatenate([changes[:, 0], -changes[:, 1]], axis=None) / scenes
+    influence = left.mean() - left
     skew = (influence**3).sum() / (6 * (influence**2).sum() ** 1.5)
     shifted = bias + norm.ppf(TAILS)
     low, high = np.quantile(draws, norm.cdf(bias + shifted / (1 - skew * shifted)))

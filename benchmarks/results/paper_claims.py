@@ -18,11 +18,12 @@ from qdgrasp_coordinator.report.bootstrap import (
     CONFIDENCE_LEVEL,
     LEAST_RUNS,
     ConfidenceInterval,
-    mean_interval,
     ratio_interval,
+    share_interval,
 )
 from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim, agreement_of_all
 from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_protocol.text import counted
 
 JAW = "panda"
 """The hand for which the paper has antipodal methods."""
@@ -55,6 +56,11 @@ class ClaimNumber:
         return key.gripper, key.budget
 
     @property
+    def objects(self) -> int:
+        """The number of objects that it is of."""
+        return len({arm.key.object for arms in self.scenes for arm in arms})
+
+    @property
     def seeds(self) -> int:
         """The fewest runs that an arm has."""
         return min(len(arm.rows) for arms in self.scenes for arm in arms)
@@ -66,7 +72,7 @@ class ClaimNumber:
         found = [*(milestone for milestone in MILESTONES.values() if milestone < end), end]
         if self.claim.measure is claims.late_share:
             return [budget for budget in found if budget // 2 in MILESTONES.values()]
-        return [end] if self.claim.measure is claims.near_nu_share else found
+        return [end] if self.claim.measure in OF_THE_END else found
 
     def interval(self, budget: int, seeds: int) -> ConfidenceInterval:
         """The number after so many evaluations, of the first seeds alone."""
@@ -113,20 +119,29 @@ def _ratio(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
 def _late(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
     """The share that the second half added; half of the budget is a milestone."""
     pairs = [(_reached(arm, budget), _reached(arm, budget // 2)) for (arm,) in scenes]
-    return mean_interval([1 - halves[ends > 0] / ends[ends > 0] for ends, halves in pairs if len(halves)])
+    return share_interval([1 - halves[ends > 0] / ends[ends > 0] for ends, halves in pairs if len(halves)])
 
 
 def _near(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
     """The share of successes with nu below pi / 4, in the end."""
-    return mean_interval([arm.values("near_nu") for (arm,) in scenes])
+    return share_interval([arm.values("near_nu") for (arm,) in scenes])
+
+
+def _near_ratio(scenes: Sequence[Sequence[Arm]], budget: int) -> ConfidenceInterval:
+    """The ratio of these shares, in the end."""
+    upper, lower = ([arms[place].values("near_nu") for arms in scenes] for place in (0, 1))
+    return ratio_interval(upper, lower)
 
 
 MEASURES: Mapping[Callable[..., object], Callable[[Sequence[Sequence[Arm]], int], ConfidenceInterval]] = {
     claims.reached_ratio: _ratio,
     claims.late_share: _late,
     claims.near_nu_share: _near,
+    claims.near_nu_ratio: _near_ratio,
 }
 """The measure of a claim on rows, by that on runs."""
+OF_THE_END = (claims.near_nu_share, claims.near_nu_ratio)
+"""Measures that rows have of the end of a run alone."""
 
 
 def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
@@ -159,9 +174,11 @@ def claims_part(known: Iterable[Arm]) -> str:
         "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A claim agrees when all "
         "its numbers do (in brackets: how many of them), and does not when one does not. A verdict is "
         "*stable* from the least budget with all seeds, and from the fewest seeds at the end, from which on "
-        f"it stays the same. With fewer than {LEAST_RUNS} seeds there is none. The paper's curves end at "
-        "100,000 evaluations. It has antipodal methods with the Panda alone, and speaks of several hands "
-        "together.\n"
+        f"it stays the same. With fewer than {LEAST_RUNS} seeds there is none. (c) needs a budget of 10,000 "
+        "or 100,000, whose half the table has too. A ratio of 0 with an interval from 0 to 0: no run of the "
+        "upper method found a cell of S_G, and five runs cannot say how seldom one does. The paper's curves "
+        "end at 100,000 evaluations; its Figure 1 is of all four hands, Figure 2 of Panda and Allegro, and "
+        "antipodal methods are of the Panda alone.\n"
     )
     if not found:
         return f"{head}\nNo runs of the claims' campaigns are in yet.\n"
@@ -171,13 +188,19 @@ def claims_part(known: Iterable[Arm]) -> str:
 def _summary(found: Sequence[ClaimNumber]) -> str:
     """Each claim with its verdict, by hand and budget."""
     parts = sorted({one.part for one in found})
-    columns = ("", "claim", "agrees when", *(f"{hand}, {budget:,}" for hand, budget in parts))
+    columns = ("", "claim", "agrees when", *(_heading(found, part) for part in parts))
     lines = []
     for claim in CLAIMS:
         judged = [one for one in found if one.claim is claim and one.is_judged]
         verdicts = (_overall(claim, [one for one in judged if one.part == part]) for part in parts)
         lines.append((claim.letter, claim.words, claim.criterion, *verdicts))
     return markdown_table(columns, lines)
+
+
+def _heading(found: Sequence[ClaimNumber], part: tuple[str, int]) -> str:
+    """Hand, budget, and the number of objects, the most of any number."""
+    hand, budget = part
+    return f"{hand}, {budget:,}, {counted(max(one.objects for one in found if one.part == part), 'object')}"
 
 
 def _overall(claim: PaperClaim, judged: Sequence[ClaimNumber]) -> str:
@@ -193,16 +216,17 @@ def _overall(claim: PaperClaim, judged: Sequence[ClaimNumber]) -> str:
 
 def _line(one: ClaimNumber) -> tuple[str, ...]:
     end, seeds = one.budgets[-1], one.seeds
-    found, arms = one.interval(end, seeds), [arm for arms in one.scenes for arm in arms]
+    found = one.interval(end, seeds)
     verdict = one.claim.band.verdict(found).value if found.is_known else "few seeds"
     budget, fewest = one.stable_from() if found.is_known and one.is_judged else (None, None)
     return (
         one.claim.letter, " / ".join(f"`{name}`" for name in one.methods),
-        one.part[0], str(len({arm.key.object for arm in arms})),
+        one.part[0], str(one.objects),
         str(seeds), f"{end:,}", f"{found.value:.3g}",
         f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "",
         verdict if one.is_judged else "to compare with",
-        "" if budget is None else f"{budget:,}", "" if fewest is None else str(fewest),
+        "" if budget is None or len(one.budgets) == 1 else f"{budget:,}",
+        "" if fewest is None or seeds == LEAST_RUNS else str(fewest),
     )  # fmt: skip
 
 

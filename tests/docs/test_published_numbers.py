@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -100,38 +101,45 @@ def spread(values: Values | pandas.Series, digits: int) -> str:
     return middle if len(values) == 1 else f"{middle} ({low} to {high})"
 
 
-def bootstrap(scenes: Scenes, is_ratio: bool) -> tuple[float, float, float]:
+def bootstrap(scenes: Scenes, is_ratio: bool, is_share: bool = False) -> tuple[float, float, float]:
     """Return the ends of the studentised interval of the mean effect over scenes, and its p-value.
 
-    Of a ratio they are those of its logarithm. From ten scenes on these are drawn too.
+    Of a ratio they are those of its logarithm, of a share of its log odds. With ten scenes these are drawn.
     """
-    of_others = len(scenes) >= 10
+    n = len(scenes)
 
-    def estimate(drawn: Scenes) -> tuple[float, float]:
-        a, b = (np.array([np.mean(scene[arm]) for scene in drawn]) for arm in (0, 1))
-        of_a, of_b = (
-            np.array([np.var(scene[arm], ddof=1) / len(scene[arm]) for scene in drawn]) for arm in (0, 1)
-        )
+    def estimate(means: Values, variances: Values) -> tuple[Values, Values]:
+        (a, b), (of_a, of_b) = np.moveaxis(means, -1, 0), np.moveaxis(variances, -1, 0)
+        effects, spread = a - b, of_a + of_b
         if is_ratio:
-            effects, variances = a / (a + b), (b**2 * of_a + a**2 * of_b) / (a + b) ** 4
-        else:
-            effects, variances = a - b, of_a + of_b
-        among = effects.var(ddof=1) / len(drawn) if of_others else 0.0
-        mean, error = effects.mean(), np.sqrt(max(variances.mean() / len(drawn), among))
-        return (np.log(mean / (1 - mean)), error / (mean * (1 - mean))) if is_ratio else (mean, error)
+            effects, spread = a / (a + b), (b**2 * of_a + a**2 * of_b) / (a + b) ** 4
+        among = effects.var(axis=-1, ddof=1) / n if n >= 10 else 0.0
+        mean, error = effects.mean(axis=-1), np.sqrt(np.maximum(spread.mean(axis=-1) / n, among))
+        if is_ratio or is_share:
+            return np.log(mean / (1 - mean)), error / (mean * (1 - mean))
+        return mean, error
 
     random = np.random.default_rng(1)
-    value, error = estimate(scenes)
-    pivots = np.zeros(DRAWS)
-    for place in range(DRAWS):
-        chosen = random.integers(len(scenes), size=len(scenes)) if of_others else range(len(scenes))
-        found, its_error = estimate(
-            [tuple(random.choice(arm, len(arm)) for arm in scenes[number]) for number in chosen]
-        )
-        pivots[place] = (found - value) / its_error
+    chosen = random.integers(n, size=(DRAWS, n)) if n >= 10 else np.tile(np.arange(n), (DRAWS, 1))
+    means, variances = np.zeros((2, DRAWS, n, 2))
+    for number, arm in product(range(n), (0, 1)):
+        values, places = scenes[number][arm], chosen == number
+        drawn = random.choice(values, (places.sum(), len(values)))
+        means[places, arm] = drawn.mean(axis=1)
+        variances[places, arm] = drawn.var(axis=1, ddof=1) / len(values)
+    of_runs = (np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _error))
+    value, error = estimate(*of_runs)
+    found, errors = estimate(means, variances)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pivots = np.where(found == value, 0.0, (found - value) / errors)
     low, high = value - np.quantile(pivots, (0.975, 0.025)) * error
     beyond = min(np.mean(pivots >= value / error), np.mean(pivots <= value / error))
     return low, high, min(1.0, 2 * beyond)
+
+
+def _error(values: Values) -> float:
+    """The variance of a mean."""
+    return float(np.var(values, ddof=1) / len(values))
 
 
 def scenes_of(ours: Runs, theirs: Runs, figure: str) -> Scenes:

@@ -6,7 +6,8 @@ are drawn, and the interval is for these scenes: no interval of so few holds the
 often as it says. Percentile intervals, corrected for bias and acceleration or not, hold it less often than
 studentised ones (docs/analysis.md has how often each does).
 
-Arms are never paired: searches that begin with the same seed share no stream of random numbers.
+Arms are never paired. Runs with one seed may share the points of the surface, and of methods with one prior
+the first generation: where that makes them alike, intervals are wider than they need to be.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,6 +57,14 @@ def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> Confiden
     """Mean over scenes of means over runs; scenes without a run are left out."""
     some = [(found,) for found in values if len(found)]
     return _interval(some, 1, lambda mean, variance: (mean[..., 0], variance[..., 0]), seed)
+
+
+def share_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
+    """The same of shares, 0 to 1, with the interval of their log odds, which stays between 0 and 1."""
+    some = [(found,) for found in values if len(found)]
+    found = _interval(some, 1, lambda mean, variance: (mean[..., 0], variance[..., 0]), seed, _log_odds)
+    share, low, high = (float(1 / (1 + np.exp(-number))) for number in (found.value, found.low, found.high))
+    return ConfidenceInterval(share, low, high, found.scenes, found.runs, found.p_value, null=0.5)
 
 
 def difference_interval(

@@ -62,7 +62,7 @@ def test_the_paper_s_figures_with_their_data_and_the_tables_are_written(campaign
         assert len(table(found.out / f"{name}.csv")) > 3
     assert len(table(found.out / "runs.csv")) == 6
     assert {row["method"] for row in table(found.out / "methods.csv")} == set(METHODS)
-    assert {row["claim"] for row in table(found.out / "claims.csv")} == set("abcdefg")
+    assert {row["claim"] for row in table(found.out / "claims.csv")} == set("abcdefgh")
 
 
 def test_the_tables_have_the_figures_of_info(campaign: Path) -> None:
@@ -89,7 +89,7 @@ def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign
     assert "`jaw-block-me_scs-s0` (70 of 100), `jaw-block-me_scs-s1` (0 of 100)" in page
     assert "No coverage: no S_G of jaw and block." in page
     assert "| me_scs | 2, 2 unfinished | every genome |" in page
-    claim = "contact and approach variants of ME_scs end close together"
+    claim = "contact and approach variants of a search end close together (Figure 2)"
     assert f"| b | {claim} | **not in this campaign** |" in page
     assert "nan" not in page
 
@@ -260,7 +260,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path) -> None
 
 def test_the_command_prints_the_verdicts(campaign: Path) -> None:
     said = CliRunner().invoke(app, ["analyse", str(campaign), "--log"]).stdout
-    assert "(c) antipodal ME_scs plateaus: not in this campaign." in said
+    assert "(c) antipodal ME_scs plateaus (Figure 2): not in this campaign." in said
     assert "6 runs, 2 of them unfinished." in said
     done = CliRunner().invoke(app, ["analyse", str(campaign), "--json", "--method", "contact_rand"])
     values = json.loads(done.stdout)
