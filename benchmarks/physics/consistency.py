@@ -52,7 +52,7 @@ def main() -> int:
                 "evaluations": asked.evaluations, "workers": asked.workers, "listen": own_endpoint(),
             }  # fmt: skip
             command("run", *(word for name, value in flags.items() for word in (f"--{name}", value)))
-            if len(qdgrasp.open(run).grasps()):
+            if len(qdgrasp.open(run).grasps(min_fitness=1)):
                 sys.stdout.write(line([hand, body, *figures(run, asked.grasps)]))
             else:
                 sys.stdout.write(line([hand, body, "0", *["" for _ in NAMES[3:]]]))
@@ -72,7 +72,7 @@ def line(cells: Iterator[str] | tuple[str, ...] | list[str]) -> str:
 def figures(run: Path, most: int) -> Iterator[str]:
     """Compare the grasps of a run with its file of them, a cell of the table each."""
     out = run / "grasps.parquet"
-    command("export", run, "--format", "parquet", "--diverse", most, "-o", out)
+    command("export", run, "--format", "parquet", "--min-fitness", 1, "--diverse", most, "-o", out)
     read = READERS["parquet"](out)
     hands, scene = closed_hands("parquet", read), run / "scene.bundle"
     plain, grown = Bodies(scene), Bodies(scene, MARGIN)

@@ -72,7 +72,7 @@ class Run:
     def grasps(
         self,
         *,
-        min_fitness: float = 1,
+        min_fitness: float | None = None,
         top: int | None = None,
         diverse: int | None = None,
         max_penetration: float | None = None,
@@ -89,7 +89,7 @@ class Run:
         ----------
         min_fitness
             Least number of disturbances survived: 1 for grasps, 0 for all successes; robust ones have 2,
-            or 6 in the protocol `physical`.
+            or 6 in the protocol `physical`. None: 6 under `physical`, also as the base of `robust`, else 1.
         top
             At most so many, best first.
         diverse
@@ -117,7 +117,7 @@ class Run:
 
         Examples
         --------
-        >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
+        >>> for grasp in qdgrasp.open("runs/mug").grasps(diverse=10):
         ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
@@ -128,11 +128,11 @@ class Run:
         check = ways.reachability(found.scene, found.spec)
         return select_grasps(found, min_fitness, top, diverse, limits, holds_in, check)
 
-    def tables(self, *, min_fitness: int = 1, frame: str = "mesh") -> Iterator[Any]:
+    def tables(self, *, min_fitness: int | None = None, frame: str = "mesh") -> Iterator[Any]:
         """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.
 
-        The columns are those of `qdgrasp export --format parquet`, with poses in the object's `frame`.
-        It needs the extra `qdgrasp[export]`.
+        The columns are those of `qdgrasp export --format parquet`, with poses in the object's `frame`,
+        and `min_fitness` is that of `grasps`. It needs the extra `qdgrasp[export]`.
         """
         check_packages("Run.tables", "pyarrow")
         with self._folder.journal() as journal:

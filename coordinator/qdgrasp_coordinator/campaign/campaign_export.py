@@ -412,8 +412,8 @@ class DatasetWriter:
             mesh=self._mesh(run.object, chosen, metadata), method=spec.method, seed=spec.seed,
             protocol=spec.protocol, engine=spec.engine or DEFAULT_ENGINE, evaluations=totals.evaluations,
             successes=totals.successes, grasps=totals.grasps, robust=totals.robust, rows=len(chosen),
-            failures=chosen.failures, best_quality=chosen.best, digest=metadata.runs[0].digest,
-            scene=metadata.scene, about=metadata.json,
+            min_fitness=chosen.min_fitness, failures=chosen.failures, best_quality=chosen.best,
+            digest=metadata.runs[0].digest, scene=metadata.scene, about=metadata.json,
         )  # fmt: skip
 
     def _mesh(self, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> str:
@@ -438,7 +438,7 @@ class DatasetWriter:
         left_out = {run: reason for each in self._progress.records() for run, reason in each.left_out.items()}
         if not any(entry.rows for entry in self._progress.entries()):
             shutil.rmtree(self._path)
-            why = "; --min-fitness 0 takes all successes."
+            why = "; --min-fitness 1 takes what survived some disturbance, 0 all successes."
             if left_out:
                 number, first = counted(len(left_out), "run"), next(iter(left_out.values()))
                 why = f": {number} could not be read, the first: {first}"

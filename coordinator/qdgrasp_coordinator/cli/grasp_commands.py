@@ -43,8 +43,14 @@ def export(
         ),
     ],
     min_fitness: Annotated[
-        int, typer.Option(min=0, max=6, help="Disturbances survived, at least; 0 takes all successes.")
-    ] = 1,
+        int | None,
+        typer.Option(
+            min=0,
+            max=6,
+            metavar="N",
+            help="Disturbances survived, at least; 0 takes all successes; default: 6 under physical, else 1.",
+        ),
+    ] = None,
     min_quality: Annotated[
         float,
         typer.Option(

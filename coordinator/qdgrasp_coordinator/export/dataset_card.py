@@ -72,6 +72,8 @@ class IndexEntry(Struct, frozen=True, kw_only=True):
     successes: int
     grasps: int
     robust: int
+    min_fitness: int | None = None
+    """Least fitness of the grasps that were taken; None: not recorded by an earlier version."""
     rows: int
     """Lines in this data set, failures included."""
     failures: int
@@ -91,7 +93,7 @@ def write_index(folder: Path, entries: Callable[[], Iterable[IndexEntry]]) -> No
     import pyarrow.parquet as pq
 
     names = IndexEntry.__struct_fields__
-    numbers = {"seed", "evaluations", "successes", "grasps", "robust", "rows", "failures"}
+    numbers = {"seed", "evaluations", "successes", "grasps", "robust", "min_fitness", "rows", "failures"}
     kinds = {"best_quality": pa.float64(), "files": pa.list_(pa.string())} | dict.fromkeys(
         numbers, pa.int64()
     )
@@ -214,12 +216,14 @@ class DatasetFigures:
         self.lines: Counter[tuple[str, str]] = Counter()
         self.objects: dict[tuple[str, str], set[str]] = {}
         self.conditions: Counter[str] = Counter()
+        self.least: set[int | None] = set()  # Least fitnesses of the grasps that were taken
         self.licences: dict[str, set[str]] = {}
         for entry in entries:
             self.runs += 1
             self.rows += entry.rows
             self.failures += entry.failures
             self.evaluations += entry.evaluations
+            self.least.add(entry.min_fitness)
             self.conditions[f"protocol `{entry.protocol}`, engine `{entry.engine}`"] += 1
             self.licences.setdefault(entry.licence.strip() or "not stated", set()).add(entry.object)
             place = entry.gripper, entry.split
@@ -273,7 +277,9 @@ def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
     conditions = "\n".join(
         f"- {words}: {counted(n, 'run')}" for words, n in sorted(figures.conditions.items())
     )
-    given = {name: value for name, value in options.choice.items() if value not in (None, 0.0)}
+    least = " or ".join(map(str, sorted(filter(None, figures.least))))
+    taken = options.choice | ({"min_fitness": least} if options.choice["min_fitness"] is None else {})
+    given = {name: value for name, value in taken.items() if value not in (None, 0.0)}
     limits = given.pop("limits", {})
     given |= {name: value for name, value in limits.items() if value is not None}
     chosen = ", ".join(f"{name} {value}" for name, value in given.items()) or "every success"

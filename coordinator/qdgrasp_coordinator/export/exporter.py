@@ -17,7 +17,7 @@ from qdgrasp_coordinator.export.grasp_reader import (
 )
 from qdgrasp_coordinator.export.grasp_set import Grasps, select_grasps
 from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, least_fitness
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
@@ -109,7 +109,7 @@ def export_run(
     out: Path,
     name: str,
     *,
-    min_fitness: int = 1,
+    min_fitness: int | None = None,
     min_quality: float = 0.0,
     top: int | None = None,
     diverse: int | None = None,
@@ -157,7 +157,7 @@ def export_run(
 
 
 def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
-    successes, min_fitness = read_run(folder), choice.min_fitness
+    successes, min_fitness = read_run(folder), least_fitness(folder.spec, choice.min_fitness)
     if not len(successes):
         with folder.journal() as journal:
             rows = counted(journal.count, "row")
@@ -187,7 +187,8 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
         return (
             f"{folder.path} has no grasp within these limits: {choice.limits.reason(good.rows, good.scene)}."
         )
+    some = ", --min-fitness 1 all that survived some disturbance" if best > 1 else ""
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
-        f"{many} has {best}, and --min-fitness {best} writes those."
+        f"{many} has {best}, and --min-fitness {best} writes those{some}."
     )

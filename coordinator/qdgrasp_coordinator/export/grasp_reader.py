@@ -12,7 +12,7 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, select_grasps
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, least_fitness
 from qdgrasp_coordinator.metrics.scores import genome_numbers, scored_successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
@@ -141,7 +141,8 @@ ALL_FAILURES = -1  # So many failures as there are
 class GraspChoice:
     """Flags that say which grasps of a run are taken; see `select_grasps`."""
 
-    min_fitness: int = 1
+    min_fitness: int | None = None
+    """None: by the protocol of each run (`least_fitness`)."""
     min_quality: float = 0.0
     """Least confidence, 0 to 1."""
     top: int | None = None
@@ -171,6 +172,8 @@ class ChosenGrasps:
     """(n,), of `CHOSEN`, in the order in which they are written."""
     failures: int
     """The last so many are failures."""
+    min_fitness: int
+    """The least fitness of the others."""
     unknown: int = 0
     """Grasps that were left out as their verdict in the engine that is asked for is not known."""
 
@@ -227,19 +230,19 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
     Behind them stand failures, evaluations that were no grasps: at most so many, spread over the journal.
     """
     is_ranked = choice.top is not None or choice.diverse is not None
-    unknown = 0
+    unknown, least = 0, least_fitness(reader.spec, choice.min_fitness)
     reader.approach = choice.reachability(reader.scene, reader.spec)
     good, bad, ranked = [np.zeros(0, CHOSEN)], [np.zeros(0, CHOSEN)], []
     for block in reader.blocks(Outcome.MISSED if failures else Outcome.DROPPED):
         found = select_grasps(
             block,
-            choice.min_fitness,
+            least,
             limits=choice.limits,
             holds_in=choice.holds_in,
             approach=reader.approach,
         )
         if choice.holds_in is not None:
-            every = select_grasps(block, choice.min_fitness)
+            every = select_grasps(block, least)
             unknown += int((every.verdicts_in(choice.holds_in) < 0).sum())
         found = found[found.confidence >= choice.min_quality]
         if is_ranked:
@@ -252,11 +255,11 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
     if ranked:
         good.append(_index(select_grasps(join_grasps(ranked), 0, choice.top, choice.diverse)))
     chosen, others = np.concatenate(good), np.concatenate(bad)
-    if failures and choice.min_fitness < 1:
+    if failures and least < 1:
         others = others[~np.isin(others["number"], chosen["number"])]
     if failures != ALL_FAILURES and failures < len(others):
         others = others[np.linspace(0, len(others) - 1, failures).round().astype(np.int64)]
-    return ChosenGrasps(reader, np.concatenate([chosen, others]), len(others), unknown)
+    return ChosenGrasps(reader, np.concatenate([chosen, others]), len(others), least, unknown)
 
 
 def _index(grasps: Grasps) -> NDArray[np.void]:

@@ -24,6 +24,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     NO_LIMITS,
     GraspLimits,
     contact_values,
+    least_fitness,
     object_motion,
     recorded_margins,
     settled_mask,
@@ -440,7 +441,7 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
 
 def select_grasps(
     grasps: Grasps,
-    min_fitness: float = 1,
+    min_fitness: float | None = None,
     top: int | None = None,
     diverse: int | None = None,
     limits: GraspLimits = NO_LIMITS,
@@ -450,18 +451,17 @@ def select_grasps(
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
-    successes. `top` takes so many at most, best first (`scores.best_first`: by the lower bound of eta where
-    eta is known, then by fitness and margin); `diverse` takes so many at most, each as far as can be from
-    those before it (`spread_places`), the best one first. Without both, grasps are in journal order.
-    `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those whose hands
-    come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine, and
-    InputError where there is no such table.
+    successes, None is `least_fitness`. `top` takes so many at most, best first (`scores.best_first`: by the
+    lower bound of eta where eta is known, then by fitness and margin); `diverse` takes so many at most, each
+    as far as can be from those before it (`spread_places`), the best one first. Without both, grasps are in
+    journal order. `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those
+    whose hands come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine,
+    and InputError where there is no such table.
     """
-    _check_number("min_fitness", min_fitness, whole=False)
-    for name, value in (("top", top), ("diverse", diverse)):
+    for name, value in (("min_fitness", min_fitness), ("top", top), ("diverse", diverse)):
         if value is not None:
-            _check_number(name, value, whole=True)
-    chosen = grasps[grasps.is_success & (grasps.fitness >= min_fitness)]
+            _check_number(name, value, whole=name != "min_fitness")
+    chosen = grasps[grasps.is_success & (grasps.fitness >= least_fitness(grasps.spec, min_fitness))]
     if holds_in is not None:
         chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]

@@ -139,6 +139,8 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     success: str = SUCCESS_WORDS
     grasp: str = GRASP_WORDS
     fitness: str = FITNESS_MEANING
+    min_fitness: int | UnsetType = UNSET
+    """Least fitness of the grasps that were taken; absent in a file of an earlier version."""
     confidence: str
     """Its meaning, 0 to 1; higher is better."""
     pregrasp_pose: str = ""
@@ -225,6 +227,7 @@ def grasp_metadata(
         quaternions=XYZW,
         protocol=scene.protocol,
         fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
+        min_fitness=grasps.min_fitness if isinstance(grasps, ChosenGrasps) else UNSET,
         confidence=_confidence_words(grasps.spec),
         pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
         grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",

@@ -5,6 +5,7 @@ and margin are NaN, which no limit admits.
 """
 
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -14,6 +15,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, rotate
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import CONTACT_VALUES, Rows
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 MM = 1e-3
@@ -69,6 +71,18 @@ def recorded_margins(rows: Rows, body: SceneObject) -> Floats:
             radius=body.radius,
         )
     return found
+
+
+Fitness = TypeVar("Fitness", bound=float)
+
+
+def least_fitness(spec: RunSpec, asked: Fitness | None) -> Fitness | int:
+    """Return the least fitness of grasps that are taken: as asked, else by the run's protocol.
+
+    By default all disturbances of `physical`, also as the base of `robust`; one of any other protocol.
+    """
+    usual = spec.disturbances if spec.nominal_protocol == "physical" else 1
+    return usual if asked is None else asked
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.export.grasp_pictures import grasp_labels, placed_hands
 from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, choose_grasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.metrics.grasp_quality import least_fitness
 from qdgrasp_coordinator.rendering.contact_sheet import common_camera, contact_sheet, draw_hands
 from qdgrasp_coordinator.report.row_report import row_at
 from qdgrasp_coordinator.storage.journal import Journal
@@ -60,8 +61,8 @@ class SheetChoice:
             numbers = self._numbers(folder, journal, reader)
             if not len(numbers):
                 raise InputError(
-                    f"{folder.path} has no grasp yet: no hand survived a disturbance. Rows by their "
-                    "numbers can be drawn all the same, as in --grasps 3,17,22."
+                    f"{folder.path} has no grasp yet with a fitness of {least_fitness(reader.spec, None)} or "
+                    "more. Rows by their numbers can be drawn all the same, as in --grasps 3,17,22."
                 )
             return reader.at(numbers)
 

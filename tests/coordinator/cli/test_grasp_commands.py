@@ -71,21 +71,16 @@ def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: P
     assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
 
 
-def test_what_is_there_is_replaced_by_force(tmp_path: Path) -> None:
-    (tmp_path / "f.yaml").write_text(ISAAC)
-    (tmp_path / "poses.npz").write_bytes(b"precious")
-    asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "poses.npz")
-    assert command(*asked, "--force").exit_code == 0
-    assert len(read_poses(tmp_path / "poses.npz")) == 1
-
-
-def test_it_is_told_what_is_being_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_there_is_replaced_by_force_and_it_is_told_what_is_being_read(tmp_path, monkeypatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
     )
     (tmp_path / "f.yaml").write_text(ISAAC)
-    done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "p.npz")
+    (tmp_path / "poses.npz").write_bytes(b"precious")
+    asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "poses.npz")
+    done = command(*asked, "--force")
+    assert len(read_poses(tmp_path / "poses.npz")) == 1
     assert (done.exit_code, told) == (0, [f"reading {tmp_path / 'f.yaml'}"])
 
 
@@ -94,9 +89,3 @@ def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
     for gripper, object_ in (("pandaa", "mug"), ("panda", "mugg")):
         asked = (tmp_path / "f.yaml", "--gripper", gripper, "--object", object_, "-o", tmp_path / "p.npz")
         assert "Unknown" in str(command(*asked).exception)
-
-
-def test_grasps_that_survived_all_six_pushes_may_be_asked_for(tmp_path: Path) -> None:
-    asked = ("export", str(tmp_path / "run"), "--format", "csv", "--out", str(tmp_path / "out"))
-    assert isinstance(CliRunner().invoke(app, [*asked, "--min-fitness", "6"]).exception, FolderError)
-    assert CliRunner().invoke(app, [*asked, "--min-fitness", "7"]).exit_code == 2

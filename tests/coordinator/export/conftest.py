@@ -17,7 +17,7 @@ from qdgrasp_assets.scene import Jaw, Scene
 from qdgrasp_coordinator.export import importer
 from qdgrasp_coordinator.export.importer import ImportedPoses, ObjectFrame, hand_named
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import SHAKES, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
@@ -78,6 +78,7 @@ def make_run(tmp_path: Path, scene: Scene) -> MakeRun:
 
     def make(*outcomes: Outcome, name: str = "run", seed: int = 0, **settings: object) -> RunFolder:
         rows = random_rows(scene, list(outcomes), seed)
+        rows["fitness"] *= RunSpec(**{"gripper": "", "object": ""} | settings).disturbances / SHAKES
         return record(tmp_path / name, scene, rows, **{"method": "contact_rand", **settings})
 
     return make

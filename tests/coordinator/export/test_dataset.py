@@ -242,6 +242,16 @@ def test_a_least_quality_leaves_out_what_is_worse_and_says_the_best(campaign, tm
     assert not list(tmp_path.glob("none*"))
 
 
+def test_each_run_has_the_least_fitness_of_its_own_protocol(campaign, make_run, tmp_path) -> None:
+    run = make_run(Outcome.SHAKEN, Outcome.HELD, name="made", object="cow.stl", protocol="physical")
+    shutil.copytree(run.path, campaign.run_path("jaw-cow-s0"), ignore=shutil.ignore_patterns("job.json"))
+    export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
+    index = pandas.read_csv(tmp_path / "out" / "index.csv").set_index("run")
+    assert (index.min_fitness["jaw-cow-s0"], index.rows["jaw-cow-s0"]) == (6, 1)
+    assert (index.min_fitness["jaw-cup-s0"], index.rows["jaw-cup-s0"]) == (1, 4)
+    assert "- taken of each run: min_fitness 1 or 6\n" in (tmp_path / "out" / "README.md").read_text()
+
+
 def test_runs_that_cannot_be_read_are_left_out_and_named(campaign: JobFolder, tmp_path: Path) -> None:
     (campaign.run_path("jaw-cup-s0") / "scene.bundle").unlink()
     said = export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
@@ -251,14 +261,11 @@ def test_runs_that_cannot_be_read_are_left_out_and_named(campaign: JobFolder, tm
     assert "16 grasps of 2 objects in 4 runs; 2 runs left out" in export_campaign(
         campaign.path, tmp_path / "less", "parquet", GRASPS
     )
-
-
-def test_a_campaign_of_runs_that_cannot_be_read_says_why(campaign: JobFolder, tmp_path: Path) -> None:
-    for run in runs(campaign):
-        (run.path / "scene.bundle").unlink()
-    with pytest.raises(FolderError, match=r"no grasp to write: 6 runs could not be read, the first: .*scene"):
-        export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)
-    assert not list(tmp_path.glob("out*"))
+    for path in campaign.run_paths:
+        (path / "scene.bundle").unlink(missing_ok=True)
+    with pytest.raises(FolderError, match=r"no grasp to write: 6 runs could not be read, the first: .*spec"):
+        export_campaign(campaign.path, tmp_path / "none", "parquet", GRASPS)
+    assert not list(tmp_path.glob("none*"))
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -15,6 +15,7 @@ from tests.coordinator.export.independent_readers import READERS
 from tests.coordinator.recorded_runs import record
 from typer.testing import CliRunner, Result
 
+import qdgrasp
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
@@ -46,22 +47,17 @@ def refusal(run: Path, name: str, out: Path, *more: object) -> str:
 
 
 @each_format
-def test_the_command_writes_a_file_and_says_what_is_in_it(run: RunFolder, tmp_path: Path, name: str) -> None:
-    out = tmp_path / "out"
+def test_the_command_writes_a_file_and_says_what_is_begun_and_in_it(run, tmp_path, monkeypatch, name) -> None:
+    told, out = list[str](), tmp_path / "out"
+    monkeypatch.setattr(
+        "qdgrasp_coordinator.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
+    )
     said = command(run.path, "--format", name, "-o", out)
     assert said.exit_code == 0, said.exception
     assert said.stdout.startswith("4 grasps")
     assert said.stdout.endswith(f"written to {out}, poses in the object's mesh frame.\n")
     assert out.is_dir() == (name == "graspgen")
-
-
-def test_it_is_told_what_is_begun_with(run, tmp_path, monkeypatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(
-        "qdgrasp_coordinator.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
-    )
-    assert command(run.path, "--format", "csv", "-o", tmp_path / "out").exit_code == 0
-    assert told == [f"reading {run.path}", f"writing 4 evaluations to {tmp_path / 'out'}"]
+    assert told == [f"reading {run.path}", f"writing {10 if out.is_dir() else 4} evaluations to {out}"]
 
 
 @each_format
@@ -140,6 +136,22 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
     assert "there is no success among 0 rows" in refusal(make_run(name="new").path, "csv", out)
 
 
+@pytest.mark.parametrize("settings", [{"protocol": "physical"}, {"protocol": "robust", "base": "physical"}])
+def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, tmp_path, settings) -> None:
+    run, out = make_run(Outcome.SHAKEN, Outcome.MISSED, Outcome.HELD, **settings), tmp_path / "out"
+    for asked, expected in ((None, [6]), (1, [3, 6])):
+        export_run(run, out, "csv", min_fitness=asked, force=True)
+        assert READERS["csv"](out).beside["fitness"].astype(float).tolist() == expected
+        assert f"\n# min_fitness: {asked or 6}\n" in out.read_text()
+        assert qdgrasp.open(run.path).grasps(min_fitness=asked).fitness.tolist() == expected
+    weak = make_run(Outcome.SHAKEN, name="weak", **settings)
+    assert refusal(weak.path, "csv", tmp_path / "none").endswith(
+        "a fitness of 6 or more: the best of its 1 success has 3, and --min-fitness 3 writes those, "
+        "--min-fitness 1 all that survived some disturbance."
+    )
+    assert command(weak.path, "--format", "csv", "-o", out, "--min-fitness", 7).exit_code == 2
+
+
 def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
     job = JobFolder.create(tmp_path / "job", "job")
     out = tmp_path / "out"
@@ -150,18 +162,14 @@ def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_
     assert "scene.bundle cannot be read" in refusal(run.path, "csv", out)
 
 
-@pytest.mark.parametrize(("asked", "expected"), [(None, 6), (0, 0), (3, 3), (100, 6)])
-def test_failures_are_written_as_many_as_are_asked_for(run, tmp_path, asked, expected) -> None:
-    export_run(run, tmp_path / "out", "graspgen", negatives=asked)
-    bits = READERS["graspgen"](tmp_path / "out").quality
-    assert np.count_nonzero(~bits) == expected
-    assert np.count_nonzero(bits) == 4
-
-
-def test_a_success_that_is_taken_is_not_among_the_failures_too(run: RunFolder, tmp_path: Path) -> None:
-    export_run(run, tmp_path / "out", "graspgen", min_fitness=0)
-    matrices = READERS["graspgen"](tmp_path / "out").matrices
-    assert len(matrices) == len(np.unique(matrices.reshape(-1, 16), axis=0)) == 10
+@pytest.mark.parametrize(
+    ("asked", "least", "expected"), [(None, 1, 6), (0, 1, 0), (3, 1, 3), (100, 1, 6), (None, 0, 6)]
+)
+def test_failures_are_written_once_as_many_as_are_asked_for(run, tmp_path, asked, least, expected) -> None:
+    export_run(run, tmp_path / "out", "graspgen", min_fitness=least, negatives=asked)
+    read = READERS["graspgen"](tmp_path / "out")
+    assert (np.count_nonzero(~read.quality), np.count_nonzero(read.quality)) == (expected, 4)
+    assert len(np.unique(read.matrices.reshape(-1, 16), axis=0)) == expected + 4
 
 
 def test_a_run_in_progress_gives_what_it_has_by_now(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
@@ -289,9 +297,9 @@ def test_of_a_run_in_two_engines_those_that_hold_hold_in_both(make_run, tmp_path
     outcomes = [Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
     run = make_run(*outcomes, protocol="physical", engine="mujoco,bullet")
     for engine in ("bullet", "mujoco"):
-        said = export_run(run, tmp_path / engine, "csv", holds_in=engine)
+        said = export_run(run, tmp_path / engine, "csv", min_fitness=1, holds_in=engine)
         assert said.startswith("2 grasps")
         assert said.endswith(f"Left out: 1 grasp whose verdict in {engine} is not known.")
     alone = make_run(*outcomes, name="alone", protocol="physical", engine="mujoco")
-    said = export_run(alone, tmp_path / "alone.csv", "csv", holds_in="mujoco")
+    said = export_run(alone, tmp_path / "alone.csv", "csv", min_fitness=1, holds_in="mujoco")
     assert said.endswith("Left out: 0 grasps whose verdict in mujoco is not known.")
