@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.report.bootstrap import (
     CONFIDENCE_LEVEL,
+    LEAST_P_VALUE,
     LEAST_RUNS,
     LEAST_SCENES,
     RESAMPLES,
@@ -266,7 +267,9 @@ def comparison_part(known: Sequence[Arm], heading: str = "## The default method 
         f"paired. Its interval is a studentised bootstrap, {RESAMPLES:,} resamples; over {LEAST_SCENES} "
         "objects or more these are drawn too, over fewer it is for these objects. *Win* and *loss*: the "
         "p-value, adjusted for all comparisons of its table by the method of Holm, is at most "
-        f"{SIGNIFICANT:g}. With fewer than {LEAST_RUNS} seeds there is no verdict. The figures after it are "
+        f"{SIGNIFICANT:g}; *undecided*: it is greater, which does not make the two equal. ≤ stands before "
+        f"the least p-value that the resamples can give. With fewer than {LEAST_RUNS} seeds there is no "
+        "verdict. The figures after it are "
         "medians, the default's first. *Orientations* is a mean over all cells with a success: the default "
         "takes a cell for done with the first grasp there (`grasps_per_cell`), and is behind in it by "
         "design. *Code*: which evaluation code the runs are of, the default's first.\n\n"
@@ -303,17 +306,20 @@ class Verdict:
 
     @property
     def words(self) -> str:
-        """The verdict on the default: win, loss, level or few seeds."""
+        """The verdict on the default: win, loss, undecided or few seeds."""
         if np.isnan(self.adjusted):
             return "few seeds"
         if self.adjusted > SIGNIFICANT:
-            return "level"
+            return "undecided"
         return "win" if self.found.value > self.found.null else "loss"
 
     @property
     def p_words(self) -> str:
-        """The adjusted p-value, empty without one."""
-        return "" if np.isnan(self.adjusted) else f"{self.adjusted:.2g}"
+        """The adjusted p-value, empty without one; with a sign where the resamples can give no lower one."""
+        if np.isnan(self.adjusted):
+            return ""
+        is_least = self.found.p_value <= LEAST_P_VALUE and self.adjusted < 1
+        return f"{'≤ ' if is_least else ''}{self.adjusted:.2g}"
 
     def cells(self, digits: int) -> tuple[str, str, str, str]:
         """The columns of `VERDICT`."""
@@ -370,7 +376,7 @@ def _losses(done: Sequence[MethodComparison], verdicts: Sequence[Verdict]) -> It
         yield "\n" + markdown_table(BEHIND, lines).rstrip("\n")
 
 
-VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "few seeds": "of few seeds"}
+VERDICTS = {"win": "wins", "loss": "losses", "undecided": "undecided", "few seeds": "of few seeds"}
 
 
 def _behind(done: Sequence[MethodComparison], figure: Figure | None) -> Iterator[tuple[str, ...]]:

@@ -39,7 +39,7 @@ SHOWN = {name: MILESTONES[name] for name in ("1k", "2k", "5k", "10k")}
 COVERAGE_COLUMNS = (
     "hand", "object", "protocol", "counting", "budget", "runs",
     *(f"{milestone:,}" for milestone in SHOWN.values()), "end",
-    "robust", "mean best fitness", "orientations", "aim", "code",
+    "outside", "robust", "mean best fitness", "orientations", "target", "code",
 )  # fmt: skip
 
 
@@ -49,10 +49,12 @@ def coverage_part(known: Sequence[Arm]) -> str:
     return (
         "## Coverage of S_G by the search for touch\n\n"
         "`aimed` for touch, the default of version 0.1.0. "
-        "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, "
-        "and in brackets their range. *Robust*: the share of S_G in whose cells a success of fitness 2 was "
-        "found. *Mean best fitness*: the best fitness in a cell with a success, 0 to 2, mean over these "
-        "cells. *Orientations*: of 60 bins, those with a success in such a cell, mean over these cells.\n\n"
+        "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, and "
+        "in brackets their range. *Outside*: the share of a run's own cells that are not in it. *Robust*: the "
+        "share of S_G in whose cells a success of fitness 2 was found. *Mean best fitness*: the best fitness "
+        "in a cell with a success, 0 to 2, mean over these cells. *Orientations*: of 60 bins, those with a "
+        "success in such a cell, mean over these cells. *Target*: the median that this project set itself "
+        "before these runs.\n\n"
         + markdown_table(COVERAGE_COLUMNS, [_coverage_line(arm) for arm in shown])
         + "\n"
         + "\n".join(_short(shown))
@@ -65,13 +67,14 @@ def _coverage_line(arm: Arm) -> tuple[str, ...]:
         f"{arm.key.budget:,}", arm.count,
         *(arm.words(f"coverage_{name}", 100) for name in SHOWN),
         arm.words("coverage", 100),
-        arm.words("robust_share", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
+        arm.words("outside_share", 100), arm.words("robust_share", 100),
+        arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
         _aim(arm), arm.codes,
     )  # fmt: skip
 
 
 def _aim(arm: Arm) -> str:
-    """The targets, and whether they are reached."""
+    """The targets [%] after so many evaluations, and whether they are reached."""
     verdicts = []
     for evaluations, percent in _targets(arm).items():
         found = arm.values(f"coverage_{evaluations // 1000}k", 100)
@@ -109,14 +112,13 @@ CPU_COLUMNS = (
 
 def cpu_part(known: Sequence[Arm]) -> str:
     """The section on CPU time."""
-    shown = [
-        arm for arm in known if len(arm.values("coverage")) and (arm.is_default or arm.key.scene == SCENE)
-    ]
-    order = sorted(shown, key=lambda arm: (arm.key.scene != SCENE, -_rate(arm)))
+    shown = [arm for arm in known if len(arm.values("coverage"))]
+    order = sorted(shown, key=lambda arm: (arm.key.scene != SCENE, arm.key.scene, -_rate(arm)))
     return (
         "## Coverage for CPU time\n\n"
         "CPU seconds are those of the workers, shakes and screening included, on shared cores: take them as "
-        "ratios. A run that goes on to twice as many evaluations covers less a second: compare equal ones, "
+        "ratios. A run that goes on to twice as many evaluations covers less a second, and a method that has "
+        "found little finds a new cell more easily: compare runs of equal evaluations or of equal coverage, "
         "of one *code*. "
         "*A success* is what a success costs, fitted to the blocks of each journal; "
         "at the *ceiling* every evaluation is a success in a new cell of S_G.\n\n"
@@ -219,7 +221,7 @@ def page(known: Programme, table: Mapping[Key, Row], sets: Sequence[SceneSet] = 
         sigma_part(arms(known.part(SIGMA_GRID), table)),
         sets_part(sets, _scenes_with_runs((known.benchmark, claimed), table)),
         coverage_part(here),
-        comparison_part(here, "## First touches: the search for touch against the others"),
+        comparison_part(here, "## Successes: the search for touch against the others"),
         cpu_part(here),
         _standing(known, table),
     ]

@@ -8,7 +8,7 @@ every method, and `runs.csv` beside the sets names these runs. Each further run 
 import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,6 +73,22 @@ class SceneSet:
     def counted(self) -> ReferenceSet:
         """The cells that coverage counts: under `physical` those that hold, else all with a success."""
         return self.found.robust if self.scene[2].startswith("physical") else self.found
+
+    @property
+    def by_seed(self) -> ReferenceSet:
+        """The set with the runs of all methods with a seed as one run.
+
+        Cells are estimated from these, as they are alike and independent: runs with one seed share the points
+        of the surface, and of methods with one prior the first generation.
+        """
+        assert self.found.by_run is not None
+        assert self.found.origin is not None
+        seeds = {run.run: run.key.seed for run in self.runs}
+        of_runs = np.array([seeds[name] for name in self.found.origin.runs])
+        return replace(
+            self.found,
+            by_run=np.array([self.found.by_run[of_runs == seed].max(axis=0) for seed in np.unique(of_runs)]),
+        )
 
     @property
     def coverage(self) -> list[MethodCoverage]:
@@ -212,11 +228,9 @@ def _write_runs(home: Path, runs: Collection[SetRun]) -> None:
 
 
 SIZES = (
-    "hand", "object", "protocol", "runs", "cells", "estimated cells", "in the set, %",
-    "cells that hold", "estimated to hold", "in the set of these, %",
+    "hand", "object", "protocol", "runs", "seeds", "cells", "estimated cells", "of the estimate, %",
+    "cells that hold", "estimated to hold", "of this estimate, %",
 )  # fmt: skip
-
-
 COVERED = (
     "hand", "object", "protocol", "evaluations", "method", "runs", "coverage, %", "together, %", "alone, %",
 )  # fmt: skip
@@ -237,17 +251,18 @@ def sets_part(sets: Sequence[SceneSet], scenes: int) -> str:
             "## Reference sets of our own\n\n"
             "The cells of all successes, and those that hold, of the runs of all methods on a scene. The "
             "published sets are of another protocol, and do not say which run found which cell, so that "
-            "nothing can be estimated from them. *Estimated*: the number of cells that runs like these can "
-            f"find, a lower bound, with its 95% interval ([how](../coverage.md#how-it-is-estimated)); a set "
-            f"of {ENOUGH:.0%} of them would be complete enough. There are sets of {len(sets)} of the "
+            "nothing can be estimated from them. *Estimated*: the least number of cells that more seeds of "
+            "these methods would find, with its 95% interval; all runs with a seed count as one "
+            "([how, and how far it can be too low](../coverage.md#how-it-is-estimated)). A set of "
+            f"{ENOUGH:.0%} of the estimate would be complete enough. There are sets of {len(sets)} of the "
             f"{scenes} scenes of the benchmark and of the claims that have runs: a set needs the folders of "
             f"its runs. They are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
-            markdown_table(SIZES, [(*one.scene, *_sizes(one.found)) for one in sets]),
+            markdown_table(SIZES, [(*one.scene, str(len(one.runs)), *_sizes(one.by_seed)) for one in sets]),
             "*Coverage*: the share of the set that a run found, its own finds among them, median over runs, "
             "and in brackets their range; under `physical` of the cells that hold, else of all. *Together*: "
             "that all runs of the method with as many evaluations found; *alone*: that no run of another "
-            "method found. Of all cells that there are the shares are lower, by the share that is in the set "
-            "or more.\n",
+            "method found. As shares of all cells these would be lower: a set has no greater share of them "
+            "than of its estimate.\n",
             markdown_table(COVERED, lines),
         ]
     )

@@ -165,6 +165,13 @@ class Row(Struct, frozen=True, kw_only=True):
         return self.robust_cells * self.drawn_in_bullet
 
     @property
+    def outside_share(self) -> float | None:
+        """The share of the run's cells that are not in S_G, also of rows from before it was counted."""
+        if self.outside is not None or self.coverage is None or not self.cells:
+            return self.outside
+        return 1 - self.coverage * (self.set_size or 0) / self.cells
+
+    @property
     def screened(self) -> float | None:
         """Poses that were screened for a counted evaluation."""
         return self.proposals / self.evaluations if self.evaluations else None

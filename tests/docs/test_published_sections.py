@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -21,6 +22,8 @@ from tests.docs.test_published_numbers import (
     spread,
     words_of,
 )
+
+from qdgrasp_coordinator.metrics.reference_coverage import read_references
 
 UNSEEN = (
     "friction_050", "weight_200", "weight_500", "torsion_017", "effort_070", "together", "paper_bullet"
@@ -145,12 +148,13 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
             (key,) = (key.removesuffix(".cm") for key in file if key.endswith(".cm"))
             best, names = file[f"{key}.by_run"], [str(run) for run in file[f"{key}.runs"]]
         holding = best == 3  # 1 + the greatest fitness of a set
-        assert line["runs"] == str(len(names))
+        seeds = listed.set_index("run")["seed"].reindex(names).to_numpy()
+        assert (line["runs"], line["seeds"]) == (str(len(names)), str(len({*seeds})))
         for reached, count, estimate in (
             (best > 0, "cells", "estimated cells"),
             (holding, "cells that hold", "estimated to hold"),
         ):
-            seen, total = chao2(reached)
+            seen, total = chao2(np.array([reached[seeds == seed].any(axis=0) for seed in {*seeds}]))
             assert line[count] == str(seen)
             assert line[estimate].startswith(f"{total:.0f} (")
         here = listed["gripper"] + "|" + listed["object"] + "|" + listed["protocol"]
@@ -174,6 +178,21 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
             assert (one["together, %"], one["alone, %"]) == tuple(
                 f"{100 * found.mean():.1f}" for found in (together, alone)
             )
+
+
+def test_the_page_on_coverage_says_how_low_the_estimate_of_the_drill_is(reference_data: Path) -> None:
+    (line,) = (
+        one
+        for one in lines_with(part("Reference sets of our own"), "cells that hold")
+        if (one["object"], one["protocol"]) == ("ycb_power_drill", "paper")
+    )
+    (own,) = read_references(RESULTS / "reference-sets/panda-ycb_power_drill-paper.npz").values()
+    published = read_references(reference_data / "reference/S_G_panda_2f.npz")["power_drill"]
+    known = len(np.unique(np.concatenate([own.cells, published.cells]), axis=0))
+    page = " ".join((RESULTS.parent / "coverage.md").read_text(encoding="utf-8").split())
+    found, estimate = line["cells"], line["estimated cells"].split()[0]
+    assert f"{line['runs']} short runs found {found} cells, and the estimate is of {estimate}." in page
+    assert f"at least {known:,} cells are known".replace(",", " ") in page
 
 
 BANDS = {

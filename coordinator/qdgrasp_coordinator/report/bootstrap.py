@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 RESAMPLES = 10_000
 CONFIDENCE_LEVEL = 0.95
 RESAMPLING_SEED = 0
+LEAST_P_VALUE = 2 / (RESAMPLES + 1)
+"""The least p-value that so many resamples can give."""
 LEAST_RUNS = 5
 """Runs of each arm on each scene without which nothing is said of chance: of fewer, draws repeat one run."""
 LEAST_SCENES = 10
@@ -60,7 +62,7 @@ def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> Confiden
 
 
 def share_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
-    """The same of shares, 0 to 1, with the interval of their log odds, which stays between 0 and 1."""
+    """The same of shares, 0 to 1; the interval is formed on their log odds."""
     some = [(found,) for found in values if len(found)]
     found = _interval(some, 1, lambda mean, variance: (mean[..., 0], variance[..., 0]), seed, _log_odds)
     share, low, high = (float(1 / (1 + np.exp(-number))) for number in (found.value, found.low, found.high))
