@@ -164,7 +164,9 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
         return ratio_interval([pair[0]], [pair[1]]).value
 
     chosen = ([min(pairs, key=ratio) for pairs in some if pairs] for some in after)
-    evaluations, cpu = (ratio_interval(*zip(*pairs, strict=True)) for pairs in chosen)
+    evaluations, cpu = (
+        ratio_interval([ours for ours, _ in pairs], [theirs for _, theirs in pairs]) for pairs in chosen
+    )
     return evaluations, cpu
 
 

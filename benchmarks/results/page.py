@@ -50,7 +50,7 @@ def coverage_part(known: Sequence[Arm]) -> str:
         "## Coverage of S_G by the search for touch\n\n"
         "`aimed` for touch, the default of version 0.1.0. "
         "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, and "
-        "in brackets their range. *Outside*: the share of a run's own cells that are not in it. *Robust*: the "
+        "in brackets their range. *Outside*: the share of a run's cells that are not in it. *Robust*: the "
         "share of S_G in whose cells a success of fitness 2 was found. *Mean best fitness*: the best fitness "
         "in a cell with a success, 0 to 2, mean over these cells. *Orientations*: of 60 bins, those with a "
         "success in such a cell, mean over these cells. *Target*: the median that this project set itself "

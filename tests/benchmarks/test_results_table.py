@@ -321,7 +321,7 @@ class TestComparisons:
             for seed in FIVE
         ]
         text = compared(*rows)
-        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | 0.0002 | win |" in text
+        assert "| panda | `me_scs` | 2 | coverage, % | +20.0 | +20.0 to +20.0 | ≤ 0.0002 | win |" in text
 
     def test_runs_of_another_counting_are_not_compared(self) -> None:
         ours = made_row(coverage=0.2), made_row(coverage=0.5, overlaps="redraw")
