@@ -49,13 +49,13 @@ def campaign(
     ] = None,
     gripper: Annotated[
         list[str] | None,
-        typer.Option(help="With --objects: a built-in name or a TOML file; may be repeated."),
+        typer.Option(help="For meshes: a built-in name or a TOML file; may be repeated."),
     ] = None,
     mass: Annotated[
-        float | None, typer.Option(help="With --objects: of each [kg] that masses.csv there does not name.")
+        float | None, typer.Option(help="For meshes: of each [kg] whose mass no table states.")
     ] = None,
     density: Annotated[
-        float | None, typer.Option(min=1, help="With --objects: the same by volume [kg/m3]; water: 1000.")
+        float | None, typer.Option(min=1, help="For meshes: the same by volume [kg/m3]; water: 1000.")
     ] = None,
     scale: options.Scale = None,
     units: options.Units = None,
@@ -65,17 +65,15 @@ def campaign(
     glued: options.Glued = False,
     skip_unusable: options.SkipUnusable = False,
     method: Annotated[
-        list[str] | None, typer.Option(help="With --objects: search method; may be repeated.")
+        list[str] | None, typer.Option(help="For meshes: search method; may be repeated.")
     ] = None,
-    seed: Annotated[
-        list[int] | None, typer.Option(help="With --objects: may be repeated; default 0.")
-    ] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="For meshes: may be repeated; default 0.")] = None,
     protocol: options.ProtocolOption = None,
     engine: options.EngineOption = None,
     diversity: options.Diversity = None,
     grasps_per_cell: options.GraspsPerCell = None,
     evaluations: Annotated[
-        int | None, typer.Option(help="With --objects: counted evaluations of each run; default 10000.")
+        int | None, typer.Option(help="For meshes: counted evaluations of each run; default 10000.")
     ] = None,
     shard: Annotated[
         str | None,
@@ -123,7 +121,8 @@ def campaign(
 
     A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
     --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
-    said for all. With --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
+    said for all. Both are campaigns of meshes, and take the options for meshes. With --skip-unusable the
+    folder's skipped.csv names what is left out; see docs/objects.md.
 
     --shard shares the runs among several coordinators, each with a job and a folder, runs/<file>-IofN.
 

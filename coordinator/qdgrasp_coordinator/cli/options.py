@@ -72,8 +72,8 @@ ProtocolOption = Annotated[
     str | None,
     typer.Option(
         "--protocol",
-        help="Evaluation protocol: paper, physical, lift, released, robust; default paper, of `run` "
-        "physical.",
+        help="Evaluation protocol: paper, physical, lift, released, robust; default physical of `run` and of "
+        "a campaign of meshes, else paper.",
         rich_help_panel=EVALUATION,
     ),
 ]
