@@ -12,9 +12,10 @@ lines = Path(grasps).read_text().splitlines()
 facts = dict(line.removeprefix("# ").split(": ", 1) for line in lines if ": " in line)
 best = next(csv.DictReader(line for line in lines if not line.startswith("#")))
 joints = [name.removeprefix("joint.") for name in best if name.startswith("joint.")]
-
 # The hand stays where its file has it. The object is free, at the inverse of the commanded pose of the hand.
 spec = mujoco.MjSpec.from_file(hand_file)
+if (root := spec.worldbody.first_body().name) != (frame := facts["gripper_frame"]):
+    sys.exit(f"The root link of {hand_file} is '{root}', not '{frame}': give the URDF that its TOML names.")
 spec.option.gravity, spec.option.integrator = (0, 0, 0), mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 spec.add_mesh(name="object", file=str(Path(object_file).absolute()), scale=[float(facts["object_scale"])] * 3)
 body = spec.worldbody.add_body(name="object")
@@ -25,8 +26,7 @@ for name in joints:
     is_slide = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
     servo.set_to_position(**({"kp": 500, "kv": 20} if is_slide else {"kp": 20, "kv": 2}))
     spec.joint(name).armature = 0.01  # the rotor's inertia, without which light fingers shake
-model = spec.compile()
-data = mujoco.MjData(model)
+data = mujoco.MjData(model := spec.compile())
 back, away = np.zeros(4), np.zeros(3)
 mujoco.mju_negQuat(back, np.array([float(best[name]) for name in ("qw", "qx", "qy", "qz")]))
 mujoco.mju_rotVecQuat(away, -np.array([float(best[name]) for name in "xyz"]), back)
