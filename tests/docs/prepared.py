@@ -18,6 +18,7 @@ from qdgrasp_coordinator.storage.outputs import LOGS
 RUNS = """
 [defaults]
 gripper = "panda"
+protocol = "physical"
 evaluations = 60
 population = 20
 
@@ -198,9 +199,6 @@ def campaign(prepared: Prepared, path: Path) -> None:
 def certificates(prepared: Prepared, path: Path) -> None:
     prepared("security", "init", path, "--host", "127.0.0.1")
     prepared("security", "add", path, "worker", "lab-7", "--host", "127.0.0.1")
-    for role in ("monitor", "admin"):  # a page's lab-7 watches and administers as well
-        for file in path.glob(f"{role}.*"):
-            shutil.copy(file, path / "lab-7")
 
 
 NEEDED = {"library.csv": ("parts",)}
