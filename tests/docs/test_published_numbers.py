@@ -117,7 +117,8 @@ def bootstrap(scenes: Scenes, is_ratio: bool, is_share: bool = False) -> tuple[f
         among = effects.var(axis=-1, ddof=1) / n if n >= 10 else 0.0
         mean, error = effects.mean(axis=-1), np.sqrt(np.maximum(spread.mean(axis=-1) / n, among))
         if is_ratio or is_share:
-            return np.log(mean / (1 - mean)), error / (mean * (1 - mean))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return np.log(mean / (1 - mean)), np.where(mean > 0, error / (mean * (1 - mean)), 0.0)
         return mean, error
 
     random = np.random.default_rng(1)
@@ -134,6 +135,8 @@ def bootstrap(scenes: Scenes, is_ratio: bool, is_share: bool = False) -> tuple[f
     with np.errstate(divide="ignore", invalid="ignore"):
         pivots = np.where(found == value, 0.0, (found - value) / errors)
     low, high = value - np.quantile(pivots, (0.975, 0.025)) * error
+    if np.mean(errors == 0) > 0.025:  # draws of runs that are mostly 0
+        low, high = np.quantile(found, (0.025, 0.975), method="inverted_cdf")
     beyond = min(np.mean(pivots >= value / error), np.mean(pivots <= value / error))
     return low, high, min(1.0, 2 * beyond)
 

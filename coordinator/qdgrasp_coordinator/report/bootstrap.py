@@ -144,6 +144,8 @@ def _interval(
     tail = (1 - CONFIDENCE_LEVEL) / 2
     least, most = np.quantile(pivots, (tail, 1 - tail), method="inverted_cdf")  # of infinite ones too
     low, high = (value - pivot * error if error else value for pivot in (most, least))
+    if np.mean(errors == 0) > tail:  # many draws without spread, as of an arm that mostly finds nothing
+        low, high = np.quantile(values, (tail, 1 - tail), method="inverted_cdf")
     p_value = _p_value(pivots, _pivots(np.array([value]), 0.0, np.array([error])))
     return ConfidenceInterval(value, float(low), float(high), len(scenes), runs, p_value)
 
