@@ -160,10 +160,13 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
         [[timed[1] for one in rivals if (timed := one.equal_cpu())] for rivals in scenes.values()],
     )
 
-    def ratio(pair: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
-        return ratio_interval([pair[0]], [pair[1]]).value
+    def share(pair: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
+        ours, theirs = (float(values.mean()) for values in pair)
+        return (
+            ours / (ours + theirs) if ours + theirs else 1.0
+        )  # where both found nothing, any other is chosen
 
-    chosen = ([min(pairs, key=ratio) for pairs in some if pairs] for some in after)
+    chosen = ([min(pairs, key=share) for pairs in some if pairs] for some in after)
     evaluations, cpu = (
         ratio_interval([ours for ours, _ in pairs], [theirs for _, theirs in pairs]) for pairs in chosen
     )

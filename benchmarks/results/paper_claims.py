@@ -147,7 +147,8 @@ OF_THE_END = (claims.near_nu_share, claims.near_nu_ratio)
 def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
     """The numbers of all claims whose methods are on a scene together, by hand and budget.
 
-    Left out are those that are not known in the end: half of the budget is no milestone.
+    Left out are those that are not known in the end: half of the budget is no milestone, or no run has a
+    success.
     """
     parts: dict[tuple[str, int], dict[tuple[str, str, str], dict[str, Arm]]] = {}
     for arm in known:
@@ -162,7 +163,7 @@ def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
                 if both:
                     here = tuple(tuple(arms[name] for name in methods) for arms in both)
                     one = ClaimNumber(claim, methods, here, is_judged)
-                    if one.budgets[-1:] == [budget]:
+                    if one.budgets[-1:] == [budget] and not np.isnan(one.interval(budget, one.seeds).value):
                         yield one
 
 

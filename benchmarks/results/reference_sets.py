@@ -76,19 +76,21 @@ class SceneSet:
 
     @property
     def by_seed(self) -> ReferenceSet:
-        """The set with the runs of all methods with a seed as one run.
+        """The set with the runs of all methods with a seed as one run, for the seeds that every method has.
 
         Cells are estimated from these, as they are alike and independent: runs with one seed share the points
         of the surface, and of methods with one prior the first generation.
         """
         assert self.found.by_run is not None
         assert self.found.origin is not None
+        by_arm: dict[Key, set[int]] = {}
+        for run in self.runs:
+            by_arm.setdefault(run.key._replace(seed=0), set()).add(run.key.seed)
         seeds = {run.run: run.key.seed for run in self.runs}
         of_runs = np.array([seeds[name] for name in self.found.origin.runs])
-        return replace(
-            self.found,
-            by_run=np.array([self.found.by_run[of_runs == seed].max(axis=0) for seed in np.unique(of_runs)]),
-        )
+        whole = sorted(set.intersection(*by_arm.values()))
+        found = [self.found.by_run[of_runs == seed].max(axis=0) for seed in whole]
+        return replace(self.found, by_run=np.array(found, np.uint8).reshape(len(whole), len(self.found)))
 
     @property
     def coverage(self) -> list[MethodCoverage]:
@@ -252,9 +254,10 @@ def sets_part(sets: Sequence[SceneSet], scenes: int) -> str:
             "The cells of all successes, and those that hold, of the runs of all methods on a scene. The "
             "published sets are of another protocol, and do not say which run found which cell, so that "
             "nothing can be estimated from them. *Estimated*: the least number of cells that more seeds of "
-            "these methods would find, with its 95% interval; all runs with a seed count as one "
-            "([how, and how far it can be too low](../coverage.md#how-it-is-estimated)). A set of "
-            f"{ENOUGH:.0%} of the estimate would be complete enough. There are sets of {len(sets)} of the "
+            "these methods would find, with its 95% interval. All runs with a seed count as one; *seeds*: "
+            "those that every method has, from which it is estimated ([how, and how far it can be too "
+            f"low](../coverage.md#how-it-is-estimated)). A set of {ENOUGH:.0%} of the estimate would "
+            f"be complete enough. There are sets of {len(sets)} of the "
             f"{scenes} scenes of the benchmark and of the claims that have runs: a set needs the folders of "
             f"its runs. They are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
             markdown_table(SIZES, [(*one.scene, str(len(one.runs)), *_sizes(one.by_seed)) for one in sets]),
@@ -277,4 +280,4 @@ def _sizes(found: ReferenceSet) -> Iterator[str]:
             yield from ("", "")
         else:
             yield estimate.total_words().removeprefix("an estimated ").removesuffix(" or more")
-            yield f"{100 * estimate.completeness:.0f}"
+            yield f"{100 * min(1.0, len(some) / estimate.total):.0f}"

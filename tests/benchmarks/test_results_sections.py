@@ -231,15 +231,21 @@ def test_under_physical_it_is_of_cells_that_hold(tmp_path: Path) -> None:
 
 
 def test_the_section_has_a_line_for_each_set_and_for_each_method_on_it(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1, 2) | runs(tmp_path, 3, 4, method="contact_rand", population=500)
+    folders = runs(tmp_path, 1, 2, 3) | runs(tmp_path, 2, 3, method="contact_rand", population=500)
     gathered(tmp_path / "sets", folders)
     found = one_set(tmp_path / "sets")
     text = sets_part([found], 3)
     sizes, *coverage = (line for line in text.splitlines() if line.startswith("| panda |"))
     assert "There are sets of 1 of the 3 scenes" in text
-    assert f"| 4 | {len(found.found)} | {found.found.estimate.total:.0f} (" in sizes
+    units = [
+        set.union(*(found_cells(folder) for one, folder in folders.items() if one.seed == seed))
+        for seed in (2, 3)
+    ]
+    once, twice = len(set.symmetric_difference(*units)), len(set.intersection(*units))
+    total = once + twice + once**2 / (4 * twice)
+    assert f"| 5 | 2 | {len(found.found)} | {total:.0f} (" in sizes
     for line, each in zip(coverage, found.coverage, strict=True):
-        assert f"| 300 | {each.method} | 2 | {100 * np.median(each.by_run):.1f} (" in line
+        assert f"| 300 | {each.method} | {len(each.by_run)} | {100 * np.median(each.by_run):.1f} (" in line
         assert line.endswith(f" | {100 * each.together:.1f} | {100 * each.alone:.1f} |")
     assert sets_part([], 3) == ""
 
@@ -251,7 +257,7 @@ def test_one_run_has_no_estimate_and_a_set_in_which_nothing_holds_no_coverage(tm
     empty = dataclasses.replace(found.found, **none, by_run=found.found.by_run[:, :0])
     text = sets_part([found, SceneSet(found.scene, empty, found.runs)], 2)
     assert "nan" not in text
-    assert f"| 1 | {len(found.found)} |  |  |" in text
+    assert f"| 1 | 1 | {len(found.found)} |  |  |" in text
 
 
 def test_a_set_that_is_gone_is_named_until_its_runs_make_it_again(tmp_path: Path) -> None:

@@ -102,10 +102,10 @@ def spread(values: Values | pandas.Series, digits: int) -> str:
     return middle if len(values) == 1 else f"{middle} ({low} to {high})"
 
 
-def bootstrap(scenes: Scenes, is_ratio: bool, is_share: bool = False) -> tuple[float, float, float]:
+def bootstrap(scenes: Scenes, is_ratio: bool) -> tuple[float, float, float]:
     """Return the ends of the studentised interval of the mean effect over scenes, and its p-value.
 
-    Of a ratio they are those of its logarithm, of a share of its log odds. With ten scenes these are drawn.
+    Of a ratio they are those of its logarithm. With ten scenes these are drawn too.
     """
     n = len(scenes)
 
@@ -116,7 +116,7 @@ def bootstrap(scenes: Scenes, is_ratio: bool, is_share: bool = False) -> tuple[f
             effects, spread = a / (a + b), (b**2 * of_a + a**2 * of_b) / (a + b) ** 4
         among = effects.var(axis=-1, ddof=1) / n if n >= 10 else 0.0
         mean, error = effects.mean(axis=-1), np.sqrt(np.maximum(spread.mean(axis=-1) / n, among))
-        if is_ratio or is_share:
+        if is_ratio:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return np.log(mean / (1 - mean)), np.where(mean > 0, error / (mean * (1 - mean)), 0.0)
         return mean, error
@@ -261,6 +261,22 @@ def test_refitted_constants_differ_from_todays_as_the_page_and_the_results_say()
     assert {line["beyond it"] for line in lines_with(page, "beyond it")[1:]} == {"none"}
     without = on_others[lines["all but ycb_power_drill"]["constants"].strip("`")] / on_others["today"] - 1
     assert without.idxmin() == "ycb_cracker_box"
+    drill = lines["all but ycb_power_drill"]
+    said = f"{drill['difference, %'].lstrip('-')} % fewer cells (interval {drill['95 % interval']} %)"
+    assert said in " ".join((RESULTS.parent / "results.md").read_text(encoding="utf-8").split())
+
+
+def test_the_page_on_methods_says_how_many_generations_map_elites_has(runs: Runs) -> None:
+    held = benchmark(runs)
+    held = held[
+        held["method"].str.endswith("me_scs")
+        & (held["budget"] == 3000)
+        & ~held["settings"].str.contains("population")
+    ]
+    least, most = (f"{of(held['proposals'] / 500):.0f}" for of in (min, max))
+    assert f"has {least} to {most} generations in 3000" in (RESULTS / "methods.md").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_drawn_grasps_weigh_the_cells_of_their_runs(runs: Runs, groups: Groups) -> None:

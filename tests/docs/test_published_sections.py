@@ -130,11 +130,11 @@ def again(random: np.random.Generator, groups: list[list[Values]]) -> float:
     return means[0] if len(means) == 1 else means[0] - means[1]
 
 
-def chao2(reached: NDArray[np.bool_]) -> tuple[int, float]:
-    """The cells that some of the runs found, and the estimated number of all, of (runs, cells)."""
+def chao2(reached: NDArray[np.bool_]) -> float:
+    """The estimated number of all cells, from those that each run found (runs, cells)."""
     times, n = reached.sum(axis=0), len(reached)
     seen, once, twice = (int(np.sum(chosen)) for chosen in (times > 0, times == 1, times == 2))
-    return seen, seen + (n - 1) / n * once**2 / (2 * twice)
+    return seen + (n - 1) / n * once**2 / (2 * twice)
 
 
 def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
@@ -148,15 +148,19 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
             (key,) = (key.removesuffix(".cm") for key in file if key.endswith(".cm"))
             best, names = file[f"{key}.by_run"], [str(run) for run in file[f"{key}.runs"]]
         holding = best == 3  # 1 + the greatest fitness of a set
-        seeds = listed.set_index("run")["seed"].reindex(names).to_numpy()
-        assert (line["runs"], line["seeds"]) == (str(len(names)), str(len({*seeds})))
+        rows = listed.set_index("run").loc[names]
+        arms_of = rows.groupby("seed")[["budget", "method", "settings"]].apply(
+            lambda one: {*one.itertuples(index=False)}
+        )
+        whole = [seed for seed, arms in arms_of.items() if arms == set.union(*arms_of)]
+        assert (line["runs"], line["seeds"]) == (str(len(names)), str(len(whole)))
         for reached, count, estimate in (
             (best > 0, "cells", "estimated cells"),
             (holding, "cells that hold", "estimated to hold"),
         ):
-            seen, total = chao2(np.array([reached[seeds == seed].any(axis=0) for seed in {*seeds}]))
-            assert line[count] == str(seen)
-            assert line[estimate].startswith(f"{total:.0f} (")
+            assert line[count] == str(reached.any(axis=0).sum())
+            units = [reached[rows["seed"] == seed].any(axis=0) for seed in whole]
+            assert line[estimate].startswith(f"{chao2(np.array(units)):.0f} (" if len(units) > 1 else "")
         here = listed["gripper"] + "|" + listed["object"] + "|" + listed["protocol"]
         mine = listed[here == "|".join(scene)]
         assert sorted(mine["run"]) == sorted(names)
@@ -178,6 +182,24 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
             assert (one["together, %"], one["alone, %"]) == tuple(
                 f"{100 * found.mean():.1f}" for found in (together, alone)
             )
+
+
+def test_sigma_is_that_of_the_runs() -> None:
+    every = read_runs()
+    runs = every[(every["protocol"] == "paper") & every["settings"].str.contains("surface_seed=seed")]
+    sigma = runs["settings"].str.extract(r"mutation_sigma=(\S+)")[0].fillna("0.1")
+    for line in lines_with(part("The mutation's sigma"), "0.1 of the best, %"):
+        budget, name = int(line["evaluations"].replace(",", "")), line["method"].strip("`")
+        here = runs[
+            (runs["object"] == line["object"]) & (runs["method"] == name) & (runs["budget"] == budget)
+        ]
+        reached = {value: 100 * some["coverage"] for value, some in here[here["seed"] <= 3].groupby(sigma)}
+        shown = {value: line[value].strip("*") for value in reached}
+        assert shown == {value: spread(some, 2) for value, some in reached.items()}
+        medians = {value: some.median() for value, some in reached.items()}
+        best = max(medians, key=medians.get)
+        assert [value for value in reached if line[value].startswith("**")] == [best]
+        assert line["0.1 of the best, %"] == f"{100 * medians['0.1'] / medians[best]:.0f}"
 
 
 def test_the_page_on_coverage_says_how_low_the_estimate_of_the_drill_is(reference_data: Path) -> None:
@@ -229,10 +251,8 @@ class ClaimLine:
             low, high, _ = bootstrap(pairs, is_ratio=True)
             return ratio(pairs), np.exp(low), np.exp(high)
         values = [self.share(arm, budget) for (arm,) in arms]
-        low, high, _ = bootstrap([(some, np.zeros(2)) for some in values], is_ratio=False, is_share=True)
-        return float(np.mean([some.mean() for some in values])), *(
-            1 / (1 + np.exp(-end)) for end in (low, high)
-        )
+        low, high, _ = bootstrap([(some, np.zeros(2)) for some in values], is_ratio=False)
+        return float(np.mean([some.mean() for some in values])), max(low, 0.0), min(high, 1.0)
 
     def share(self, arm: Runs, budget: int) -> Values:
         if self.letter == "d":
@@ -294,7 +314,7 @@ def test_the_papers_claims_are_judged_from_the_runs() -> None:
         if not said[0]:  # draws of a method that has found nothing in some runs
             assert low == 0
             ends[:, 0] = ends[:, 1] / 10
-        ends = np.log(ends if len(one.names) == 2 else ends / (1 - ends))  # the scale on which it is formed
+        ends = np.log(ends) if len(one.names) == 2 else ends  # a ratio's is formed on its logarithm
         width = 1.2 * (ends[0, 1] - ends[0, 0])  # of five runs, draws differ more
         assert near(ends[0, 0], ends[1, 0], width), line
         assert near(ends[0, 1], ends[1, 1], width), line

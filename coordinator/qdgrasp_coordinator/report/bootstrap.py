@@ -11,7 +11,7 @@ the first generation: where that makes them alike, intervals are wider than they
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,11 +62,9 @@ def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> Confiden
 
 
 def share_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
-    """The same of shares, 0 to 1; the interval is formed on their log odds."""
-    some = [(found,) for found in values if len(found)]
-    found = _interval(some, 1, lambda mean, variance: (mean[..., 0], variance[..., 0]), seed, _log_odds)
-    share, low, high = (float(1 / (1 + np.exp(-number))) for number in (found.value, found.low, found.high))
-    return ConfidenceInterval(share, low, high, found.scenes, found.runs, found.p_value, null=0.5)
+    """The same of shares, whose interval is cut at 0 and 1."""
+    found = mean_interval(values, seed)
+    return replace(found, low=float(np.clip(found.low, 0, 1)), high=float(np.clip(found.high, 0, 1)))
 
 
 def difference_interval(

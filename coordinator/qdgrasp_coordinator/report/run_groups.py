@@ -184,13 +184,9 @@ def _scene_order(scene: SceneName) -> tuple[Any, ...]:
 
 
 def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator[RunGroup]:
-    """Yield one group for each setting that occurs, told apart by their differences.
-
-    Where each run's seed chooses the points of the surface too, these are no difference.
-    """
+    """Yield one group for each setting that occurs, told apart by their differences."""
     settings = [_settings(run.spec) for run in runs]
-    if all(run.spec.surface_seed == run.spec.seed for run in runs):
-        settings = [setting | {"surface_seed": OWN_SEED} for setting in settings]
+    _mark_own_surfaces(runs, settings)
     differing = [key for key in settings[0] if len({setting[key] for setting in settings}) > 1]
     parts: dict[tuple[Any, ...], list[RunHistory]] = {}
     for run, setting in zip(runs, settings, strict=True):
@@ -201,6 +197,27 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
         setting = dict(zip(differing, values, strict=True))
         members = sorted(parts[values], key=lambda run: (run.spec.seed, run.path.name))
         yield RunGroup(scene, method, setting_words(setting), tuple(members), setting)
+
+
+def _mark_own_surfaces(runs: Sequence[RunHistory], settings: Sequence[dict[str, Any]]) -> None:
+    """Replace surface seeds that are those of the runs by one value: they are no difference.
+
+    A surface seed that runs of several seeds have, all else equal, is a fixed one. That of a run with seed 0
+    may be either; it is its own if those of other runs are.
+    """
+    others = [tuple(value for key, value in one.items() if key != "surface_seed") for one in settings]
+    seeds: dict[tuple[Any, ...], set[int]] = {}
+    for other, run in zip(others, runs, strict=True):
+        seeds.setdefault((other, run.spec.surface_seed), set()).add(run.spec.seed)
+    own = [
+        (other, setting, run.spec.seed)
+        for other, setting, run in zip(others, settings, runs, strict=True)
+        if seeds[other, run.spec.surface_seed] == {run.spec.surface_seed}
+    ]
+    certain = {other for other, _, seed in own if seed}
+    for other, setting, _ in own:
+        if other in certain:
+            setting["surface_seed"] = OWN_SEED
 
 
 def setting_words(settings: Mapping[str, Any]) -> str:
@@ -214,8 +231,6 @@ def setting_words(settings: Mapping[str, Any]) -> str:
 def _settings(spec: RunSpec) -> dict[str, Any]:
     """Return the settings of a run; without a recorded objective `aimed` aimed for touch."""
     values = {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
-    if spec.surface_seed == spec.seed != SPEC_DEFAULTS["surface_seed"]:
-        values["surface_seed"] = OWN_SEED
     if spec.first_weights is not None:
         values["first_weights"] = hashlib.sha256(repr(spec.first_weights).encode()).hexdigest()[:8]
     if spec.mesh is not None:

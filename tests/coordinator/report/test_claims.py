@@ -16,6 +16,7 @@ from qdgrasp_coordinator.report.claims import (
     groups_by_scene,
     judge_claims,
     late_share,
+    near_nu_ratio,
     near_nu_share,
     reached_ratio,
 )
@@ -146,3 +147,6 @@ def test_each_run_counts_alike_in_the_share_of_nu() -> None:
     few = made("contact_me_scs", climb(1), seed=1, nu=np.ones(24, np.int64), near=12)
     found = near_nu_share(scenes(many, few, made("contact_me_scs", climb(1), seed=2)), "contact_me_scs")
     assert (found.interval.value, found.interval.runs) == (0.75, (2,))
+    assert (
+        near_nu_ratio(scenes(many, made("contact_rand", climb())), "contact_me_scs", "contact_rand") is None
+    )

@@ -70,11 +70,18 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
 
 
 def test_runs_whose_seed_chooses_the_surface_points_too_are_one_entry() -> None:
-    own = [made("me_scs", climb(1), seed=seed, surface_seed=seed) for seed in (0, 1, 2)]
-    assert [(group.name, len(group.runs)) for group in group_runs(own)] == [("me_scs", 3)]
-    others = [made("me_scs", climb(1), seed=seed, surface_seed=7) for seed in (1, 2)]
-    assert [(group.name, len(group.runs)) for group in group_runs([*own[1:], *others])] == [
-        ("me_scs surface seed 7", 2), ("me_scs surface seed of the run", 2)
+    def groups(*runs: RunHistory) -> list[tuple[str, int]]:
+        return [(group.name, len(group.runs)) for group in group_runs(runs)]
+
+    own, fixed, default = (
+        [made("me_scs", climb(1), seed=seed, surface_seed=of(seed)) for seed in (0, 1, 2)]
+        for of in (lambda seed: seed, lambda _: 2, lambda _: 0)
+    )
+    assert groups(*own) == groups(*fixed) == groups(*default) == [("me_scs", 3)]
+    others = [made("me_scs", climb(1), seed=seed, surface_seed=7) for seed in (0, 1)]
+    assert groups(*own, *others) == [("me_scs surface seed 7", 2), ("me_scs surface seed of the run", 3)]
+    assert groups(*default, made("me_scs", climb(1), mutation_sigma=0.2)) == [
+        ("me_scs mutation sigma 0.1", 3), ("me_scs mutation sigma 0.2", 1)
     ]  # fmt: skip
 
 
