@@ -226,9 +226,7 @@ def make_campaign(
     }
     source = source | {"defaults": usual | said}
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(
-        CAMPAIGN_DEFAULTS | dict.fromkeys(TAKEN_FOR_GRANTED) | source.get("defaults", {})
-    )
+    defaults = assets.resolve(CAMPAIGN_DEFAULTS | dict.fromkeys(TAKEN_FOR_GRANTED) | source["defaults"])
     crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {assets.absolute(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}

@@ -168,9 +168,8 @@ class CampaignRunQueue(RunQueue):
         """Number of runs that have begun, and are not finished."""
         self.recorded = sum((found.totals for found in begun.values()), NO_TOTALS)
         """Totals of all runs, as far as they are recorded; finished or not."""
-        self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
-            finished
-        )
+        asked = JobExtent.of({name: spec.evaluations for name, spec in runs.items()})
+        self.extent = asked.with_done(finished)
         self.ends = count_endings(begun.values())
         """Number of finished runs for each reason of their end; numbers in it are left out."""
         self._left = deque(self.extent.budgets)  # Runs that were not looked at

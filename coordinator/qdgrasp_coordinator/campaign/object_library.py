@@ -287,23 +287,12 @@ def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:
         notes = {key: values[key] for key in NOTES if key in values} | {"id": id_}
         mesh = {key: values[key] for key in PREPARATIONS if key in values}
         scale, friction = scale_of(values.get("unit"), values.get("scale")), values.get("friction")
-        known = {"mesh": mesh or None, "about": notes, "friction": friction}
-        spec = run_spec(
-            {"gripper": "", "object": ""} | {k: v for k, v in known.items() if v is not None}, "row"
-        )
+        known = {"gripper": "", "object": "", "mesh": mesh or None, "about": notes, "friction": friction}
+        spec = run_spec({k: v for k, v in known.items() if v is not None}, "row")
     except InputError as error:
         return LibraryRow(name=name, file=file, fault=str(error).rstrip("."))
-    mass, density = values.get("mass"), values.get("density")
-    return LibraryRow(
-        name=name,
-        file=file,
-        friction=friction,
-        scale=scale,
-        mass=mass,
-        density=density,
-        mesh=spec.mesh,
-        about=spec.about,
-    )
+    physical: dict[str, Any] = {key: values.get(key) for key in ("mass", "density", "friction")}
+    return LibraryRow(name=name, file=file, scale=scale, mesh=spec.mesh, about=spec.about, **physical)
 
 
 def _value(key: str, value: Any) -> Any:

@@ -43,10 +43,8 @@ def list_objects(runs: Iterable[ObjectRun], skipped: Iterable[SkippedObject] = (
     groups: dict[str, list[ObjectRun]] = {}
     for run in runs:
         groups.setdefault(run.spec.object, []).append(run)
-    finished = {
-        file: done for file, group in groups.items() if (done := [run for run in group if run.is_done])
-    }
-    means = {file: _means(done) for file, done in finished.items()}
+    finished = {file: [run for run in group if run.is_done] for file, group in groups.items()}
+    means = {file: _means(done) for file, done in finished.items() if done}
     medians = np.median(list(means.values()), axis=0).tolist() if means else [0.0, 0.0]
     listings = [
         _listing(file, group, _shortfall(finished[file], means[file], medians) if file in means else "")
@@ -218,11 +216,7 @@ def select_objects(
     if sort and sort not in SORT_KEYS:
         raise UnknownName("key to sort by", sort, SORT_KEYS)
     words = search.lower().split()
-    found = (
-        [each for each in listings if all(word in _searched(each) for word in words)]
-        if words
-        else [*listings]
-    )
+    found = [each for each in listings if all(word in _searched(each) for word in words)]
     return sorted(found, key=SORT_KEYS[sort], reverse=down) if sort else found
 
 

@@ -101,9 +101,8 @@ def open_session(
     Each process has a log in the folder `logs`; `bus` is opened here.
     """
     with bus, ProcessGroup(logs, GRACE) as processes:
-        yield LocalSession(
-            job, bus, endpoint, credential_flags, processes, display, RestartPolicy(processes, display)
-        )
+        restarts = RestartPolicy(processes, display)
+        yield LocalSession(job, bus, endpoint, credential_flags, processes, display, restarts)
 
 
 def run_temporary_job(
@@ -139,8 +138,6 @@ def score_poses(
 ) -> Rows:
     """Evaluate poses with a scene's gripper and object; returns rows in journal order."""
     plan = plan_genomes(spec, prepared, GIVEN, poses.genomes(prepared.scene))
-    memory = MemorySink(plan.shape)
-    run_temporary_job(
-        SCORING_JOB, SingleRunQueue(lambda: plan, len(poses)), lambda _: memory, config, display, stop
-    )
+    memory, queue = MemorySink(plan.shape), SingleRunQueue(lambda: plan, len(poses))
+    run_temporary_job(SCORING_JOB, queue, lambda _: memory, config, display, stop)
     return memory.rows

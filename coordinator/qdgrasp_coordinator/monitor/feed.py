@@ -5,13 +5,14 @@ no other process waits for it. Another thread sends the queries: a missing answe
 `query_jobs` queries once, for commands that print and end.
 """
 
+import re
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from datetime import datetime
+from datetime import datetime, timedelta
 from queue import SimpleQueue
 from typing import Self
 
@@ -158,9 +159,7 @@ class ObjectFeed:
         now = time.monotonic()
         if now >= self._due.get(view.job, 0.0) and not (self._thread and self._thread.is_alive()):
             self._due[view.job] = now + OBJECTS_SECONDS
-            self._thread = threading.Thread(
-                target=self._update, args=(view.job,), name="objects", daemon=True
-            )
+            self._thread = threading.Thread(target=self._update, args=[view.job], name="objects", daemon=True)
             self._thread.start()
         known = self._known.get(view.job)
         return None if known is None else with_events(known, view.events, view.figures.building)
@@ -188,7 +187,8 @@ def reachable_jobs(bus: Bus) -> list[JobView]:
 def summary_lines(view: JobView, now: datetime, objects: Sequence[ObjectListing] = ()) -> Iterator[str]:
     """Yield a few lines about a job for a person; `now` is a time with its zone."""
     meta, figures = view.meta, view.figures
-    uptime = duration_text(round((now - meta.since).total_seconds()))
+    age = timedelta(seconds=max(0, round((now - meta.since).total_seconds())))
+    uptime = re.sub(" days?,", " d", str(age))  # 0:03:20, or 2 d 4:00:00
     yield f"{view.job}: {view.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch}) for {uptime}"
     yield f"  {figures.words}, {figures.left}"
     if figures.runs > 1:
@@ -220,10 +220,3 @@ def object_words(objects: Sequence[ObjectListing], figures: JobStatus) -> str:
         counted(figures.evaluations + figures.trials, "row"),
     ]
     return "; ".join(parts)
-
-
-def duration_text(seconds: int) -> str:
-    """Return a time in words: 0:03:20, or 2 d 4:00:00."""
-    days, rest = divmod(max(0, seconds), 86_400)
-    clock = f"{rest // 3600}:{rest // 60 % 60:02d}:{rest % 60:02d}"
-    return f"{days} d {clock}" if days else clock

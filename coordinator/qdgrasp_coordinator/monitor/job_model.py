@@ -307,9 +307,7 @@ class JobModels:
         self._due = {name: at for name, at in self._due.items() if name not in due}
         self._due |= dict.fromkeys(unknown, now + RETRY_SECONDS)
         queried: list[Keys] = [self._keys] if ALL_KEYS in due else [Keys(name) for name in sorted(due)]
-        asked = [
-            key for keys in queried for key in (keys.stat(), keys.stat("curve/*"), keys.meta, keys.recent)
-        ]
+        asked = [key for one in queried for key in (one.stat(), one.stat("curve/*"), one.meta, one.recent)]
         curves = [key for job in self._jobs.values() for key in job.due_queries(now)]
         return asked + [key for key in curves if not any(matches(pattern, key) for pattern in asked)]
 

@@ -78,14 +78,13 @@ class RecorderService:
         """
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:
-            recorder = stack.enter_context(
-                open_recorder(self._path, self._job, self._disk_wait, time.monotonic())
-            )
-            stack.enter_context(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
-            stack.enter_context(self._bus.answer(self._keys.open, self._ask))
-            stack.enter_context(self._bus.answer(self._keys.log, self._ask))
-            stack.enter_context(QueryServer(self._bus, self._job, self._path))
-            stack.enter_context(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
+            enter = stack.enter_context
+            recorder = enter(open_recorder(self._path, self._job, self._disk_wait, time.monotonic()))
+            enter(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
+            enter(self._bus.answer(self._keys.open, self._ask))
+            enter(self._bus.answer(self._keys.log, self._ask))
+            enter(QueryServer(self._bus, self._job, self._path))
+            enter(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
             log.info("recording", job=self._job, folder=str(self._path))
             while not self._stop.is_set:
                 self._step(recorder)

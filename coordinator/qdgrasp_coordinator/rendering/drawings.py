@@ -106,9 +106,7 @@ def draw_grasps(
 
 
 def _found_in_words(successes: Rows, grown: ArchiveGrowth) -> str:
-    found = [
-        f"{int((successes['outcome'] >= least).sum()):,} {word}" for least, word in OUTCOME_NOUNS.items()
-    ]
+    found = [f"{int((successes['outcome'] >= kind).sum()):,} {word}" for kind, word in OUTCOME_NOUNS.items()]
     cells = counted(int(grown.cells[-1]), "cell", told="{:,}".format)
     return f"{grown.evaluations[-1]:,} evaluations  \u2192  {', '.join(found)}; {cells}"
 
@@ -254,11 +252,10 @@ def draw_object(target: ObjectModel, path: Path) -> None:
     words = (
         f"{_size_words(target.mesh)}, centre of mass where the axes meet, parts: {target.collision_source}"
     )
-    figure, camera, views = _two_views(
-        target.name, words, panels, CLOSE_TOGETHER, np.eye(3) * _reach(target.mesh)
-    )
+    reach = _reach(target.mesh)
+    figure, camera, views = _two_views(target.name, words, panels, CLOSE_TOGETHER, reach * np.eye(3))
     for axes in views:
-        _draw_frame(axes, camera, np.eye(3), _reach(target.mesh))
+        _draw_frame(axes, camera, np.eye(3), reach)
     figure.savefig(path, format="png", metadata=PNG_SIGNATURE)
 
 
@@ -274,11 +271,11 @@ def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
     words = (
         f"{_size_words(mesh)}, axes of the mesh file around its middle, edges with one triangle: {len(loose)}"
     )
-    figure, camera, views = _two_views(
-        name, words, panels, CLOSE_TOGETHER, np.concatenate(list(sides.values())) * _reach(mesh)
-    )
+    reach = _reach(mesh)
+    tips = reach * np.concatenate(list(sides.values()))
+    figure, camera, views = _two_views(name, words, panels, CLOSE_TOGETHER, tips)
     for axes, side in zip(views, sides.values(), strict=True):
-        _draw_frame(axes, camera, side, _reach(mesh))
+        _draw_frame(axes, camera, side, reach)
         lines = [[project_point(camera, end) for end in edge] for edge in (loose - middle) @ side.T]
         axes.add_collection(LineCollection(lines, colors=OPEN_EDGE_COLOUR, linewidths=1.6))
     figure.savefig(path, format="png", metadata=PNG_SIGNATURE)

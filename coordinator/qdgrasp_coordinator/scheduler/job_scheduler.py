@@ -233,13 +233,9 @@ class JobScheduler:
                 self.events.note("warning", words, worker=name.wid)
             self._send_away(name.wid)
             for run in took_part:
-                self._go_back(run)
-
-    def _go_back(self, run: ActiveRun) -> None:
-        """Reopen a run that is not finished once its settled rows are recorded."""
-        if run.pipeline.finished is None:
-            self._withdraw(run.name)
-            run.goes_back = True
+                if run.pipeline.finished is None:  # it is opened again once its settled rows are recorded
+                    self._withdraw(run.name)
+                    run.goes_back = True
 
     def _on_built(self, built: Built, wid: str, now: float) -> None:
         """Settle a build once; the runs that wait for its shape are opened, or fail."""

@@ -164,9 +164,8 @@ class Outbox:
         parts = [kept.part(self._sent, self._end) for kept in self._kept if kept.stop > self._sent]
         rest = join_slices(parts)
         self._sent = self._end
-        return [
-            rest.part(first, first + MESSAGE_ROWS) for first in range(rest.first, rest.stop, MESSAGE_ROWS)
-        ]
+        firsts = range(rest.first, rest.stop, MESSAGE_ROWS)
+        return [rest.part(first, first + MESSAGE_ROWS) for first in firsts]
 
     def confirm(self, number: int, now: float) -> None:
         """Record that `number` rows are durable.
@@ -250,10 +249,8 @@ class RecorderClient(RowSink):
         try:
             request = Log(run=self._run, first=first, limit=REPLAY_ROWS)
             page = messages.decode(self._ask(self._keys.log, request, wait), Recordable)
-        except (Refused, Faulty) as refusal:
-            raise InputError(
-                f"The recorder does not show the rows of run '{self._run}': {refusal}."
-            ) from None
+        except (Refused, Faulty) as reason:
+            raise InputError(f"The recorder does not show the rows of run '{self._run}': {reason}.") from None
         return slice_from_message(page, self._shape)
 
     def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:

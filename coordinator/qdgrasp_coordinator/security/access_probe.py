@@ -77,7 +77,9 @@ def open_sessions(
     sessions at another router, `takers_at`.
     """
     with ExitStack() as stack:
-        proofs: dict[str, Credentials] = {role.value: _credentials(folder, role) for role in PROBE_ROLES}
+        proofs = {role.value: Credentials(folder.absolute(), role) for role in PROBE_ROLES}
+        for proof in proofs.values():
+            proof.check()
         ours = SecurityFolder(folder).authority
         proofs[NO_ROLE] = stack.enter_context(temporary_certificate(ours, NO_ROLE))
 
@@ -113,12 +115,6 @@ def temporary_certificate(
         write_private_file(files.certificate, identity.certificate_pem)
         write_private_file(files.key, identity.key_pem)
         yield files
-
-
-def _credentials(folder: Path, role: Role) -> Credentials:
-    found = Credentials(folder.absolute(), role)
-    found.check()
-    return found
 
 
 @dataclass(frozen=True)
@@ -323,11 +319,9 @@ def _greets(endpoint: str, folder: Path) -> bool:
         return False
 
 
-def _opens(
-    endpoint: str, signer: CertificateIdentity, trusted: CertificateIdentity, issued: datetime
-) -> bool:
+def _opens(endpoint: str, signer: CertificateIdentity, trusts: CertificateIdentity, issued: datetime) -> bool:
     """Return True if a router accepts a worker's certificate of this signer."""
-    with temporary_certificate(signer, Role.WORKER.common_name, trusts=trusted, now=issued) as shown:
+    with temporary_certificate(signer, Role.WORKER.common_name, trusts=trusts, now=issued) as shown:
         return _connects(endpoint, shown)
 
 

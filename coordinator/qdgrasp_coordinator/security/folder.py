@@ -37,12 +37,10 @@ class SecurityFolder:
         cannot be written.
         """
         check_hosts(hosts)
-        output = OutFolder(
-            path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`"
-        )
-        output.check()
+        out = OutFolder(path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`")
+        out.check()
         root = authority.create_authority(max(days, AUTHORITY_DAYS))
-        with output.writing() as made:
+        with out.writing() as made:
             _make_folder(made, root)
             write_private_file(made / "ca.key", root.key_pem)
             for role in Role:

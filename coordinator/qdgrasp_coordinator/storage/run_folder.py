@@ -82,9 +82,8 @@ class RunFolder:
         files, or cannot be made.
         """
         cls.check_free(path)
-        atomic_files.create_folder(
-            path, JobRecord.begun(path, job).file | run_files(spec, bundle), folders=[LOGS]
-        )
+        files = JobRecord.begun(path, job).file | run_files(spec, bundle)
+        atomic_files.create_folder(path, files, folders=[LOGS])
         return cls(path)
 
     @classmethod
@@ -272,11 +271,9 @@ def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
         name, rows = folder.path.absolute().name, range(journal.count)
         return [Provenance(name, folder.spec, journal.platform, journal.package, rows)]
     found, first = [], 0
-    for source in journal.sources:
-        rows = range(first, first + source.kept)
-        found.append(
-            Provenance(source.run, source.asked, source.platform, source.package, rows, is_reduced=True)
-        )
+    for one in journal.sources:
+        rows = range(first, first + one.kept)
+        found.append(Provenance(one.run, one.asked, one.platform, one.package, rows, is_reduced=True))
         first = rows.stop
     return found
 

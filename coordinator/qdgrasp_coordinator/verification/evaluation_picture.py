@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
@@ -135,7 +134,8 @@ def replay_pictures(
     """Yield each frame of a replay with annotations and caption."""
     shots = replay.answer.shots
     marks = annotations.SceneAnnotations(gripper, replay.answer.camera, layout.small)
-    covered = CoveredArea(_is_drawn(replay.frames))
+    # what hand or object cover in any frame: in a film words then move little while the hand does
+    covered = CoveredArea(replay.frames.min(axis=(0, -1)) < WHITE)
     legend = [
         *annotations.AXIS_COLOURS.items(),
         ("approach axis", annotations.APPROACH_COLOUR),
@@ -148,17 +148,6 @@ def replay_pictures(
             yield _with_words(canvas.composed(), caption, shot, legend, layout)
         else:
             yield canvas.composed(has_words=False)
-
-
-def _is_drawn(frames: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Flag the pixels (rows, columns) that hand or object cover in any frame.
-
-    In a film words then move little while the hand does.
-    """
-    is_drawn = np.zeros(frames.shape[1:3], dtype=bool)
-    for frame in frames:
-        is_drawn |= (frame < WHITE).any(axis=-1)
-    return is_drawn
 
 
 def write_pictures(path: Path, images: Iterator[Image.Image], shots: Sequence[ReplayFrame]) -> None:
@@ -215,9 +204,7 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
         sheet.paste(image, (0, place * image.height))
     reduced = sheet.quantize(PALETTE_COLOURS, method=Image.Quantize.MEDIANCUT).convert("RGB")
     found = reduced.getcolors(PALETTE_COLOURS) or []
-    exact = np.array(
-        [ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *annotations.ANNOTATION_COLOURS)]
-    )
+    exact = np.array([*map(ImageColor.getrgb, ("white", FAINT, INK, *annotations.ANNOTATION_COLOURS))])
     others = np.array([colour for _, colour in found])
     is_apart = np.abs(others[:, None] - exact).max(axis=2).min(axis=1) > LEGEND_GAP
     palette = Image.new("P", (1, 1))

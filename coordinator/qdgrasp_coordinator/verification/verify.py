@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -275,9 +274,8 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
         if self.failed:
             lines.append(f"{self.engine} failed on {self.failed} more, which are not in the table")
         share = f"{self.same_verdict} of {counted(self.rows, 'success', 'successes')}"
-        return "\n".join(
-            [f"{share} have the same verdict in {self.engine}, robust or not", *lines, self.file]
-        )
+        verdicts = f"{share} have the same verdict in {self.engine}, robust or not"
+        return "\n".join([verdicts, *lines, self.file])
 
 
 OF_TRIALS = ("base", "trials", "finalists")  # Keys of a spec that a comparison has no use for
@@ -314,9 +312,7 @@ def compare_engine(
         raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")
     random = np.random.default_rng(seed)
     places = places[balanced_sample(rows["outcome"][places], most or len(places), random)]
-    scene = msgspec.structs.replace(
-        folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base
-    )
+    scene = structs.replace(folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base)
     if scene.engine:
         check_convex(scene.gripper)
     genomes = as_given(scene, prior_of(folder.spec), rows[places])

@@ -63,10 +63,8 @@ class Access:
         """
         if token and (len(token) < MIN_TOKEN_LENGTH or not PRINTABLE.fullmatch(token)):
             raise ImpossibleValue("the token", "*" * len(token), f"at least {MIN_TOKEN_LENGTH} {CHARACTERS}")
-        local = is_loopback(host)
-        return cls(
-            local, token or ("" if local else secrets.token_urlsafe(24)), is_generated=not (token or local)
-        )
+        is_generated = not (token or is_loopback(host))
+        return cls(is_loopback(host), secrets.token_urlsafe(24) if is_generated else token, is_generated)
 
     def address(self, host: str, port: int) -> str:
         """Return the address for a browser, with the token where it is a new one."""

@@ -78,6 +78,9 @@ def live_site(feed: Feed, runs: RunCaches) -> Site:
         text = await to_thread.run_sync(_object_page, request, runs, state, limiter=limiter)
         return _json_if_new(request, text)
 
+    def object_runs(request: Request) -> bytes:
+        return runs.object_runs(request.path_params["job"], request.query_params.get("file", ""))
+
     def metrics(_request: Request) -> Response:
         text, kind = exposition(state.views())
         return Response(text, headers={"Content-Type": kind})
@@ -89,14 +92,8 @@ def live_site(feed: Feed, runs: RunCaches) -> Site:
         Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: runs.runs(request.path_params["job"]), limiter),
         Route("/api/jobs/{job}/objects", objects),
-        _slow(
-            "/api/jobs/{job}/objects/runs",
-            lambda request: runs.object_runs(
-                request.path_params["job"], request.query_params.get("file", "")
-            ),
-            limiter,
-        ),
-        _picture_route(runs),
+        _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
+        _picture_route("/api/jobs/{job}/runs/{run}/picture", lambda request: runs.picture(*_run(request))),
         Route("/metrics", metrics),
     ]
     return Site([*routes, *_run_routes(runs, limiter)], broadcast.end)
@@ -124,23 +121,18 @@ def _object_page(request: Request, runs: RunCaches, state: PageState) -> bytes:
     return msgspec.json.encode(page)
 
 
-def _picture_route(runs: RunCaches) -> BaseRoute:
-    """Return the route of small pictures, of which few are made at once."""
+def _picture_route(path: str, draw: Callable[[Request], bytes]) -> BaseRoute:
+    """Return a route of small pictures that are drawn in threads, few at once."""
     limiter = CapacityLimiter(MAX_PICTURE_THREADS)
 
     async def picture(request: Request) -> Response:
-        return await _drawn(limiter, runs.picture, *_run(request))
+        try:
+            payload = await to_thread.run_sync(draw, request, limiter=limiter)
+        except CancelledError:  # the server ends while pictures wait for their turn
+            return PlainTextResponse("The server has ended.\n", 503)
+        return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
 
-    return Route("/api/jobs/{job}/runs/{run}/picture", picture)
-
-
-async def _drawn(limiter: CapacityLimiter, draw: Callable[..., bytes], *of: str | int) -> Response:
-    """Return a picture that is drawn in a thread."""
-    try:
-        payload = await to_thread.run_sync(draw, *of, limiter=limiter)
-    except CancelledError:  # the server ends while pictures wait for their turn
-        return PlainTextResponse("The server has ended.\n", 503)
-    return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
+    return Route(path, picture)
 
 
 def folder_site(index: FolderIndex) -> Site:
@@ -179,10 +171,8 @@ def _run_routes(runs: RunDataCaches, limiter: CapacityLimiter) -> list[BaseRoute
             raise InputError(f"'{text[:20]}' is not the number of a row.")
         return found
 
-    painters = CapacityLimiter(MAX_PICTURE_THREADS)
-
-    async def picture(request: Request) -> Response:
-        return await _drawn(painters, runs.grasp_picture, *_run(request), row(request))
+    def picture(request: Request) -> bytes:
+        return runs.grasp_picture(*_run(request), row(request))
 
     run = "/api/jobs/{job}/runs/{run}"
     return [
@@ -190,7 +180,7 @@ def _run_routes(runs: RunDataCaches, limiter: CapacityLimiter) -> list[BaseRoute
         _slow(f"{run}/scene", lambda request: runs.scene(*_run(request)), limiter),
         _slow(f"{run}/cells", cells, limiter, "application/octet-stream"),
         _slow(f"{run}/grasps/{{number}}", lambda asked: runs.grasp(*_run(asked), row(asked)), limiter),
-        Route(f"{run}/grasps/{{number}}/picture", picture),
+        _picture_route(f"{run}/grasps/{{number}}/picture", picture),
         _slow(f"{run}/settings", lambda request: runs.settings(*_run(request)), limiter),
     ]
 

@@ -20,7 +20,6 @@ from typing import Generic, TypeVar
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.scene import Scene
@@ -143,22 +142,6 @@ class JournalReading:
         found = np.concatenate([page.found for page in pages])
         voxels.insert(found, last.next, is_whole=last.is_last(before), tables=self.tables)
         return JournalReading(self.origin, voxels, self.tables, self.rows)
-
-    def with_margins(
-        self, rows: SuccessTable, numbers: NDArray[np.uint32], margins: Floats
-    ) -> "JournalReading":
-        """Return this with margins (n,) by journal number (n,), which are of some of the rows."""
-        voxels = copy(self.voxels)
-        voxels.add_margins(numbers, margins)
-        return JournalReading(self.origin, voxels, self.tables, rows)
-
-
-def same_tables(some: dict[str, EngineTable], others: dict[str, EngineTable]) -> bool:
-    """Return whether tables are the very same ones.
-
-    `read_table` gives the same table as long as its file does not change.
-    """
-    return some.keys() == others.keys() and all(table is others[name] for name, table in some.items())
 
 
 @dataclass(frozen=True)
@@ -292,7 +275,9 @@ class RunCache:
             if self._clock() > until:
                 break
         known = np.concatenate([np.zeros(0), *margins])
-        return reading.with_margins(rows, found["number"][: len(known)], known)
+        voxels = copy(reading.voxels)
+        voxels.add_margins(found["number"][: len(known)], known)
+        return JournalReading(reading.origin, voxels, reading.tables, rows)
 
     def _read_successes(self, before: JournalReading | None) -> JournalReading:
         """Read the successes since then.
@@ -302,7 +287,9 @@ class RunCache:
         tables = self._records.engine_tables(self._job, self._run)
         pages = self._pages(before.voxels.next if before else 0)
         if before:
-            first, same = pages[0], same_tables(before.tables, tables)
+            first, same = pages[0], before.tables.keys() == tables.keys()
+            # `read_table` gives the very same table as long as its file does not change
+            same = same and all(table is before.tables[name] for name, table in tables.items())
             if first.origin == before.origin and first.rows >= before.voxels.next and same:
                 return before.with_pages(pages)
             pages = self._pages(0)
@@ -358,9 +345,8 @@ class ObjectPictures:
         return picture
 
     def _file(self, digest: str) -> Path:
-        name = hashlib.sha256(
-            f"{digest} {PICTURE_PIXELS}".encode()
-        ).hexdigest()  # a digest comes over the bus
+        # a digest comes over the bus
+        name = hashlib.sha256(f"{digest} {PICTURE_PIXELS}".encode()).hexdigest()
         return self._folder / f"{name}.png"
 
     def _read(self, digest: str) -> bytes:

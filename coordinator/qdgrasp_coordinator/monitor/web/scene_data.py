@@ -103,9 +103,7 @@ class GraspView(Struct, frozen=True):
     settled: PoseView | None  # After closing: with `joints`; None where it is not recorded
     pregrasp: dict[str, float]  # Positions of the finger joints before closing [rad or m]
     joints: dict[str, float]  # Positions of the finger joints after closing [rad or m]
-    frames: dict[
-        str, list[list[float]]
-    ]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], qx qy qz qw
+    frames: dict[str, list[list[float]]]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], xyzw
     finger_links: int  # Number of those that touch the object after closing
     penetration: float  # The deepest after closing [m]
     moved: float | None  # How far the object moved in the hand while it closed [m]; None as `settled`

@@ -39,10 +39,8 @@ class LimitedConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in H11Protocol: over TCP
         """Begin; of too many from one address the newest ends."""
         super().connection_made(transport)
-        others = [
-            each for each in self.connections if isinstance(each, LimitedConnection) and each is not self
-        ]
-        addresses = [each.client[0] for each in others if each.client]
+        others = [one for one in self.connections if isinstance(one, LimitedConnection) and one is not self]
+        addresses = [one.client[0] for one in others if one.client]
         if addresses.count(self.client[0] if self.client else "") >= MAX_CONNECTIONS_PER_ADDRESS:
             transport.abort()
         else:
