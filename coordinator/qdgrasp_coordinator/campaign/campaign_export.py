@@ -139,9 +139,9 @@ class Progress:
         if not self.path.exists():
             atomic_files.write(self.path, line)
         with self.path.open("rb+") as file:
-            if (begun := file.readline()) != line:
-                reason = f"holds the beginning of an export with other options: {_differences(begun, line)}"
-                raise OutputError(self.path.parent, reason, "give those, remove it, or name another OUT")
+            if file.readline() != line:
+                reason = "holds the beginning of an export with other options or of another campaign"
+                raise OutputError(self.path.parent, reason, "remove it, or name another OUT")
             whole = file.read()
             file.truncate(len(line) + whole.rfind(b"\n") + 1)  # a line that a kill cut off
 
@@ -151,19 +151,6 @@ class Progress:
             file.write(msgspec.json.encode(record) + b"\n")
             file.flush()
             os.fsync(file.fileno())
-
-
-def _differences(begun: bytes, asked: bytes) -> str:
-    """Say which options of the data set that was begun differ from those asked for, a line of JSON each."""
-    then, now = dict[str, Any](), dict[str, Any]()
-    for values, line in ((then, begun), (now, asked)):
-        with suppress(msgspec.DecodeError):
-            values.update(msgspec.json.decode(line, type=dict[str, Any]))
-        values.update(values.pop("choice", {}))
-        values.update(values.pop("limits", {}))
-    names = [name for name in now if then.get(name) != now[name]]
-    words = [f"{name} was {then.get(name)} and is {now[name]}".replace("None", "not given") for name in names]
-    return ", ".join(words) or "of another version"
 
 
 def export_campaign(
