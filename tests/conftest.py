@@ -9,9 +9,7 @@ import structlog
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
-settings.register_profile(
-    "shared", deadline=None
-)  # machines are shared, so the time of an example means nothing
+settings.register_profile("shared", deadline=None)  # machines are shared: an example's time means nothing
 settings.load_profile("shared")
 
 os.environ.setdefault("QDGRASP_NICE", "0")  # tests wait for simulators, which must not have a low priority
@@ -100,3 +98,10 @@ def reference_data() -> Path:
         if (place / "reference").is_dir():
             return place
     pytest.skip(f"no reference data in {os.pathsep.join(map(str, places))}; set QDGRASP_ASSET_PATH")
+
+
+@pytest.fixture
+def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The reference data, set as the asset path."""
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
+    return reference_data

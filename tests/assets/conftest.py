@@ -61,13 +61,6 @@ def edit() -> Edit:
 
 
 @pytest.fixture
-def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The reference data, set as the asset path."""
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
-    return reference_data
-
-
-@pytest.fixture
 def jaw_toml(tmp_path: Path) -> Path:
     """The file of the jaw, its URDF beside it."""
     (tmp_path / "jaw.urdf").write_text(example_hands.JAW_URDF, encoding="utf-8")

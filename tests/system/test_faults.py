@@ -51,23 +51,16 @@ def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
     assert qdgrasp.digest("run") == long_digest
 
 
-def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_digest):
-    process, _ = start(qdgrasp, 20)
-    kill(pids(process, "recorder")[0])
-    _, err = end_of(process)
-    assert "recorder was killed by SIGKILL; it is started again" in err
-    assert qdgrasp.digest("run") == long_digest
+HEAD_ALONE = pytest.param(("coordinator",), marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(
-    "roles", [pytest.param(("coordinator",), marks=pytest.mark.slow), ("coordinator", "recorder", "worker")]
-)
-def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, long_digest, roles):
+@pytest.mark.parametrize("roles", [("recorder",), HEAD_ALONE, ("coordinator", "recorder", "worker")])
+def test_who_is_killed_is_started_again_and_goes_on_from_the_journal(qdgrasp, long_digest, roles):
     process, _ = start(qdgrasp, 20)
     for role in roles:
         kill(pids(process, role)[0])
     _, err = end_of(process)
-    assert "coordinator was killed by SIGKILL; it is started again" in err
+    assert f"{roles[0]} was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from functools import cache
-from pathlib import Path
 
 import pytest
 
@@ -27,13 +26,6 @@ def make_scene() -> Callable[..., Scene]:
 def cube() -> Scene:
     """The built-in Panda over the rubiks cube, protocol paper."""
     return scene_of("panda", "rubiks_cube", "paper")
-
-
-@pytest.fixture
-def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The reference data, found by the catalog; skips if it is not there."""
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
-    return reference_data
 
 
 @pytest.fixture

@@ -109,11 +109,6 @@ def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
     world.close()
 
 
-def test_an_unknown_synergy_is_an_error(world):
-    with pytest.raises(ValueError, match=r"synergy must be one of \[-1\], got 3"):
-        world.close_fingers(3)
-
-
 def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
     touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 

@@ -1,5 +1,6 @@
 """Restarts after deaths among a job's processes."""
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -96,20 +97,13 @@ def test_a_process_whose_log_is_gone_ends_the_job_with_a_sentence_all_the_same(s
 
 
 @pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
-def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(staff, name) -> None:
-    for _ in range(MOST_TRIES):
-        staff.dies(name, -11)
+@pytest.mark.parametrize(("number", "most"), [(signal.SIGSEGV, MOST_TRIES), (signal.SIGKILL, MOST_KILLS)])
+def test_who_dies_again_and_again_ends_the_job_later_if_killed_by_others(staff, name, number, most) -> None:
+    for _ in range(most):
+        staff.dies(name, -number)
         staff.waits(20)
-    with pytest.raises(EndedEarly, match=f"The {name} died {MOST_TRIES + 1} times .* was killed by SIGSEGV"):
-        staff.dies(name, -11)
-
-
-def test_who_is_killed_from_outside_is_started_again_more_often(staff: Staff) -> None:
-    for _ in range(MOST_KILLS):
-        staff.dies("coordinator", -9)
-        staff.waits(20)
-    with pytest.raises(EndedEarly, match=f"The coordinator died {MOST_KILLS + 1} times"):
-        staff.dies("coordinator", -9)
+    with pytest.raises(EndedEarly, match=f"The {name} died {most + 1} times .* was killed by {number.name}"):
+        staff.dies(name, -number)
 
 
 def test_who_dies_while_the_job_goes_on_is_always_started_again(staff: Staff) -> None:
