@@ -53,9 +53,7 @@ def test_a_tree_that_keeps_them_has_no_violation(plant: Callable[[dict[str, str]
         ),
     ],
 )
-def test_a_planted_violation_is_found(
-    plant: Callable[[dict[str, str]], list[Violation]], path: str, text: str, sentence: str
-) -> None:
+def test_a_planted_violation_is_found(plant, path, text, sentence) -> None:
     assert any(sentence in found.sentence for found in plant({path: text}))
 
 
@@ -67,11 +65,6 @@ def test_a_planted_violation_is_found(
         ("MOST_IN_FOLDER", "modules in one folder; at most 0"),
     ],
 )
-def test_a_tree_that_outgrows_its_size_is_found(
-    plant: Callable[[dict[str, str]], list[Violation]],
-    monkeypatch: pytest.MonkeyPatch,
-    limit: str,
-    sentence: str,
-) -> None:
+def test_a_tree_that_outgrows_its_size_is_found(plant, monkeypatch, limit, sentence) -> None:
     monkeypatch.setattr(conventions, limit, 0)
     assert any(sentence in found.sentence for found in plant({}))

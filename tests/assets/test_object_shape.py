@@ -142,9 +142,7 @@ def scene_of_model(spec: RunSpec) -> Scene:
     )
 
 
-def test_each_slow_step_of_a_scene_is_told_once_and_none_where_the_shape_lies_in_the_store(
-    tmp_path: Path,
-) -> None:
+def test_each_slow_step_of_a_scene_is_told_once_and_none_where_the_shape_lies_in_the_store(tmp_path) -> None:
     told: list[str] = []
     build_scene(mesh_spec(tmp_path), told.append)
     assert told == [

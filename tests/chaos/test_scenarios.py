@@ -2,7 +2,7 @@
 
 import resource
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -65,9 +65,7 @@ def garble(wal: Path) -> None:
 
 
 @pytest.mark.parametrize("tear", [cut, garble])
-def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
-    household: JobProcesses, expected: str, tear: Callable[[Path], None]
-) -> None:
+def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(household, expected, tear) -> None:
     recorder = household["recorder"]
     recorder.send(signal.SIGKILL)
     before = household.rows
@@ -97,9 +95,7 @@ def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProce
     assert ends_well(household) == expected
 
 
-def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
-    household: JobProcesses, expected: str
-) -> None:
+def test_a_coordinator_that_stood_still_gives_way_to_its_successor(household, expected) -> None:
     first, second = household["coordinator"], household.another("coordinator")
     first.send(signal.SIGSTOP)
     second.start()
@@ -112,9 +108,7 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     assert RunFolder.open(household.run).job.epoch == 2
 
 
-def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
-    household: JobProcesses, expected: str
-) -> None:
+def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(household, expected) -> None:
     first, second = household["recorder"], household.another("recorder")
     first.send(signal.SIGSTOP)
     second.start()
@@ -125,9 +119,7 @@ def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
     assert ends_well(household) == expected
 
 
-def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
-    tmp_path: Path, expected: str
-) -> None:
+def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(tmp_path, expected) -> None:
     deeds = tmp_path / "deeds"
     deeds.mkdir()
     environment = {DEEDS: str(deeds)}
@@ -139,9 +131,7 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
 
 
 @pytest.mark.timeout(600)
-def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(
-    household: JobProcesses, expected: str
-) -> None:
+def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(household, expected) -> None:
     port = int(household.endpoint.rpartition(":")[2])
     with slow_link(port, ROUND_TRIP, LOSS) as link, cutting(link):
         late = [household.add_worker(f"{kind}-0", household.endpoint, CHAOS_BAD=kind) for kind in BAD]

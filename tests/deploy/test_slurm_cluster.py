@@ -128,9 +128,7 @@ NEED_OF_ROOM = (
 
 
 @pytest.mark.parametrize("command", [SIGNAL, NEED_OF_ROOM], ids=["signalled", "to make room"])
-def test_workers_that_end_for_the_cluster_are_queued_again_and_go_on(
-    site: Site, undisturbed: str, command: tuple[str, ...]
-) -> None:
+def test_workers_that_end_for_the_cluster_are_queued_again_and_go_on(site, undisturbed, command) -> None:
     job = site.submit()
     wait_for(lambda: site.rows, "rows")
     (workers,) = site.cluster.jobs("qdgrasp-workers")

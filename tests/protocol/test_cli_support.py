@@ -206,9 +206,7 @@ def test_of_many_names_some_are_told_and_how_many_more(count: int, words: str) -
     assert first_few(list("abcde")[:count], 2) == words
 
 
-def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(capsys) -> None:
     echo("one\r\x1b[1A\ntwo\x9b2J\u202e \ud800 é")
     echo("three\x07", err=True)
     assert capsys.readouterr() == ("one\\r\\x1b[1A\ntwo\\x9b2J\\u202e \\ud800 é\n", "three\\x07\n")

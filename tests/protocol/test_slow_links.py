@@ -25,9 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
 @ROUND_TRIPS
-def test_a_session_is_opened_and_opened_again_over_a_long_link(
-    folder: Path, protocol: str, round_trip: float, loss: float
-) -> None:
+def test_a_session_is_opened_and_opened_again_over_a_long_link(folder, protocol, round_trip, loss) -> None:
     near = own_endpoint(protocol)
     shown = {role: Credentials.find(folder if protocol == "tls" else None, role) for role in Role}
     links, heard = SimpleQueue[bool](), SimpleQueue[bytes]()

@@ -217,9 +217,7 @@ def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) 
 
 @pytest.mark.parametrize("overlaps", ["redraw", "count"])
 @pytest.mark.parametrize(("in_flight", "most"), [(1, 0), (2, 0), (1, 3)])
-def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(
-    in_flight: int, most: int, overlaps: Overlaps
-) -> None:
+def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(in_flight, most, overlaps) -> None:
     plan = Plan(
         seed=7,
         population=25,

@@ -9,7 +9,7 @@ from queue import SimpleQueue
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.fuzz.consumers import CONSUMERS, KINDS, seeds
 from tests.fuzz.fuzzer import Mutator, corpus
-from tests.system.commands import LONG, Commands, end_of, held, pids, processes_of
+from tests.system.commands import LONG, end_of, held, pids, processes_of
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus
@@ -90,9 +90,7 @@ def dropped(log: Path) -> list[int]:
     return [int(number) for number in re.findall(r"dropped=(\d+)", log.read_text())]
 
 
-def test_a_stranger_changes_nothing_and_takes_nothing_down(
-    qdgrasp: Commands, reference: tuple[Path, str, dict]
-) -> None:
+def test_a_stranger_changes_nothing_and_takes_nothing_down(qdgrasp, reference) -> None:
     endpoint, seen = own_endpoint(), SimpleQueue[str]()
     running = qdgrasp.start("run", *LONG, "--workers", 1, "--listen", endpoint, "--out", "run")
     with ZenohBus.connect(endpoint, PATIENCE) as bus:

@@ -98,9 +98,7 @@ def test_no_genomes_give_no_rows(evaluations: qdgrasp.Evaluations) -> None:
     assert len(evaluations.evaluate(np.zeros((0, len(evaluations.layout))))) == 0
 
 
-def test_times_that_are_over_leave_the_next_call_in_order(
-    evaluations: qdgrasp.Evaluations, near: np.ndarray
-) -> None:
+def test_times_that_are_over_leave_the_next_call_in_order(evaluations, near) -> None:
     for asked in (near, near[5:], near[:2]):
         with pytest.raises(TimeoutError):
             evaluations.evaluate(asked, timeout=0.0)
@@ -145,9 +143,7 @@ def test_a_job_that_is_cancelled_ends_the_waiting(commands: Commands) -> None:
     assert "cancelled" in str(heard[0])
 
 
-def test_certificates_of_the_environment_are_not_for_links_within_this_machine(
-    near: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_certificates_of_the_environment_are_not_for_links_within_this_machine(near, monkeypatch) -> None:
     monkeypatch.setenv("QDGRASP_SECURITY", "/nowhere")
     with qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE) as evaluations:
         assert len(evaluations.evaluate(near[:1])) == 1
@@ -165,13 +161,7 @@ def secure(commands: Commands) -> qdgrasp.Place:
 
 
 @pytest.mark.slow
-def test_encrypted_links_change_no_row_and_no_journal(
-    secure: qdgrasp.Place,
-    evaluations: qdgrasp.Evaluations,
-    near: np.ndarray,
-    mine: qdgrasp.Run,
-    tmp_path: Path,
-) -> None:
+def test_encrypted_links_change_no_row_and_no_journal(secure, evaluations, near, mine, tmp_path) -> None:
     with qdgrasp.Evaluations(prior="approach", place=secure, **SCENE) as encrypted:
         assert encrypted.evaluate(near).tobytes() == evaluations.evaluate(near).tobytes()
     assert digest_of(optimise(Steps, tmp_path / "run", place=secure).path) == digest_of(mine.path)
@@ -188,9 +178,7 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert "custom_approach" in commands.succeed("info", mine.path).out
 
 
-def test_its_journal_is_the_same_whatever_the_workers(
-    mine: qdgrasp.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_its_journal_is_the_same_whatever_the_workers(mine, tmp_path, capsys) -> None:
     again = optimise(Steps, tmp_path / "run", progress=True, place=TWO)
     assert "run: 0 of 140 evaluations, starting" in capsys.readouterr().err
     assert digest_of(again.path) == digest_of(mine.path)

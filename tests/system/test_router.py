@@ -49,9 +49,7 @@ def routers(qdgrasp: Commands, folder: Path) -> Routers:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("encrypted", [False, True])
-def test_a_router_stops_cleanly_also_with_clients(
-    routers: Routers, folder: Path, number: signal.Signals, encrypted: bool
-) -> None:
+def test_a_router_stops_cleanly_also_with_clients(routers, folder, number, encrypted) -> None:
     endpoint = own_endpoint("tls") if encrypted else own_endpoint()
     process = routers.start(endpoint)
     shown = Credentials.find(folder, Role.WORKER) if encrypted else None
@@ -125,9 +123,7 @@ def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
 MODULES = {"router": ROUTER, "coordinator": COORDINATOR, "recorder": RECORDER, "worker": WORKER}
 
 
-def test_a_run_over_encrypted_links_records_the_same_bytes(
-    qdgrasp: Commands, reference: tuple[Path, str, dict]
-) -> None:
+def test_a_run_over_encrypted_links_records_the_same_bytes(qdgrasp, reference) -> None:
     folder, digest, _ = reference
     home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
     nodes = {name: home.add(Role(name), name, hosts=["127.0.0.1"], days=1) for name in MODULES}

@@ -35,9 +35,7 @@ def digests(qdgrasp: Commands, folder: str) -> dict[str, str]:
     return {path.name: digest_of(path) for path in JobFolder.open(qdgrasp.home / folder).run_paths}
 
 
-def test_each_shape_is_built_once_and_runs_are_those_of_scenes_that_are_built_here(
-    qdgrasp: Commands, parts: Path
-) -> None:
+def test_each_shape_is_built_once_and_runs_are_those_of_scenes_that_are_built_here(qdgrasp, parts) -> None:
     qdgrasp.succeed(*CAMPAIGN, "--workers", 2, "--out", "out")
     built = shapes(qdgrasp)
     assert len(built) == len(list(parts.iterdir()))

@@ -208,9 +208,7 @@ def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, nu
 @pytest.mark.parametrize(
     ("command", "number"), [(("jobs",), signal.SIGINT), (("pause", "mugs"), signal.SIGTERM)]
 )
-def test_a_question_stops_while_the_coordinator_stands_still(
-    qdgrasp: Commands, command: tuple[str, ...], number: int
-) -> None:
+def test_a_question_stops_while_the_coordinator_stands_still(qdgrasp, command, number) -> None:
     asked, rest, endpoint = threading.Event(), threading.Event(), own_endpoint()
 
     def stand_still(_query: Query) -> bytes:

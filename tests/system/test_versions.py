@@ -71,9 +71,7 @@ def test_a_coordinator_of_the_next_version_is_refused_by_a_recorder_of_this_one(
     assert f"it is of version {NEXT} of the protocol, and this package speaks {VERSION}: update it" in words
 
 
-def test_a_job_that_is_upgraded_in_the_middle_ends_with_the_same_digest(
-    job: TwoVersions, long_digest: str
-) -> None:
+def test_a_job_that_is_upgraded_in_the_middle_ends_with_the_same_digest(job, long_digest) -> None:
     first = job.begin("recorder", "coordinator", "worker-0")
     wait_for(lambda: job.rows >= 20, "the first rows")
     assert job["coordinator"].is_there

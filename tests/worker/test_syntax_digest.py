@@ -107,9 +107,7 @@ def changed(*changes: tuple[str, str]) -> list[str]:
         [("return 1", "return 2")],
     ],
 )
-def test_words_do_not_count_and_neither_does_what_is_not_reached(
-    changes: list[tuple[str, str]], digest: Digest
-) -> None:
+def test_words_do_not_count_and_neither_does_what_is_not_reached(changes, digest) -> None:
     assert digest(*changed(*changes)) == digest(MAIN, SHAPES)
 
 

@@ -79,9 +79,7 @@ class TestCrossing:
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs
 
-    def test_a_target_of_grasps_brings_a_cap_and_a_saturation_unless_they_are_said(
-        self, tmp_path: Path
-    ) -> None:
+    def test_a_target_of_grasps_brings_a_cap_and_a_saturation_unless_they_are_said(self, tmp_path) -> None:
         def ends(defaults: dict[str, object], **goals: float) -> set[tuple[object, ...]]:
             file = tmp_path / "c.toml"
             file.write_text(tomli_w.dumps({"defaults": defaults, "cross": [CROSS]}))
@@ -274,9 +272,7 @@ class TestNames:
         ("method", "overlaps", "other", "population"),
         [("aimed", "redraw", "count", 50), ("me_scs", "count", "redraw", 500)],
     )
-    def test_what_the_method_has_anyway_is_no_part_of_a_name(
-        self, method, overlaps, other, population
-    ) -> None:
+    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, overlaps, other, population):
         assert named(method=method, overlaps=overlaps, population=population) == named(method=method)
         assert named(method=method, overlaps=other) != named(method=method)
 

@@ -71,9 +71,7 @@ def test_each_shape_is_wanted_once_and_runs_that_need_none_go_first(runs: dict[s
     assert not queue.wanted_shapes(10).shapes
 
 
-def test_runs_are_made_with_the_scene_that_this_machine_would_build(
-    runs: dict[str, RunSpec], tmp_path: Path
-) -> None:
+def test_runs_are_made_with_the_scene_that_this_machine_would_build(runs, tmp_path) -> None:
     queue = CampaignRunQueue(None, runs)
     for wanted in queue.wanted_shapes(10).shapes:
         assert queue.take_shape(built(wanted, tmp_path / "worker")) is None
@@ -123,9 +121,7 @@ def test_a_shape_that_lies_in_the_store_is_not_wanted_again(runs: dict[str, RunS
     assert sorted(open_all(again)) == sorted(runs)
 
 
-def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(
-    runs: dict[str, RunSpec], tmp_path: Path
-) -> None:
+def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(runs, tmp_path) -> None:
     queue = CampaignRunQueue(None, runs)
     bad, good = queue.wanted_shapes(10).shapes
     queue.take_shape(BuildReply(bad.task.key, reason="it burst"))
@@ -141,9 +137,7 @@ def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(
 
 
 @pytest.mark.parametrize("pieces", [(), (b"no shape",), split_payload(b"no shape")])
-def test_a_shape_that_no_worker_gives_is_built_here(
-    runs: dict[str, RunSpec], pieces: tuple[bytes, ...]
-) -> None:
+def test_a_shape_that_no_worker_gives_is_built_here(runs, pieces) -> None:
     queue = CampaignRunQueue(None, runs)
     warnings = [queue.take_shape(BuildReply(one.task.key, pieces)) for one in queue.wanted_shapes(10).shapes]
     if pieces:
@@ -163,9 +157,7 @@ def test_a_shape_of_coarse_parts_is_warned_of(runs: dict[str, RunSpec], tmp_path
     assert warning.words.startswith("'box40.stl': its convex parts are not as fine as they should be (own ")
 
 
-def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(
-    runs: dict[str, RunSpec], tmp_path: Path
-) -> None:
+def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(runs, tmp_path) -> None:
     spec = next(iter(runs.values()))
     copy = tmp_path / "elsewhere" / "other.stl"
     copy.parent.mkdir()

@@ -199,9 +199,7 @@ def test_a_search_without_value_takes_nothing(folder: Record, changed) -> None:
         WarmStart.learned(msgspec.structs.replace(SPEC, **changed), [folder("source")])
 
 
-def test_the_command_begins_a_run_with_weights_and_notes_their_origin(
-    folder: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_begins_a_run_with_weights_and_notes_their_origin(folder, tmp_path, monkeypatch) -> None:
     source, begun = folder("source"), []
     monkeypatch.setattr(
         "qdgrasp_coordinator.cli.run_commands.run_plan.prepare_scene",

@@ -72,9 +72,7 @@ def test_meshes_are_grasped_under_the_protocol_and_in_the_engine_that_are_said(a
     assert (spec.protocol, spec.engine) == ("physical", "mujoco")
 
 
-def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(
-    asked: Asked, tmp_path: Path
-) -> None:
+def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked, tmp_path) -> None:
     begun = asked(f"{MESHES} --grasps-per-object 300 --max-evaluations 4000")
     (tmp_path / "again.toml").write_text(begun.toml)
     (spec,) = asked("again.toml --grasps-per-object 500").runs.values()
@@ -94,9 +92,7 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: 
         asked(line)
 
 
-def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(tmp_path, capsys) -> None:
     folder = record_campaign(tmp_path / "out", 8)
     asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
     campaign_commands.print_summary(folder, asked, is_timed=True)

@@ -72,9 +72,7 @@ EXPORT = ("export", "run", "--format", "csv", "-o", "out.csv")
     [*((name, FIRST, ()) for name in SCRIPTS), ("qdgrasp", WITHIN, EXPORT), ("qdgrasp", "the end", ())],
 )
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-def test_a_signal_leaves_no_trace_whatever_is_being_loaded(
-    script: str, moment: str, words: tuple[str, ...], number: int
-) -> None:
+def test_a_signal_leaves_no_trace_whatever_is_being_loaded(script, moment, words, number) -> None:
     function = SCRIPTS[script].partition(":")[2]
     asked = (function, moment, str(int(number)), *(words or ["--version"]))
     done = subprocess.run(

@@ -94,9 +94,7 @@ VIEWS = ("40", "40,25,3", "x,y", "nan,3", "500,3", "0,91")
         *(("a.png", (f"--from={view}",), "--from must be AZIMUTH,ELEVATION in degrees") for view in VIEWS),
     ],
 )
-def test_a_picture_that_cannot_be_drawn_is_refused(
-    path: Path, tmp_path: Path, name: str, flags: tuple[str, ...], words: str
-) -> None:
+def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, words) -> None:
     said = refused(path, tmp_path / name, *flags)
     assert said.startswith(f"{tmp_path}/{words}" if name == "a.jpg" else words)
     assert not words.endswith(".") or said.endswith(words)
@@ -139,9 +137,7 @@ def test_grasps_are_drawn_beside_each_other(path: Path, tmp_path: Path) -> None:
         (("--grasps", "top:3"), "--grasps must be best:N, diverse:N, random:N, or numbers of rows"),
     ],
 )
-def test_a_sheet_that_cannot_be_drawn_is_refused(
-    path: Path, tmp_path: Path, flags: tuple[object, ...], words: str
-) -> None:
+def test_a_sheet_that_cannot_be_drawn_is_refused(path, tmp_path, flags, words) -> None:
     refused = sheet(path, "-o", tmp_path / "a.png", *flags).exception
     assert isinstance(refused, InputError)
     assert str(refused).startswith(words)

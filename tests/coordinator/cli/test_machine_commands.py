@@ -58,9 +58,7 @@ def test_check_asks_for_the_folder(monkeypatch: pytest.MonkeyPatch) -> None:
         (ALL, [LoginAttempt("no certificate", got_in=True)], 1, "WRONG: got in with no certificate"),
     ],
 )
-def test_check_ends_with_one_where_anything_is_wrong(
-    monkeypatch: pytest.MonkeyPatch, seen: set[Delivery], knocks: list[LoginAttempt], code: int, words: str
-) -> None:
+def test_check_ends_with_one_where_anything_is_wrong(monkeypatch, seen, knocks, code, words) -> None:
     found = AccessReport(access_matrix(seen), wide_deliveries(seen), knocks)
     monkeypatch.setattr(access_report, "check_access", lambda *_, **__: found)
     assert (not found.faults) == (code == 0)

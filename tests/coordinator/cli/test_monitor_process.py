@@ -4,9 +4,7 @@ import json
 import os
 import pty
 import signal
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -50,9 +48,7 @@ def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
 
 
 @pytest.mark.parametrize("ascii_only", [True, False])
-def test_one_look_shows_all_jobs_and_names_those_of_another_version(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ascii_only: bool
-) -> None:
+def test_one_look_shows_all_jobs_and_names_those_of_another_version(capsys, monkeypatch, ascii_only) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     monitor_process.print_look(BOTH, ENDPOINT, ["old"], ascii_only=ascii_only)
     said = capsys.readouterr().out
@@ -85,9 +81,7 @@ class OneLook:
     ],
     ids=["json", "lines"],
 )
-def test_what_draws_nothing_leaves_the_terminal_and_its_keys_alone(
-    work: Callable[[Any, Stop], None], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_draws_nothing_leaves_the_terminal_and_its_keys_alone(work, capsys, monkeypatch) -> None:
     _, terminal = pty.openpty()
     monkeypatch.setattr(screen, "DRAW_INTERVAL", 0.0)
     monkeypatch.setattr(monitor_process, "INTERVAL", 0.0)

@@ -136,9 +136,7 @@ def test_a_path_below_a_file_is_refused(command: str) -> None:
 
 @pytest.mark.usefixtures("home")
 @each(FILES, FOLDERS, SHARED, ADDING)
-def test_a_folder_that_may_not_be_written_in_is_refused(
-    command: str, home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_may_not_be_written_in_is_refused(command, home, monkeypatch) -> None:
     monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != home)
     out = written(command, "new/out")
     assert refused(command, "new/out").startswith(

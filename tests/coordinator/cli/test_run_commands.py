@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.coordinator.monitor.sample_jobs import values, views
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner, Result
 
 from qdgrasp_assets.catalog import build_scene
@@ -120,9 +120,7 @@ def test_trials_that_cannot_be_are_refused(flags: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(("rows", "words"), [(60, "Hardly any room is free; "), (6000, " MB are free; ")])
-def test_room_is_told_where_there_is_some(
-    tmp_path: Path, make_scene: SceneMaker, rows: int, words: str
-) -> None:
+def test_room_is_told_where_there_is_some(tmp_path, make_scene, rows, words) -> None:
     folder = record(tmp_path / "run", make_scene(), random_rows(rows), evaluations=rows)
     done = CliRunner().invoke(app, ["prune", str(folder.path)])
     assert done.exit_code == 0, done.output
@@ -139,9 +137,7 @@ def session(*_: object) -> Iterator[SimpleNamespace]:
     yield SimpleNamespace(ask=lambda *_, **__: messages.encode(OrderReply(words=f"Done. {EVIL}")))
 
 
-def test_what_a_coordinator_says_of_its_job_is_escaped(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_coordinator_says_of_its_job_is_escaped(monkeypatch, capsys) -> None:
     monkeypatch.setattr(job_commands, "open_session", session)
     monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values(trouble=EVIL)))
     job_commands.jobs(connect="tcp/127.0.0.1:1")
@@ -150,9 +146,7 @@ def test_what_a_coordinator_says_of_its_job_is_escaped(
     assert EVIL not in said
 
 
-def test_what_it_answers_to_an_order_is_escaped(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_what_it_answers_to_an_order_is_escaped(monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.setattr(job_commands, "open_session", session)
     job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
     assert capsys.readouterr().out == "Done. \\x1b[2J\n"
@@ -181,9 +175,7 @@ ON_DEVICE = ("--gripper", "panda", "--object", "mug", "--protocol", "physical", 
 
 
 @pytest.mark.parametrize("given", [(), ("--workers", "2")])
-def test_a_run_of_which_no_worker_would_have_the_engine_is_not_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: tuple[str, ...]
-) -> None:
+def test_a_run_of_which_no_worker_would_have_the_engine_is_not_begun(tmp_path, monkeypatch, given) -> None:
     monkeypatch.delenv("QDGRASP_DEVICE", raising=False)
     refused = CliRunner().invoke(app, ["run", *ON_DEVICE, *given, "--out", str(tmp_path / "run")]).exception
     assert isinstance(refused, InputError)

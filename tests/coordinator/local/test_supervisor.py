@@ -140,9 +140,7 @@ def carries_out(
     return staff
 
 
-def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(tmp_path, monkeypatch) -> None:
     opened: list[str] = []
     said: list[str] = []
     display = Silence()
@@ -169,9 +167,7 @@ def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(
     assert any(f"listening on {third} now, as another program took the port" in line for line in said)
 
 
-def test_a_port_that_is_taken_from_the_start_ends_the_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_that_is_taken_from_the_start_ends_the_job(tmp_path, monkeypatch) -> None:
     with pytest.raises(InputError, match="address already in use"):
         carries_out(tmp_path, monkeypatch, "tcp/127.0.0.1:1", TAKEN)
 

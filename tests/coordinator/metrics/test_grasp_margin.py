@@ -49,9 +49,7 @@ def test_two_opposing_point_contacts_cannot_balance_a_torque_about_their_line() 
 
 @pytest.mark.parametrize("radius", [0.02, 1.0])
 @pytest.mark.parametrize(("friction", "torsion"), [(0.5, 0.1), (0.2, 0.15), (0.3, 0.5), (1.0, 5.0)])
-def test_two_opposing_soft_contacts_have_the_margin_of_the_closed_form(
-    friction: float, torsion: float, radius: float
-) -> None:
+def test_two_opposing_soft_contacts_have_the_margin_of_the_closed_form(friction, torsion, radius) -> None:
     """The worst wrench is sideways and about the line at once, or sideways and along it.
 
     Along u = (a force along the line, c and d its lateral parts at the contacts, a torque q about it), with
@@ -172,9 +170,7 @@ def test_an_eighth_of_a_turn_about_z_turns_the_pyramids_into_themselves() -> Non
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), contacts=st.integers(4, 8), torsion=st.sampled_from([0.0, 0.05]))
-def test_turned_any_way_a_margin_stays_between_those_of_two_round_cones(
-    seed: int, contacts: int, torsion: float
-) -> None:
+def test_turned_any_way_a_margin_stays_between_those_of_two_round_cones(seed, contacts, torsion) -> None:
     points, normals = on_ellipsoid(seed, contacts)
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     found = margin(points @ turn, normals @ turn, 0.5, torsion=torsion)

@@ -92,9 +92,7 @@ def test_what_is_not_an_npz_file_of_plain_arrays_is_refused(tmp_path: Path, cont
         ({"mug__cm": CM[[0, 0]], "mug__fitness": np.zeros(2)}, "more than once"),
     ],
 )
-def test_arrays_of_another_form_are_refused(
-    tmp_path: Path, arrays: dict[str, np.ndarray], reason: str
-) -> None:
+def test_arrays_of_another_form_are_refused(tmp_path, arrays, reason) -> None:
     with pytest.raises(AssetError, match=reason):
         read_reference(written(tmp_path / "set.npz", **arrays), "mug")
 
@@ -249,9 +247,7 @@ def test_another_object_of_the_same_name_is_not_compared(published: Path, make_s
     assert ReferenceLookup().of(on(make_scene("barrett"), "block"), "my/block.stl").size == 0
 
 
-def test_a_set_of_one_s_own_goes_before_the_published_ones(
-    published: Path, tmp_path: Path, make_scene: SceneMaker
-) -> None:
+def test_a_set_of_one_s_own_goes_before_the_published_ones(published, tmp_path, make_scene) -> None:
     folder = record(tmp_path / "run", make_scene("barrett"), random_rows(200), gripper="barrett")
     own = tmp_path / "own.npz"
     size = len(build_reference_sets([folder], own)["block"])

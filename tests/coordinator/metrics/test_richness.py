@@ -155,9 +155,7 @@ def test_as_many_more_runs_as_are_said_find_the_share_that_was_asked_for() -> No
 
 
 @pytest.mark.parametrize(("each", "most"), [(2, 1.8), (5, 1.2)])
-def test_cells_that_one_kind_of_runs_alone_reaches_are_overestimated_within_bounds(
-    each: int, most: float
-) -> None:
+def test_cells_that_one_kind_of_runs_alone_reaches_are_overestimated_within_bounds(each, most) -> None:
     """Five methods, each with cells of its own: the bound of docs/coverage.md."""
     excess = []
     for seed in range(SETS):

@@ -83,9 +83,7 @@ def barren(population: int, generations: int, first: int = 0) -> list[Rows]:
 @pytest.mark.parametrize(
     ("population", "generations"), [(500, BARREN), (50, BARREN), (40, BARREN_GENOMES // 40)]
 )
-def test_a_journal_tells_that_the_last_generations_counted_nothing(
-    size: int, population: int, generations: int
-) -> None:
+def test_a_journal_tells_that_the_last_generations_counted_nothing(size, population, generations) -> None:
     good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * (population - 1))
     bad = barren(population, generations, first=1)
     words = f"the last {population * generations} genomes, {generations} generations, counted no evaluation"

@@ -161,9 +161,7 @@ def shares_by_hand(rows: Rows, window: int, *, by_orientation: bool) -> list[flo
 
 @pytest.mark.parametrize("by_orientation", [False, True])
 @pytest.mark.parametrize("size", [1, 7, 20, 150])
-def test_the_rate_of_niches_is_that_of_a_count_by_hand_in_blocks_of_any_size(
-    size: int, by_orientation: bool
-) -> None:
+def test_the_rate_of_niches_is_that_of_a_count_by_hand_in_blocks_of_any_size(size, by_orientation) -> None:
     rows = grasping_rows(150)
     counted_so_far = NicheRate(20, by_orientation=by_orientation)
     found: list[float] = []

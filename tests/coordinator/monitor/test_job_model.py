@@ -205,9 +205,7 @@ def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one(jobs: J
         (("", ""), 1, 300),
     ],
 )
-def test_a_job_is_known_by_its_identity_and_by_its_turns_where_it_has_none(
-    identities: tuple[str, str], epoch: int, shown: int
-) -> None:
+def test_a_job_is_known_by_its_identity_and_by_its_turns_where_it_has_none(identities, epoch, shown) -> None:
     jobs = watching(answers={})
     for identity, turn, count in zip(identities, (2, epoch), (500, 300), strict=True):
         begins(jobs, START + count, 0)
@@ -358,18 +356,14 @@ def test_a_token_of_an_epoch_that_is_over_takes_nothing_away(jobs: JobModels) ->
         ({"state": "paused"}, "gone"),
     ],
 )
-def test_how_a_job_ended_is_told_by_what_its_coordinator_said_last(
-    jobs: JobModels, last: dict[str, object], state: str
-) -> None:
+def test_how_a_job_ended_is_told_by_what_its_coordinator_said_last(jobs, last, state) -> None:
     publish(jobs, START + 1, stat_job=figures(**last))
     jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1.1)
     assert view_of(jobs, START + 2).state == state
 
 
 @pytest.mark.parametrize("news", [("link", "token"), ("token", "link")])
-def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(
-    jobs: JobModels, news: tuple[str, str]
-) -> None:
+def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(jobs, news) -> None:
     for one in news:
         if one == "link":
             jobs.link_changed(False, START + 1)

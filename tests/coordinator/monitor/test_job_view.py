@@ -9,9 +9,7 @@ from qdgrasp_coordinator.monitor.job_view import MAX_POINTS, WINDOW, SeriesBuild
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=2000), st.integers(4, 40))
-def test_thinned_points_are_few_in_order_and_hold_the_first_and_the_newest(
-    steps: list[int], most: int
-) -> None:
+def test_thinned_points_are_few_in_order_and_hold_the_first_and_the_newest(steps, most) -> None:
     thinned: ThinnedSamples[int] = ThinnedSamples(float, most)
     places = [sum(steps[: number + 1]) for number in range(len(steps))]
     for place in places:

@@ -207,9 +207,7 @@ def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> Non
     assert records.place("mug", "run") == RunLocation(str(folder.path.absolute()))
 
 
-def test_the_command_that_is_shown_prints_the_grasp(
-    tmp_path: Path, make_scene, network: MemoryNetwork
-) -> None:
+def test_the_command_that_is_shown_prints_the_grasp(tmp_path, make_scene, network) -> None:
     path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", path):
         shown = json.loads(RunCaches(BusRecords(ours)).grasp("mug", "run", 3))
@@ -221,9 +219,7 @@ def test_the_command_that_is_shown_prints_the_grasp(
     assert "outcome          shaken: some of the disturbances were survived" in said.stdout
 
 
-def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(
-    folder: RunFolder, network: MemoryNetwork
-) -> None:
+def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(folder, network) -> None:
     odd = folder.path.rename(os.fsdecode(os.fsencode(folder.path.parent) + b"/m\xffug"))
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", odd):
         records = BusRecords(ours)
@@ -259,18 +255,14 @@ def test_what_is_not_there_is_refused(records: Records) -> None:
         records.page("mug", "rum", 0)
 
 
-def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
-    folder: RunFolder, network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(folder, network, monkeypatch) -> None:
     monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         told = [BusRecords(ours).entries("mug") for _ in range(3)]
     assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
 
 
-def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(
-    tmp_path: Path, network: MemoryNetwork, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(tmp_path, network, monkeypatch) -> None:
     job = record_campaign(tmp_path / "parts", 3, hands=("panda",))
     expected = queries.ObjectIndex(job.path, queries.RunIndex(job.path)).page(0).objects
     monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 2)

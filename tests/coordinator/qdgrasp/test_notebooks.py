@@ -224,9 +224,7 @@ def test_the_runs_of_a_campaign_are_a_table_of_pandas(tmp_path: Path) -> None:
     assert table["grasps"].tolist() == [run.summary.grasps for run in opened]
 
 
-def test_without_pandas_one_sentence_says_how_to_get_it(
-    run: qdgrasp.Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_pandas_one_sentence_says_how_to_get_it(run, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match=r"^to_pandas\(\) needs pandas, .*`pip install pandas` brings it\.$"):
         run.grasps().to_pandas()

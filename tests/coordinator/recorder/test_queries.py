@@ -330,9 +330,7 @@ def test_objects_are_those_of_the_campaign_with_what_their_runs_got(library: Job
     assert [each.state for each in skipped] == ["skipped"] * 3
 
 
-def test_finished_runs_are_read_once_and_what_comes_is_added(
-    tmp_path: Path, opened: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_finished_runs_are_read_once_and_what_comes_is_added(tmp_path, opened, monkeypatch) -> None:
     job = record_campaign(tmp_path / "parts", 2, begun=0.5, hands=("panda",))
     index = object_index(job, monkeypatch)
     assert [each.state for each in index.page(0).objects[:2]] == ["running", "waiting"]
@@ -346,9 +344,7 @@ def test_finished_runs_are_read_once_and_what_comes_is_added(
     assert opened == []
 
 
-def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(
-    library: JobFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(library, monkeypatch) -> None:
     index = object_index(library, monkeypatch)
     monkeypatch.setattr(queries, "LISTING_SECONDS", -1.0)
     assert index.page(0).uncounted == 6

@@ -53,9 +53,7 @@ def test_every_hand_is_in_the_picture_as_a_whole(pictures: list[np.ndarray]) -> 
         assert (picture[:, [0, -1]] == 255).all()
 
 
-def test_words_cover_no_pixel_of_hand_or_object(
-    pictures: list[np.ndarray], camera: ParallelCamera, hands: PlacedHands
-) -> None:
+def test_words_cover_no_pixel_of_hand_or_object(pictures, camera, hands) -> None:
     title = "a title that is much too long for a sheet as narrow as this one is " * 3
     sheet = np.array(contact_sheet(iter(pictures), [LABEL] * 5, title, camera))
     bare = np.array(contact_sheet(iter(pictures), [LABEL] * 5, title, camera, has_labels=False))
@@ -79,9 +77,7 @@ def test_a_label_is_of_the_panel_above_it(pictures: list[np.ndarray], camera: Pa
         assert (foot == [0, 0, place]).all(axis=-1).any()
 
 
-def test_no_further_picture_is_drawn_after_a_signal(
-    pictures: list[np.ndarray], camera: ParallelCamera
-) -> None:
+def test_no_further_picture_is_drawn_after_a_signal(pictures, camera) -> None:
     sheet = contact_sheet(iter(pictures), [LABEL] * 5, "", camera, has_labels=False, is_stopped=lambda: True)
     assert (np.array(sheet) == 255).all()
 

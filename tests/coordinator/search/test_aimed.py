@@ -74,9 +74,7 @@ def objective(request) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("in_flight", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_run_that_was_stopped_goes_on_to_the_same_journal(
-    in_flight: int, objective: dict[str, Any]
-) -> None:
+def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight, objective) -> None:
     def pipeline() -> Pipeline:
         search, _ = build(spec(seed=3, **objective), POSTURE)
         return Pipeline(search, shape(where), 700, "redraw", Flight(in_flight))
@@ -127,9 +125,7 @@ def test_no_target_lies_outside_the_box(objective: dict[str, Any]) -> None:
     assert np.abs(rows["genome"]).max() <= 1
 
 
-def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(
-    objective: dict[str, Any],
-) -> None:
+def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(objective) -> None:
     search, where = build(spec(overlaps="count", **objective))
     values = where.layout.values(play(search, where, 2000)["genome"])[FIRST_SCOUTS:]
     distances = np.linalg.norm(values[:, TARGET] - values[:, CONTACT], axis=1)

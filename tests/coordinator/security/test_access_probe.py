@@ -68,9 +68,7 @@ def test_a_router_that_is_away_proves_nothing(folder: Path) -> None:
         access_probe.try_logins(encrypted_endpoint(), folder)
 
 
-def test_a_link_that_is_ended_without_a_word_is_refused(
-    secured: str, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_that_is_ended_without_a_word_is_refused(secured, folder, monkeypatch) -> None:
     monkeypatch.setattr(access_probe, "LOGIN_SECONDS", 30.0)
     monkeypatch.setattr(access_probe, "shake_hands", lambda *_: False)
     assert not access_probe._greets(secured, folder)
@@ -123,9 +121,7 @@ def leaky(folder: Path, tmp_path: Path) -> Path:
     return copy
 
 
-def test_an_access_list_with_holes_is_found_out(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_access_list_with_holes_is_found_out(folder, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(access_probe, "DELIVERY_SECONDS", 5.0)  # one right is missing, and waited for
     endpoint, place = encrypted_endpoint(), leaky(folder, tmp_path)
     with ZenohBus.router(endpoint, credentials=Credentials.find(place, Role.ROUTER)):

@@ -31,9 +31,7 @@ Change = Callable[[Path], object]
 
 @pytest.mark.parametrize("host", HOSTS)
 @pytest.mark.parametrize("role", [role for role in Role if role is not Role.ROUTER])
-def test_every_role_gets_a_session_by_name_and_by_address(
-    secured: str, folder: Path, role: Role, host: str
-) -> None:
+def test_every_role_gets_a_session_by_name_and_by_address(secured, folder, role, host) -> None:
     endpoint = secured.replace("127.0.0.1", host)
     with ZenohBus.connect(endpoint, PATIENCE, credentials=Credentials.find(folder, role)):
         pass
@@ -86,9 +84,7 @@ def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tm
     assert "worker.pem and its key cannot be used" in reason
 
 
-def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
-    secured: str, folder: Path
-) -> None:
+def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(secured, folder) -> None:
     key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
     with (
         ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.RECORDER)) as recorder,
@@ -186,9 +182,7 @@ def text(name: str, old: str, new: str) -> Change:
         (text("router.json5", '"id": "worker gives (put)"', '"id": "x"'), "Access control not enabled"),
     ],
 )
-def test_a_router_with_a_damaged_folder_does_not_open(
-    folder: Path, tmp_path: Path, change: Change, words: str
-) -> None:
+def test_a_router_with_a_damaged_folder_does_not_open(folder, tmp_path, change, words) -> None:
     damaged = Path(shutil.copytree(folder, tmp_path / "damaged"))
     change(damaged)
     with pytest.raises((EndpointError, SecurityError), match=words) as caught:

@@ -211,9 +211,7 @@ def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("is_replaced", [False, True])
-def test_rows_are_not_taken_for_durable_in_a_journal_that_was_deleted(
-    tmp_path: Path, is_replaced: bool
-) -> None:
+def test_rows_are_not_taken_for_durable_in_a_journal_that_was_deleted(tmp_path, is_replaced) -> None:
     rows = make_rows(20)
     with JournalWriter.create(tmp_path, IDENTITY) as journal:
         journal.append(JournalSlice(0, rows[:10]), 1, 0.0)
@@ -356,9 +354,7 @@ BLOCK_COLUMNS = "n AS first, n, n AS epoch, n AS cpu_seconds, n AS crc, n AS row
         ('CREATE TABLE "\x1b[2J" (n)', r"table '\\x1b\[2J' is none of a journal"),
     ],
 )
-def test_a_journal_with_other_objects_than_its_tables_is_refused(
-    tmp_path: Path, script: str, named: str
-) -> None:
+def test_a_journal_with_other_objects_than_its_tables_is_refused(tmp_path, script, named) -> None:
     record(tmp_path, make_rows(100), [100])
     with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.executescript(script)
@@ -380,9 +376,7 @@ def test_a_journal_with_other_objects_than_its_tables_is_refused(
         ("first = 29 WHERE first = 0", "rows 29 to 58 are not"),
     ],
 )
-def test_a_block_that_counts_other_rows_than_it_has_is_damage(
-    tmp_path: Path, change: str, words: str
-) -> None:
+def test_a_block_that_counts_other_rows_than_it_has_is_damage(tmp_path, change, words) -> None:
     record(tmp_path, make_rows(100), [30, 40, 30])
     with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("UPDATE blocks SET " + change)  # noqa: S608  # of this test
@@ -421,9 +415,7 @@ def test_a_block_that_inflates_to_more_than_its_rows_is_not_inflated(tmp_path: P
         ("created", "yesterday"),
     ],
 )
-def test_a_journal_that_says_of_itself_what_cannot_be_is_damaged(
-    tmp_path: Path, name: str, value: str
-) -> None:
+def test_a_journal_that_says_of_itself_what_cannot_be_is_damaged(tmp_path, name, value) -> None:
     record(tmp_path, make_rows(100), [100])
     with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("UPDATE meta SET value = ? WHERE name = ?", (value, name))

@@ -215,9 +215,7 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
         folder.job.check_not_in_use()
 
 
-def test_a_lock_whose_file_was_removed_by_the_one_that_held_it_is_not_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_whose_file_was_removed_by_the_one_that_held_it_is_not_taken(tmp_path, monkeypatch) -> None:
     take, tried = job_folder._try_lock, []
 
     def take_late(file: IO[str]) -> bool:

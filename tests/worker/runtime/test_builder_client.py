@@ -118,9 +118,7 @@ def test_a_build_that_was_stopped_is_not_reported_as_the_one_that_follows(mesh: 
     assert sorted(taken) == [False, True]
 
 
-def test_a_builder_that_is_killed_ends_its_build_with_the_signal(
-    mesh: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_builder_that_is_killed_ends_its_build_with_the_signal(mesh, monkeypatch) -> None:
     monkeypatch.setattr(builder_client, "BUILDER", ["sh", "-c", "kill -9 $$"])
     with serving(mesh) as (client, news):
         client.start(JOB, build_of(mesh))

@@ -2,7 +2,6 @@
 
 import socket
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -75,9 +74,7 @@ def test_a_hand_that_cannot_be_judged_fails_alone(cube: Scene) -> None:
     assert found.rows[others].tobytes() == sure[others].tobytes()
 
 
-def test_trials_show_the_hand_as_the_object_is_disturbed(
-    make_scene: Callable[[str, str, str], Scene],
-) -> None:
+def test_trials_show_the_hand_as_the_object_is_disturbed(make_scene) -> None:
     own = CustomEvaluator(make_scene("panda", "rubiks_cube", "robust"), Height)
     genomes = np.repeat(draw(1), 3, axis=0)
     own.evaluate("approach", genomes, np.array([0, 1, 2], np.uint16))
@@ -88,9 +85,7 @@ def test_trials_show_the_hand_as_the_object_is_disturbed(
     assert len(np.unique(evaluators.ASKED[0].frictions, axis=0)) == 3
 
 
-def test_a_genome_without_a_pose_is_not_shown_to_anybody(
-    make_scene: Callable[[str, str, str], Scene],
-) -> None:
+def test_a_genome_without_a_pose_is_not_shown_to_anybody(make_scene) -> None:
     genomes = draw(30, genes=4)
     rows = (
         CustomEvaluator(make_scene("panda", "mug", "paper"), Height)
@@ -124,9 +119,7 @@ def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -
 
 
 @pytest.mark.parametrize(("protocol", "held"), [("robust", 2), ("physical", 6)])
-def test_a_hand_that_holds_survives_all_disturbances_of_the_protocol(
-    make_scene: Callable[[str, str, str], Scene], protocol: str, held: int
-) -> None:
+def test_a_hand_that_holds_survives_all_disturbances_of_the_protocol(make_scene, protocol, held) -> None:
     own = CustomEvaluator(make_scene("panda", "rubiks_cube", protocol), Height)
     rows = own.evaluate("approach", draw(40), np.zeros(40, np.uint16)).rows
     assert set(rows["fitness"].tolist()) == {0, held}
@@ -144,9 +137,7 @@ def test_a_row_that_is_refused_holds_zeros(cube: Scene) -> None:
 
 
 @pytest.mark.parametrize(("at_once", "pieces"), [(25, [25, 25, 10]), (ROWS_AT_ONCE, [16, 16, 16, 12])])
-def test_a_judge_is_shown_as_many_hands_at_once_as_it_wants(
-    cube: Scene, at_once: int, pieces: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_judge_is_shown_as_many_hands_at_once_as_it_wants(cube, at_once, pieces, monkeypatch) -> None:
     if at_once != ROWS_AT_ONCE:  # where it says nothing
         monkeypatch.setattr(Height, "at_once", at_once, raising=False)
     ours, its = socket.socketpair()

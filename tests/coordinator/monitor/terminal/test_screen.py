@@ -116,9 +116,7 @@ class TestRoom:
     @pytest.mark.parametrize("what", [ONE, MANY, shown()], ids=["one", "many", "none"])
     @pytest.mark.parametrize("long", ["", "objects", "runs", "workers", "events"])
     @pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
-    def test_a_frame_fills_its_terminal_exactly(
-        self, width: int, height: int, what: ScreenState, long: str, glyphs: Glyphs
-    ) -> None:
+    def test_a_frame_fills_its_terminal_exactly(self, width, height, what, long, glyphs) -> None:
         check_fits(text(what, width, height, glyphs, list=long, top=3), width, height)
 
     def test_eighty_columns_and_24_lines_show_the_essential(self) -> None:

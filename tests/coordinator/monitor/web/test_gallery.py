@@ -63,9 +63,7 @@ def test_a_picture_selects_its_grasp_and_is_marked_however_that_was_selected(pag
 
 
 @browser.needed
-def test_pictures_are_of_what_passes_the_filters_and_of_what_is_found(
-    page: Page, records: HandMadeRecords
-) -> None:
+def test_pictures_are_of_what_passes_the_filters_and_of_what_is_found(page, records) -> None:
     records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
     expect(page.locator("#scene-best button span")).to_have_text(["8", "9", "12", "4", "3"])
     page.locator("#scene-key").get_by_role("button", name="all survived").click()
@@ -149,9 +147,7 @@ def test_the_settings_are_read_when_they_are_opened(page: Page) -> None:
     expect(page.locator("#scene-settings dd").filter(has_text="Apache-2.0")).to_have_count(2)
 
 
-def test_a_picture_is_drawn_once_and_shows_hand_and_object_on_a_clear_ground(
-    records: HandMadeRecords,
-) -> None:
+def test_a_picture_is_drawn_once_and_shows_hand_and_object_on_a_clear_ground(records) -> None:
     runs = RunCaches(records, clock=lambda: records.now)
     pictures = {number: runs.grasp_picture("mug", "mug", number) for number in (8, 9)}
     assert pictures[8] != pictures[9]

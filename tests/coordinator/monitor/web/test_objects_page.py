@@ -292,9 +292,7 @@ def test_a_phone_shows_the_table_without_scrolling_sideways(look: Look, place: s
 
 @browser.needed
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_table_is_readable_and_whatever_can_be_used_has_a_name(
-    look: Look, place: str, theme: str
-) -> None:
+def test_the_table_is_readable_and_whatever_can_be_used_has_a_name(look, place, theme) -> None:
     page = look(place, color_scheme=theme)
     expect(page.locator("#objects tbody tr")).to_have_count(50)
     assert [(words, round(ratio, 2)) for words, ratio in page.evaluate(CONTRAST) if ratio < 4.5] == []

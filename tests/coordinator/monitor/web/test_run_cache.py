@@ -77,9 +77,7 @@ def test_what_is_found_later_is_added(records: HandMadeRecords, library: RunCach
     assert in_cells(library.cells("job", "run", upto)) == {(2, 0, 0): (1, Outcome.HELD)}
 
 
-def test_many_browsers_cost_the_recorder_no_more_than_one(
-    records: HandMadeRecords, library: RunCaches
-) -> None:
+def test_many_browsers_cost_the_recorder_no_more_than_one(records, library) -> None:
     records.record(random_finds(4))
     assert len({library.cells("job", "run", 0) for _ in range(20)}) == records.asked == 1
     records.now += FRESH_SECONDS
@@ -87,9 +85,7 @@ def test_many_browsers_cost_the_recorder_no_more_than_one(
     assert records.asked == 2
 
 
-def test_a_long_journal_is_read_over_several_answers(
-    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_journal_is_read_over_several_answers(records, library, monkeypatch) -> None:
     monkeypatch.setattr(run_cache, "SCENE_WAIT_SECONDS", -1.0)  # out of patience after each page
     records.record(random_finds(10))
     first, answers, more = 0, 0, True
@@ -110,9 +106,7 @@ def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, library
     assert in_cells(after) == {(9, 9, 9): (3, Outcome.DROPPED)}
 
 
-def test_what_holds_in_all_engines_is_flagged_as_soon_as_there_is_a_table(
-    records: HandMadeRecords, library: RunCaches
-) -> None:
+def test_what_holds_in_all_engines_is_flagged_as_soon_as_there_is_a_table(records, library) -> None:
     found = finds([2, 5, 7], [(k, 0, 0) for k in range(3)], [Outcome.HELD, Outcome.HELD, Outcome.DROPPED])
     records.record(found)
     before = library.cells("job", "run", 0)
@@ -155,9 +149,7 @@ def test_a_grasp_of_another_job_stands_in_its_own_scene_before_the_cells_are_ask
     assert list(json.loads(library.grasp("job", "run", 2))["joints"]) == ["left"]
 
 
-def test_the_list_of_runs_is_asked_for_once_for_all_browsers(
-    records: HandMadeRecords, library: RunCaches
-) -> None:
+def test_the_list_of_runs_is_asked_for_once_for_all_browsers(records, library) -> None:
     for _ in range(20):
         library.runs("job")
     assert records.listed == 1
@@ -166,9 +158,7 @@ def test_the_list_of_runs_is_asked_for_once_for_all_browsers(
     assert records.listed == 2
 
 
-def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
-    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(records, library, monkeypatch) -> None:
     records.record(random_finds(4))
     before = library.cells("job", "run", 0)
     asked, over = threading.Event(), threading.Event()
@@ -188,9 +178,7 @@ def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
         assert waiting.result() == before
 
 
-def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(
-    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(records, library, monkeypatch) -> None:
     asked = []
 
     def away(*told: object) -> None:
@@ -220,9 +208,7 @@ def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library:
     assert set(told["frames"]) == {scene["base"], *(link["name"] for link in scene["links"])}
 
 
-def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
-    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(records, library, monkeypatch) -> None:
     found = finds([5], [(1, 0, 0)], [Outcome.HELD])
     scored = finds([5], [(1, 0, 0)], [Outcome.HELD], etas=[0.75])
     told = [RecordPage(ORIGIN, found, 5, 9)] * 3 + [RecordPage(ORIGIN, scored, 9, 9)]
@@ -266,9 +252,7 @@ def margins_of(page: bytes) -> dict[int, float]:
     )
 
 
-def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(
-    records: HandMadeRecords, library: RunCaches, computed: list[int]
-) -> None:
+def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(records, library, computed) -> None:
     found = settled(range(20, 30))
     records.record(found)
     records.on_a_page = 20
@@ -284,9 +268,7 @@ def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(
     assert sorted(computed) == [*found["number"].tolist(), 40]
 
 
-def test_margins_of_another_journal_are_computed_anew(
-    records: HandMadeRecords, library: RunCaches, computed: list[int], make_scene
-) -> None:
+def test_margins_of_another_journal_are_computed_anew(records, library, computed, make_scene) -> None:
     old = settled([3, 4], [Outcome.HELD, Outcome.SHAKEN])
     records.record(old)
     assert margins_of(library.cells("job", "run", 0, margins=True)) == {3: 3, 4: 4}
@@ -322,9 +304,7 @@ def test_only_so_many_runs_are_kept_ready(records: HandMadeRecords, monkeypatch:
     assert records.asked == 4
 
 
-def test_what_was_read_is_shown_when_nobody_answers_any_more(
-    records: HandMadeRecords, library: RunCaches, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_read_is_shown_when_nobody_answers_any_more(records, library, monkeypatch) -> None:
     def away(*_: object) -> None:
         raise NoReply("nobody answers")
 

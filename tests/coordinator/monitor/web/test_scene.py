@@ -158,9 +158,7 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
             )
 
 
-def test_another_job_of_the_same_name_is_shown_with_its_own_object(
-    alone: Page, records: HandMadeRecords
-) -> None:
+def test_another_job_of_the_same_name_is_shown_with_its_own_object(alone, records) -> None:
     assert alone.evaluate("[view.description.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
     records.become(made_scene("claw"), JournalId("2" * 64, 2.0), many)
@@ -482,9 +480,7 @@ def test_only_grasps_with_the_least_eta_are_shown(filtered: Page) -> None:
     expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
 
 
-def test_what_holds_in_two_engines_is_shown_alone_where_there_is_a_table(
-    filtered: Page, scored: HandMadeRecords
-) -> None:
+def test_what_holds_in_two_engines_is_shown_alone_where_there_is_a_table(filtered, scored) -> None:
     expect(filtered.get_by_label("Holds in")).to_be_hidden()
     scored.tables = {"mujoco": engine_table(SCORED, [Outcome.HELD, Outcome.HELD, Outcome.SHAKEN])}
     filtered.get_by_label("Holds in bullet and mujoco").check()
@@ -560,9 +556,7 @@ def test_the_next_grasp_is_among_those_that_are_shown_the_best_first(filtered: P
         expect(filtered.locator("#grasp")).to_contain_text(synergy)
 
 
-def test_what_is_found_while_one_looks_passes_the_filters_too(
-    filtered: Page, scored: HandMadeRecords
-) -> None:
+def test_what_is_found_while_one_looks_passes_the_filters_too(filtered, scored) -> None:
     filtered.get_by_label("Synergy").select_option("power")
     more = finds([20, 21], [(9, 9, 9), (8, 8, 8)], [Outcome.HELD] * 2, synergies=[0, 1], etas=[0.2, 0.2])
     scored.record(more)
@@ -673,9 +667,7 @@ def test_filters_are_kept_in_the_address_until_all_is_shown(closed: tuple[Page, 
         expect(other.get_by_label("Fewest finger links")).to_have_value("")
 
 
-def test_margins_are_counted_as_they_come_and_then_filtered_by(
-    closed: tuple[Page, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_margins_are_counted_as_they_come_and_then_filtered_by(closed, monkeypatch) -> None:
     margins, goes_on = {2: 0.01, 3: 0.05, 5: 0.02, 8: 0.06}, threading.Event()
 
     def computed(rows: SuccessTable, _: SceneObject) -> NDArray[np.float64]:

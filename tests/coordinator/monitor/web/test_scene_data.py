@@ -135,9 +135,7 @@ def test_a_grasp_says_how_closing_went(make_scene) -> None:
     assert contact.point == pytest.approx([0.01, 0, 0.02], abs=1e-5)
 
 
-def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(
-    drawn: HandGeometry, stands: BrowserScene
-) -> None:
+def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(drawn, stands) -> None:
     find = settled_find()
     find["contact_links"] = 0
     middle = {
@@ -300,9 +298,7 @@ def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: py
 
 
 @pytest.mark.parametrize("on_a_page", [1, 7, 100])
-def test_pages_add_up_to_the_same_however_long_they_are(
-    monkeypatch: pytest.MonkeyPatch, on_a_page: int
-) -> None:
+def test_pages_add_up_to_the_same_however_long_they_are(monkeypatch, on_a_page) -> None:
     found = random_finds(500)
     kept = VoxelPages()
     kept.insert(found, 1000)

@@ -54,9 +54,7 @@ def test_the_scripts_of_others_are_those_in_the_notices() -> None:
     ("package", "script", "stated"),
     [("three", "three.core.min.js", '="{1}"'), ("uPlot", "uPlot.iife.min.js", "(v{0}.{1}.{2})")],
 )
-def test_the_versions_in_the_notices_are_those_that_the_scripts_state(
-    package: str, script: str, stated: str
-) -> None:
+def test_the_versions_in_the_notices_are_those_that_the_scripts_state(package, script, stated) -> None:
     noticed = re.search(rf"^\| \[{package}\]\S* \| (\S+) \|", NOTICES, re.MULTILINE)
     assert noticed
     text = (VENDOR / package.lower() / script).read_text(encoding="utf-8")
@@ -111,9 +109,7 @@ def test_metrics_are_what_prometheus_reads(feed: FakeFeed) -> None:
         ("/api/jobs/hands/runs", 503, "nobody answers"),
     ],
 )
-def test_what_cannot_be_answered_is_said_in_a_sentence(
-    feed: FakeFeed, page: str, status: int, words: str
-) -> None:
+def test_what_cannot_be_answered_is_said_in_a_sentence(feed, page, status, words) -> None:
     answer = client(feed).get(page)
     assert answer.status_code == status
     assert words in answer.json()["error"]
@@ -126,9 +122,7 @@ def test_names_with_anything_in_them_reach_the_library(feed: FakeFeed) -> None:
         assert client(feed).get(f"/api/jobs/mug/runs/mug/grasps/{number}").status_code == 404
 
 
-def test_a_library_that_hangs_keeps_nothing_else_waiting(
-    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_library_that_hangs_keeps_nothing_else_waiting(feed, monkeypatch) -> None:
     over = threading.Event()
     monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(PATIENCE) else b"")
     with serving(feed) as address, ThreadPoolExecutor(64) as pool:
@@ -221,9 +215,7 @@ def ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("begun", [b"", b"GET /api/sta", b"GET / HTTP/1.1\r\nHost: localhost\r\nA: "])
-def test_whoever_asks_nothing_is_let_go(
-    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch, begun: bytes
-) -> None:
+def test_whoever_asks_nothing_is_let_go(feed, monkeypatch, begun) -> None:
     monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.2)
     port = free_port()
     with serving(feed, port), socket.create_connection((HERE, port)) as idle:
@@ -243,9 +235,7 @@ def test_whoever_asks_nothing_is_let_go(
         b"Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked",
     ],
 )
-def test_a_request_that_may_end_at_two_places_is_refused_with_what_follows_it(
-    feed: FakeFeed, framing: bytes
-) -> None:
+def test_a_request_that_may_end_at_two_places_is_refused_with_what_follows_it(feed, framing) -> None:
     port = free_port()
     hidden = b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with serving(feed, port), socket.create_connection((HERE, port)) as guest:
@@ -277,9 +267,7 @@ def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest
     assert len(frames) >= 3
 
 
-def test_one_address_does_not_take_the_room_of_others(
-    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_address_does_not_take_the_room_of_others(feed, monkeypatch) -> None:
     monkeypatch.setattr(server, "MAX_CONNECTIONS_PER_ADDRESS", 4)
     port = free_port()
     with serving(feed, port) as address:
@@ -294,9 +282,7 @@ def test_one_address_does_not_take_the_room_of_others(
             one.close()
 
 
-def test_whoever_comes_to_a_full_house_is_asked_to_try_again(
-    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whoever_comes_to_a_full_house_is_asked_to_try_again(feed, monkeypatch) -> None:
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 4)
     port = free_port()
     with serving(feed, port):
@@ -361,9 +347,7 @@ def test_the_token_opens_the_page_in_a_header_or_a_cookie(feed: FakeFeed) -> Non
     assert guest.get("/metrics", headers={"cookie": f"other=1; {COOKIE}={TOKEN}"}).status_code == 200
 
 
-def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_page_gets(
-    feed: FakeFeed,
-) -> None:
+def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_page_gets(feed) -> None:
     guest = client(feed, LOCKED)
     entered = guest.get("/", params={"token": TOKEN})
     assert (entered.status_code, entered.headers["location"]) == (303, "/")

@@ -1,7 +1,6 @@
 """The page of runs in folders in a browser."""
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -59,9 +58,7 @@ def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str
     expect(page.locator("#name")).to_have_text("mug")
 
 
-def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(
-    look: Look, place: str, runs: list[RunFolder]
-) -> None:
+def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(look, place, runs) -> None:
     page = look(f"{place}/#job=mug&run=run")
     page.locator("#scene").press("n")
     number = page.locator("#grasp h4").inner_text().removeprefix("Grasp ")
@@ -82,9 +79,7 @@ def test_a_run_alone_needs_no_list(look: Look, runs: list[RunFolder]) -> None:
         expect(page.locator("#name")).to_have_text("bowl")
 
 
-def test_of_many_runs_some_are_found_by_parts_of_their_names(
-    look: Look, tmp_path: Path, runs: list[RunFolder]
-) -> None:
+def test_of_many_runs_some_are_found_by_parts_of_their_names(look, tmp_path, runs) -> None:
     names = [f"panda-{what}-s{seed}" for what in ("bowl", "mug") for seed in range(7)]
     for name in names:
         RunFolder.create(tmp_path / name, runs[0].spec, runs[0].bundle())
@@ -148,9 +143,7 @@ def test_it_says_when_its_server_has_ended(chromium: Any, runs: list[RunFolder])
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
-def test_words_stand_out_and_nothing_is_wider_than_the_window(
-    look: Look, place: str, theme: str, phone: bool
-) -> None:
+def test_words_stand_out_and_nothing_is_wider_than_the_window(look, place, theme, phone) -> None:
     page = look(place, color_scheme=theme, phone=phone)
     page.locator("#scene").press("n")
     page.locator("#grasp h4").wait_for()
