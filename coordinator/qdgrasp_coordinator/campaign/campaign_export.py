@@ -139,9 +139,9 @@ class Progress:
         if not self.path.exists():
             atomic_files.write(self.path, line)
         with self.path.open("rb+") as file:
-            if file.readline() != line:
-                reason = "holds the beginning of an export with other options or of another campaign"
-                raise OutputError(self.path.parent, reason, "remove it, or name another OUT")
+            if (begun := file.readline()) != line:
+                reason = f"holds the beginning of an export with other options: {_differences(begun, line)}"
+                raise OutputError(self.path.parent, reason, "give those, remove it, or name another OUT")
             whole = file.read()
             file.truncate(len(line) + whole.rfind(b"\n") + 1)  # a line that a kill cut off
 
@@ -151,6 +151,18 @@ class Progress:
             file.write(msgspec.json.encode(record) + b"\n")
             file.flush()
             os.fsync(file.fileno())
+
+
+def _differences(begun: bytes, asked: bytes) -> str:
+    """Say which options differ, a line of JSON of the data set that was begun and one now."""
+    then, now = dict[str, Any](), dict[str, Any]()
+    for values, line in ((then, begun), (now, asked)):
+        with suppress(msgspec.DecodeError):
+            values.update(msgspec.json.decode(line, type=dict[str, Any]))
+        values.update(values.pop("choice", {}))
+        values.update(values.pop("limits", {}))
+    words = [f"{name} was {then.get(name)} and is {now[name]}" for name in now if then.get(name) != now[name]]
+    return ", ".join(words).replace("None", "not given") or "of another version"
 
 
 def export_campaign(

@@ -48,7 +48,7 @@ def export(
             min=0,
             max=6,
             metavar="N",
-            help="Disturbances survived, at least; 0 takes all successes; default: 6 under physical, else 1.",
+            help="Disturbances survived, at least; 0: all successes; default: all under physical, else 1.",
         ),
     ] = None,
     min_quality: Annotated[

@@ -17,7 +17,7 @@ from qdgrasp_coordinator.export.grasp_reader import (
 )
 from qdgrasp_coordinator.export.grasp_set import Grasps, select_grasps
 from qdgrasp_coordinator.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, least_fitness
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
@@ -157,14 +157,13 @@ def export_run(
 
 
 def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
-    successes, min_fitness = read_run(folder), least_fitness(folder.spec, choice.min_fitness)
+    successes = read_run(folder)
     if not len(successes):
         with folder.journal() as journal:
             rows = counted(journal.count, "row")
         return f"{folder.path} has no grasp to write: there is no success among {rows}."
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
-    if best >= min_fitness:
-        good = successes[successes.fitness >= min_fitness]
+    if len(good := select_grasps(successes, choice.min_fitness)):
         if choice.holds_in is not None:
             found = good.verdicts_in(choice.holds_in)
             held = int((found == Outcome.HELD).sum())
@@ -189,6 +188,6 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
         )
     some = ", --min-fitness 1 all that survived some disturbance" if best > 1 else ""
     return (
-        f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
-        f"{many} has {best}, and --min-fitness {best} writes those{some}."
+        f"{folder.path} has no grasp that survived as many disturbances: the best of its {many} has "
+        f"fitness {best}, and --min-fitness {best} writes those{some}."
     )

@@ -12,7 +12,7 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, select_grasps
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, least_fitness
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, takes_held
 from qdgrasp_coordinator.metrics.scores import genome_numbers, scored_successes
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
@@ -142,7 +142,7 @@ class GraspChoice:
     """Flags that say which grasps of a run are taken; see `select_grasps`."""
 
     min_fitness: int | None = None
-    """None: by the protocol of each run (`least_fitness`)."""
+    """None: by the protocol of each run (`taken_mask`)."""
     min_quality: float = 0.0
     """Least confidence, 0 to 1."""
     top: int | None = None
@@ -173,7 +173,7 @@ class ChosenGrasps:
     failures: int
     """The last so many are failures."""
     min_fitness: int
-    """The least fitness of the others."""
+    """The others have this fitness or more."""
     unknown: int = 0
     """Grasps that were left out as their verdict in the engine that is asked for is not known."""
 
@@ -230,21 +230,24 @@ def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -
     Behind them stand failures, evaluations that were no grasps: at most so many, spread over the journal.
     """
     is_ranked = choice.top is not None or choice.diverse is not None
-    unknown, least = 0, least_fitness(reader.spec, choice.min_fitness)
+    unknown, least = 0, choice.min_fitness
+    if least is None:
+        least = reader.spec.disturbances if takes_held(reader.spec) else 1
     reader.approach = choice.reachability(reader.scene, reader.spec)
     good, bad, ranked = [np.zeros(0, CHOSEN)], [np.zeros(0, CHOSEN)], []
     for block in reader.blocks(Outcome.MISSED if failures else Outcome.DROPPED):
         found = select_grasps(
             block,
-            least,
+            choice.min_fitness,
             limits=choice.limits,
             holds_in=choice.holds_in,
             approach=reader.approach,
         )
         if choice.holds_in is not None:
-            every = select_grasps(block, least)
+            every = select_grasps(block, choice.min_fitness)
             unknown += int((every.verdicts_in(choice.holds_in) < 0).sum())
         found = found[found.confidence >= choice.min_quality]
+        least = int(found.fitness.min(initial=least))  # a custom evaluator's grasps may hold with less
         if is_ranked:
             names = [name for name in RANKED_BY if name in (found.rows.dtype.names or ())]
             ranked.append(replace(found, rows=repack_fields(found.rows[names])))

@@ -24,11 +24,11 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     NO_LIMITS,
     GraspLimits,
     contact_values,
-    least_fitness,
     object_motion,
     recorded_margins,
     settled_mask,
     settled_poses,
+    taken_mask,
 )
 from qdgrasp_coordinator.metrics.scores import best_first
 from qdgrasp_coordinator.metrics.trial_schedule import eta_bounds, eta_error
@@ -451,7 +451,7 @@ def select_grasps(
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
     `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
-    successes, None is `least_fitness`. `top` takes so many at most, best first (`scores.best_first`: by the
+    successes, None is as of `taken_mask`. `top` takes so many at most, best first (`best_first`: by the
     lower bound of eta where eta is known, then by fitness and margin); `diverse` takes so many at most, each
     as far as can be from those before it (`spread_places`), the best one first. Without both, grasps are in
     journal order. `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those
@@ -461,7 +461,7 @@ def select_grasps(
     for name, value in (("min_fitness", min_fitness), ("top", top), ("diverse", diverse)):
         if value is not None:
             _check_number(name, value, whole=name != "min_fitness")
-    chosen = grasps[grasps.is_success & (grasps.fitness >= least_fitness(grasps.spec, min_fitness))]
+    chosen = grasps[grasps.is_success & taken_mask(grasps.rows, grasps.spec, min_fitness)]
     if holds_in is not None:
         chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
     chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]

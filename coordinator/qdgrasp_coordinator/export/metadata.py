@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 SUCCESS_WORDS = "a finger touches the object after closing"
 GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
 FITNESS_MEANING = (
-    "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 forces; "
+    "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 pushes; "
     "higher is better"
 )
 LIFT_MEANING = "1: the hand lifted the object off the table and held it there; else 0"

@@ -71,7 +71,7 @@ def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
     yield GraspColumn("generation", rows["generation"], "of the search")
     yield GraspColumn("index", rows["index"], "in the generation")
     yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
-    survived = "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces"
+    survived = "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 pushes"
     yield GraspColumn("fitness", grasps.fitness, LIFT_MEANING if grasps.scene.protocol == LIFT else survived)
     for name, verdicts in grasps.elsewhere.items():
         words = np.append(OUTCOMES, "")[verdicts["outcome"]]  # -1, not known, is the last

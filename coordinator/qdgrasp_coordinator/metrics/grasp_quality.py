@@ -5,7 +5,6 @@ and margin are NaN, which no limit admits.
 """
 
 from dataclasses import dataclass, fields
-from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, rotate
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import CONTACT_VALUES, Rows
+from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
@@ -73,16 +72,19 @@ def recorded_margins(rows: Rows, body: SceneObject) -> Floats:
     return found
 
 
-Fitness = TypeVar("Fitness", bound=float)
+def takes_held(spec: RunSpec, min_fitness: float | None = None) -> bool:
+    """Return whether grasps that hold are taken: by default if `physical` judges a pose."""
+    return min_fitness is None and spec.nominal_protocol == "physical"
 
 
-def least_fitness(spec: RunSpec, asked: Fitness | None) -> Fitness | int:
-    """Return the least fitness of grasps that are taken: as asked, else by the run's protocol.
+def taken_mask(rows: Rows, spec: RunSpec, min_fitness: float | None) -> NDArray[np.bool_]:
+    """(n,): True for rows of the least fitness that is asked for, or more.
 
-    By default all disturbances of `physical`, also as the base of `robust`; one of any other protocol.
+    None: where `takes_held` those whose outcome is `HELD`, elsewhere those of fitness 1 or more.
     """
-    usual = spec.disturbances if spec.nominal_protocol == "physical" else 1
-    return usual if asked is None else asked
+    if takes_held(spec, min_fitness):
+        return np.asarray(rows["outcome"] == Outcome.HELD)
+    return np.asarray(rows["fitness"] >= (1 if min_fitness is None else min_fitness))
 
 
 @dataclass(frozen=True)

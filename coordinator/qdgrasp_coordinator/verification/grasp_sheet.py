@@ -1,7 +1,7 @@
 """Chooses grasps of a run by words, and writes a picture of them beside each other."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.export.grasp_pictures import grasp_labels, placed_hands
 from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, choose_grasps
 from qdgrasp_coordinator.export.grasp_set import Grasps
-from qdgrasp_coordinator.metrics.grasp_quality import least_fitness
+from qdgrasp_coordinator.metrics.grasp_quality import takes_held
 from qdgrasp_coordinator.rendering.contact_sheet import common_camera, contact_sheet, draw_hands
 from qdgrasp_coordinator.report.row_report import row_at
 from qdgrasp_coordinator.storage.journal import Journal
@@ -61,8 +61,8 @@ class SheetChoice:
             numbers = self._numbers(folder, journal, reader)
             if not len(numbers):
                 raise InputError(
-                    f"{folder.path} has no grasp yet with a fitness of {least_fitness(reader.spec, None)} or "
-                    "more. Rows by their numbers can be drawn all the same, as in --grasps 3,17,22."
+                    f"{folder.path} has no grasp yet with a fitness of 1 or more. Rows by their numbers can "
+                    "be drawn all the same, as in --grasps 3,17,22."
                 )
             return reader.at(numbers)
 
@@ -80,6 +80,8 @@ class SheetChoice:
             "random": GraspChoice(),
         }[self.rank]
         numbers: NDArray[np.int64] = choose_grasps(reader, choice).index["number"]
+        if not len(numbers):  # none survived every push: the title says so
+            numbers = choose_grasps(reader, replace(choice, min_fitness=1)).index["number"]
         if self.rank == "random" and len(numbers) > self.most:
             drawn = np.random.default_rng(RANDOM_SEED).choice(len(numbers), self.most, replace=False)
             return numbers[np.sort(drawn)]
@@ -90,7 +92,9 @@ class SheetChoice:
         names = f"{grasps.scene.gripper.name} on {grasps.scene.object.name}"
         ranks = {"best": ", the best first", "diverse": ", well spread", "random": ", drawn at random"}
         noun = "grasp" if grasps.is_success.all() else "row"
-        return f"{names}: {counted(len(grasps), noun)}{ranks.get(self.rank, '')}"
+        holds = not self.rank or not takes_held(grasps.spec) or (grasps.rows["outcome"] == Outcome.HELD).all()
+        note = "" if holds else "; no grasp survived every push"
+        return f"{names}: {counted(len(grasps), noun)}{ranks.get(self.rank, '')}{note}"
 
 
 def write_sheet(

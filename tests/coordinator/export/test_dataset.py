@@ -202,7 +202,7 @@ def test_an_end_by_a_signal_kills_nothing_and_is_gone_on_with(campaign, tmp_path
 def test_an_export_with_other_flags_does_not_go_on_with_one_that_was_begun(campaign, tmp_path) -> None:
     out, part = tmp_path / "out", tmp_path / "out.part"
     assert export_campaign(campaign.path, out, "csv", GRASPS, is_stopped=lambda: True) == ""
-    with pytest.raises(InputError, match="holds the beginning of an export with other options"):
+    with pytest.raises(InputError, match="with other options: min_fitness was not given and is 2; give"):
         export_campaign(campaign.path, out, "csv", GraspChoice(min_fitness=2))
     shutil.rmtree(part)
     part.mkdir()

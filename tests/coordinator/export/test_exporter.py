@@ -128,8 +128,8 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
     weak, none = make_run(*[Outcome.DROPPED] * 3, name="weak"), make_run(Outcome.MISSED, name="none")
     out = tmp_path / "out"
     assert refusal(weak.path, "csv", out) == (
-        f"{weak.path} has no grasp with a fitness of 1 or more: the best of its 3 successes has 0, and "
-        "--min-fitness 0 writes those."
+        f"{weak.path} has no grasp that survived as many disturbances: the best of its 3 successes "
+        "has fitness 0, and --min-fitness 0 writes those."
     )
     assert "there is no success among 1 row." in refusal(none.path, "csv", out)
     assert not out.exists()
@@ -145,10 +145,12 @@ def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, 
         assert f"\n# min_fitness: {asked or 6}\n" in out.read_text()
         assert qdgrasp.open(run.path).grasps(min_fitness=asked).fitness.tolist() == expected
     weak = make_run(Outcome.SHAKEN, name="weak", **settings)
-    assert refusal(weak.path, "csv", tmp_path / "none").endswith(
-        "a fitness of 6 or more: the best of its 1 success has 3, and --min-fitness 3 writes those, "
-        "--min-fitness 1 all that survived some disturbance."
-    )
+    said = refusal(weak.path, "csv", tmp_path / "none")
+    assert said.endswith("--min-fitness 3 writes those, --min-fitness 1 all that survived some disturbance.")
+    rows = random_rows(run.scene(), [Outcome.SHAKEN, Outcome.HELD])  # a custom evaluator's: held, fitness 2
+    custom = record(tmp_path / "custom", run.scene(), rows, method="contact_rand", **settings)
+    assert export_run(custom, out, "csv", force=True).startswith("1 grasp ")
+    assert "\n# min_fitness: 2\n" in out.read_text()
     assert command(weak.path, "--format", "csv", "-o", out, "--min-fitness", 7).exit_code == 2
 
 

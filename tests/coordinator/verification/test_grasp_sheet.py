@@ -81,25 +81,26 @@ def test_other_words_are_refused(words: str) -> None:
         SheetChoice.parse(words)
 
 
-@pytest.mark.parametrize("words", [f"best:{MOST_PANELS + 1}", ",".join(map(str, range(MOST_PANELS + 1)))])
-def test_too_many_are_refused(words: str) -> None:
-    with pytest.raises(ImpossibleValue, match=f"at most {MOST_PANELS} grasps"):
-        SheetChoice.parse(words)
-
-
-def test_a_row_that_is_not_there_or_has_no_pose_is_refused(run: RunFolder) -> None:
+def test_too_many_and_a_row_that_is_not_there_or_has_no_pose_are_refused(run: RunFolder) -> None:
+    for words in (f"best:{MOST_PANELS + 1}", ",".join(map(str, range(MOST_PANELS + 1)))):
+        with pytest.raises(ImpossibleValue, match=f"at most {MOST_PANELS} grasps"):
+            SheetChoice.parse(words)
     with pytest.raises(NoSuchRow):
         SheetChoice.parse("2,33").read(run)
     with pytest.raises(NoPose):
         SheetChoice.parse("2,32").read(run)
 
 
-def test_a_run_without_a_grasp_is_refused(tmp_path: Path) -> None:
+def test_a_run_without_a_grasp_is_refused_and_weak_ones_are_drawn_where_none_holds(tmp_path: Path) -> None:
     rows = random_rows(made_scene(), [Outcome.DROPPED, Outcome.MISSED])
     folder = record(tmp_path / "none", made_scene(), rows, method="contact_rand")
+    choice = SheetChoice.parse("best:3")
     with pytest.raises(InputError, match="has no grasp yet"):
-        SheetChoice.parse("best:3").read(folder)
+        choice.read(folder)
     assert SheetChoice.parse("0,1").read(folder).numbers.tolist() == [0, 1]
+    rows["outcome"], rows["fitness"] = Outcome.SHAKEN, 1
+    weak = record(tmp_path / "weak", made_scene(), rows, method="contact_rand", protocol="physical")
+    assert choice.title(choice.read(weak)).endswith("2 grasps, the best first; no grasp survived every push")
 
 
 def test_hands_stand_as_they_settled_or_open_as_commanded(run: RunFolder) -> None:
