@@ -12,10 +12,11 @@ lines = Path(grasps).read_text().splitlines()
 facts = dict(line.removeprefix("# ").split(": ", 1) for line in lines if ": " in line)
 best = next(csv.DictReader(line for line in lines if not line.startswith("#")))
 joints = [name.removeprefix("joint.") for name in best if name.startswith("joint.")]
-# The hand stays where its file has it. The object is free, at the inverse of the commanded pose of the hand.
+# The hand stands at the origin. The object is free, at the inverse of the commanded pose of the hand.
 spec = mujoco.MjSpec.from_file(hand_file)
-if (root := spec.worldbody.first_body().name) != (frame := facts["gripper_frame"]):
-    sys.exit(f"The root link of {hand_file} is '{root}', not '{frame}': give the URDF that its TOML names.")
+if (root := ", ".join(body.name for body in spec.worldbody.bodies)) != (frame := facts["gripper_frame"]):
+    sys.exit(f"Poses are of {frame}, the root of {hand_file} is {root}: give a URDF whose root is {frame}.")
+spec.body(frame).pos, spec.body(frame).quat = (0, 0, 0), (1, 0, 0, 0)  # wherever it is in a link `world`
 spec.option.gravity, spec.option.integrator = (0, 0, 0), mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 spec.add_mesh(name="object", file=str(Path(object_file).absolute()), scale=[float(facts["object_scale"])] * 3)
 body = spec.worldbody.add_body(name="object")
@@ -27,9 +28,8 @@ for name in joints:
     servo.set_to_position(**({"kp": 500, "kv": 20} if is_slide else {"kp": 20, "kv": 2}))
     spec.joint(name).armature = 0.01  # the rotor's inertia, without which light fingers shake
 data = mujoco.MjData(model := spec.compile())
-back, away = np.zeros(4), np.zeros(3)
-mujoco.mju_negQuat(back, np.array([float(best[name]) for name in ("qw", "qx", "qy", "qz")]))
-mujoco.mju_rotVecQuat(away, -np.array([float(best[name]) for name in "xyz"]), back)
+back = np.array([float(best[name]) for name in ("qw", "qx", "qy", "qz")]) * (1, -1, -1, -1)
+mujoco.mju_rotVecQuat(away := np.zeros(3), -np.array([float(best[name]) for name in "xyz"]), back)
 data.joint(model.body("object").jntadr[0]).qpos[:] = [*away, *back]
 opened, closed = (np.array([float(best[kind + name]) for name in joints]) for kind in ("pregrasp.", "joint."))
 data.qpos[[model.joint(name).qposadr[0] for name in joints]] = opened

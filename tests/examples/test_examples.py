@@ -167,7 +167,11 @@ def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
     assert sorted(moved)[1] < most, moved
     if gripper == "hand.toml":
         refused = scripts.start("in_mujoco.py", "hand.urdf", "part.stl", "one.csv")
-        assert "The root link of hand.urdf is 'palm', not 'palm_centre'" in end_of(refused, 1)[1]
+        assert "are of palm_centre, the root of hand.urdf is palm: give a URDF" in end_of(refused, 1)[1]
+        joint = '<joint name="fixed" type="fixed"><parent link="world"/><child link="palm_centre"/>'
+        below = f'<link name="world"/>{joint}<origin xyz="1 2 3" rpy="1 2 3"/></joint></robot>'
+        (home / urdf).write_text((home / urdf).read_text().replace("</robot>", below))
+        assert scripts("in_mujoco.py", urdf, "part.stl", "one.csv") == said
 
 
 def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
