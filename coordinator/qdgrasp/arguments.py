@@ -67,7 +67,7 @@ def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterab
 
 
 class SceneArguments(TypedDict, total=False):
-    """Gripper, object and evaluation protocol; keys left out are as in `qdgrasp run`."""
+    """Gripper, object and evaluation protocol; defaults of `qdgrasp run`, but for `protocol`."""
 
     gripper: Required[str | os.PathLike[str]]
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
@@ -80,7 +80,7 @@ class SceneArguments(TypedDict, total=False):
     friction: float | None
     """The object's lateral friction coefficient; 0.5."""
     protocol: ProtocolName
-    """"paper", "physical", "lift", "released" or "robust" (docs/protocols.md)."""
+    """"paper", "physical", "lift", "released" or "robust" (docs/protocols.md); "paper"."""
     base: BaseName
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineChoice | None

@@ -88,8 +88,8 @@ class Run:
         Parameters
         ----------
         min_fitness
-            Least number of disturbances survived: 1 for grasps, 0 for all successes; robust ones have 2,
-            or 6 in the protocol `physical`. None: 6 under `physical`, also as the base of `robust`, else 1.
+            Least number of disturbances survived: 1 for grasps, 0 for all successes. None: grasps that
+            survived all, under `physical`, also as the base of `robust`; else 1.
         top
             At most so many, best first.
         diverse
@@ -277,10 +277,10 @@ def open(path: str | os.PathLike[str]) -> Any:  # noqa: A001  # said as qdgrasp.
     Examples
     --------
     >>> run = qdgrasp.open("runs/mug")
-    >>> run.summary.robust, run.grasps(min_fitness=2).poses("mesh").shape
+    >>> run.summary.robust, run.grasps().poses("mesh").shape
     (214, (214, 7))
     >>> for run in qdgrasp.open("runs/campaign"):
-    ...     for table in run.tables(min_fitness=2):
+    ...     for table in run.tables():
     ...         print(run.spec.object, run.spec.gripper, table.num_rows)
     """
     folder = path_of("path", path)

@@ -247,8 +247,8 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
             late.append(f"{name} needs {time:.2g} s")
     if late:
         yield (
-            f"an evaluation of paper closes the hand for {CLOSING_TIME:.2f} s, in which it does not close "
-            f"wholly: {', '.join(late)}; physical waits until it has closed"
+            f"paper, released and robust with base paper close the hand for {CLOSING_TIME:.2f} s, in which "
+            f"it does not close wholly: {', '.join(late)}; physical waits until it has closed"
         )
     if driven := ", ".join(name for name in file.free_joints if file.joints[name].driven):
         yield f"free joints that are driven go back to their open place while the hand closes: {driven}"
