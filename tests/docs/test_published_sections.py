@@ -186,7 +186,8 @@ def test_reference_sets_are_those_of_the_files_beside_the_table() -> None:
 
 def test_sigma_is_that_of_the_runs() -> None:
     every = read_runs()
-    runs = every[(every["protocol"] == "paper") & every["settings"].str.contains("surface_seed=seed")]
+    is_paper = (every["gripper"] == "panda") & (every["protocol"] == "paper")
+    runs = every[is_paper & every["settings"].str.contains("surface_seed=seed")]
     sigma = runs["settings"].str.extract(r"mutation_sigma=(\S+)")[0].fillna("0.1")
     for line in lines_with(part("The mutation's sigma"), "0.1 of the best, %"):
         budget, name = int(line["evaluations"].replace(",", "")), line["method"].strip("`")
@@ -206,7 +207,7 @@ def test_the_page_on_coverage_says_how_low_the_estimate_of_the_drill_is(referenc
     (line,) = (
         one
         for one in lines_with(part("Reference sets of our own"), "cells that hold")
-        if (one["object"], one["protocol"]) == ("ycb_power_drill", "paper")
+        if (one["hand"], one["object"], one["protocol"]) == ("panda", "ycb_power_drill", "paper")
     )
     (own,) = read_references(RESULTS / "reference-sets/panda-ycb_power_drill-paper.npz").values()
     published = read_references(reference_data / "reference/S_G_panda_2f.npz")["power_drill"]

@@ -79,7 +79,7 @@ def _near_shares(group: RunGroup) -> RunValues:
 
 
 def near_nu_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
-    """Compare the shares of two methods with nu below pi / 4; None: no scene has successes of both."""
+    """Compare two methods' shares of nu below pi / 4; None: no scene has successes of both."""
     every = [*_groups_of(scenes, methods)]
     pairs = [pair for pair in every if all(len(_near_shares(group)) for group in pair)]
     upper, lower = ([_near_shares(pair[place]) for pair in pairs] for place in (0, 1))
