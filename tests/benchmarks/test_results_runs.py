@@ -11,6 +11,7 @@ from benchmarks.results import drawn_grasps, work
 from benchmarks.results.assets import NAME
 from benchmarks.results.measure import code_of, harvest
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
+from benchmarks.results.paper_claims import SIGMA_GRID
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
 from benchmarks.results.table import Key, Row
 from benchmarks.results.work import Store
@@ -235,7 +236,7 @@ class TestFiles:
     def test_every_comparison_has_the_default_on_the_same_scene_with_as_many_evaluations(self, known) -> None:
         default = RunSpec(gripper="any", object="any").method
         campaigns = known.campaigns.items()
-        among_others = (CLAIMS, "grasp-bench-1-sweep")  # the paper's methods, and their settings
+        among_others = (CLAIMS, SIGMA_GRID, "grasp-bench-1-sweep")  # the paper's methods, and their settings
         compared = [one.key for name, runs in campaigns for one in runs if not name.startswith(among_others)]
         places = {(one[:3], one.seed, one.budget) for one in compared if one.method == default}
         assert {(one[:3], one.seed, one.budget) for one in compared} <= places
