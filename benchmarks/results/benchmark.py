@@ -161,10 +161,9 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
     )
 
     def share(pair: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
+        """The default's share of both; where both found nothing 1, so that any other method is chosen."""
         ours, theirs = (float(values.mean()) for values in pair)
-        return (
-            ours / (ours + theirs) if ours + theirs else 1.0
-        )  # where both found nothing, any other is chosen
+        return ours / (ours + theirs) if ours + theirs else 1.0
 
     chosen = ([min(pairs, key=share) for pairs in some if pairs] for some in after)
     evaluations, cpu = (

@@ -129,7 +129,7 @@ def bootstrap(scenes: Scenes, is_ratio: bool) -> tuple[float, float, float]:
         drawn = random.choice(values, (places.sum(), len(values)))
         means[places, arm] = drawn.mean(axis=1)
         variances[places, arm] = drawn.var(axis=1, ddof=1) / len(values)
-    of_runs = (np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _error))
+    of_runs = (np.array([[of(arm) for arm in scene] for scene in scenes]) for of in (np.mean, _variance))
     value, error = estimate(*of_runs)
     found, errors = estimate(means, variances)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -141,7 +141,7 @@ def bootstrap(scenes: Scenes, is_ratio: bool) -> tuple[float, float, float]:
     return low, high, min(1.0, 2 * beyond)
 
 
-def _error(values: Values) -> float:
+def _variance(values: Values) -> float:
     """The variance of a mean."""
     return float(np.var(values, ddof=1) / len(values))
 
