@@ -24,7 +24,6 @@ USUAL_POPULATION = {"aimed": "50"} | dict.fromkeys(
 )
 CPU_MARKS = (320, 224, 160, 112, 80, 56, 40, 28, 20, 14, 10, 7, 5)
 """Seconds, the most first."""
-COVERAGE_MARKS = {"1,000": "1k", "2,000": "2k", "5,000": "5k", "10,000": "10k"}
 DRAWS = 2000
 
 Runs = pandas.DataFrame
@@ -475,41 +474,6 @@ def test_the_sweep_is_the_median_over_seeds_and_the_best_setting_stands_out(runs
         assert line["share of the best"] == (
             f"**{shares[setting]:.0%}**" if is_best else f"{shares[setting]:.0%}"
         )
-
-
-def test_coverage_is_the_median_over_seeds(runs: Runs) -> None:
-    shown = lines_with(part("Coverage of S_G by the search for touch"), "budget")
-    assert shown
-    for line in shown:
-        mine = counted_runs(on_scene(for_touch(runs), line), line, line["budget"])
-        mine = mine[(mine["words"] == "`aimed` for touch") & (mine["protocol"] == line["protocol"])]
-        assert int(line["runs"].split(" ")[0]) == len(mine)
-        for mark, column in COVERAGE_MARKS.items():
-            assert line[mark] == spread(100 * mine[f"coverage_{column}"], 1)
-        assert line["end"] == spread(100 * mine["coverage"], 1)
-        outside = 1 - mine["coverage"] * mine["set_size"] / mine["cells"]
-        assert line["outside"] == spread(100 * mine["outside"].fillna(outside), 1)
-        assert line["robust"] == spread(100 * mine["robust_share"], 1)
-        assert line["mean best fitness"] == spread(mine["mean_best"], 2)
-        assert line["orientations"] == spread(mine["orientations"], 2)
-
-
-def test_the_rate_of_coverage_is_that_of_a_cpu_second(runs: Runs) -> None:
-    shown = lines_with(part("Coverage for CPU time"), "a success, ms")
-    assert shown
-    for line in shown:
-        mine = counted_runs(on_scene(for_touch(runs), line), line, line["evaluations"])
-        mine = mine[(mine["words"] == line["method"]) & mine["coverage"].notna()]
-        assert int(line["runs"].split(" ")[0]) == len(mine)
-        assert line["coverage, %"] == spread(100 * mine["coverage"], 1)
-        assert line["CPU s"] == spread(mine["cpu_seconds"], 0)
-        costs = mine[mine["success_ms"].notna()]
-        if len(costs):
-            assert line["a success, ms"] == spread(costs["success_ms"], 1)
-            costs = costs[costs["success_ms"] > 0]
-            ceilings = 100 / (costs["set_size"] * costs["success_ms"] / 1000)
-            assert line["ceiling, % a CPU s"] == spread(ceilings, 2)
-        assert line["% of S_G a CPU s"] == spread(100 * mine["coverage"] / mine["cpu_seconds"], 3)
 
 
 def test_the_runs_that_are_in_are_those_of_the_table(runs: Runs) -> None:

@@ -1,4 +1,4 @@
-"""Figures of calibration study, reference sets and the paper's claims, recomputed by other means."""
+"""Figures of the sections of the page of results, recomputed by other means."""
 
 import re
 from collections.abc import Callable
@@ -14,8 +14,11 @@ from tests.docs.test_published_numbers import (
     Runs,
     Values,
     bootstrap,
+    counted_runs,
+    for_touch,
     lines_with,
     near,
+    on_scene,
     part,
     ratio,
     read_runs,
@@ -30,6 +33,7 @@ UNSEEN = (
 )  # fmt: skip
 FOUND = r"(\d\.\d\d) \((-?\d\.\d\d) to (-?\d\.\d\d)\)"
 """A number with its interval."""
+COVERAGE_MARKS = {"1,000": "1k", "2,000": "2k", "5,000": "5k", "10,000": "10k"}
 FINDING = (
     rf"- \*\*{{hand}}\*\*, \d objects?: the (\d+) best-ranked grasps survive {FOUND} of the unseen "
     rf"disturbances, (\d+) random ones that hold {FOUND}; the difference is {FOUND}\. Of pairs of random "
@@ -128,6 +132,43 @@ def again(random: np.random.Generator, groups: list[list[Values]]) -> float:
     """The mean over scenes of resampled grasps, of a group, or of the first less the second."""
     means = [np.mean([random.choice(scene, len(scene)).mean() for scene in group]) for group in groups]
     return means[0] if len(means) == 1 else means[0] - means[1]
+
+
+def test_coverage_is_the_median_over_seeds() -> None:
+    runs = read_runs()
+    shown = lines_with(part("Coverage of S_G by the search for touch"), "budget")
+    assert shown
+    for line in shown:
+        mine = counted_runs(on_scene(for_touch(runs), line), line, line["budget"])
+        mine = mine[(mine["words"] == "`aimed` for touch") & (mine["protocol"] == line["protocol"])]
+        assert int(line["runs"].split(" ")[0]) == len(mine)
+        for mark, column in COVERAGE_MARKS.items():
+            assert line[mark] == spread(100 * mine[f"coverage_{column}"], 1)
+        assert line["end"] == spread(100 * mine["coverage"], 1)
+        outside = 1 - mine["coverage"] * mine["set_size"] / mine["cells"]
+        assert line["outside"] == spread(100 * mine["outside"].fillna(outside), 1)
+        assert line["robust"] == spread(100 * mine["robust_share"], 1)
+        assert line["mean best fitness"] == spread(mine["mean_best"], 2)
+        assert line["orientations"] == spread(mine["orientations"], 2)
+
+
+def test_the_rate_of_coverage_is_that_of_a_cpu_second() -> None:
+    runs = read_runs()
+    shown = lines_with(part("Coverage for CPU time"), "a success, ms")
+    assert shown
+    for line in shown:
+        mine = counted_runs(on_scene(for_touch(runs), line), line, line["evaluations"])
+        mine = mine[(mine["words"] == line["method"]) & mine["coverage"].notna()]
+        assert int(line["runs"].split(" ")[0]) == len(mine)
+        assert line["coverage, %"] == spread(100 * mine["coverage"], 1)
+        assert line["CPU s"] == spread(mine["cpu_seconds"], 0)
+        costs = mine[mine["success_ms"].notna()]
+        if len(costs):
+            assert line["a success, ms"] == spread(costs["success_ms"], 1)
+            costs = costs[costs["success_ms"] > 0]
+            ceilings = 100 / (costs["set_size"] * costs["success_ms"] / 1000)
+            assert line["ceiling, % a CPU s"] == spread(ceilings, 2)
+        assert line["% of S_G a CPU s"] == spread(100 * mine["coverage"] / mine["cpu_seconds"], 3)
 
 
 def chao2(reached: NDArray[np.bool_]) -> float:
