@@ -280,8 +280,8 @@ def analyse(
     and hold the paper's claims against them.
 
     Writes the paper's four figures of results for every hand, and others, as PNG, SVG and CSV, and the tables
-    as Markdown and CSV; also while runs go on. Runs that keep too little for curves, as pruned ones may, are
-    left out and named.
+    as Markdown and CSV; also while runs go on. Runs that keep too little for curves, as pruned ones may, and
+    runs that repeat a search are left out and named.
 
     Example: qdgrasp analyse campaigns/paper-small
     """  # noqa: D205  # typer joins the lines
@@ -299,13 +299,13 @@ def analyse(
     verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
     if as_json:
         values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
-        missing = {"left_out": found.left_out, "without_curves": found.without_curves}
+        missing = {name: getattr(found, name) for name in ("left_out", "without_curves", "repeats")}
         echo(json.dumps({**values, "claims": verdicts, **missing}))
         return
     for one in found.claims:
         echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
-    if found.without_curves:
-        echo(left_out_words(found.without_curves))
+    for sentence in left_out_words(found.without_curves, found.repeats):
+        echo(sentence)
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
     echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
 

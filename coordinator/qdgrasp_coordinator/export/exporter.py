@@ -76,7 +76,7 @@ GRASPGEN_PLACES = PosePlaces(
 )
 CSV_PLACES = PosePlaces("x to qw, pregrasp.*", "settled_x to settled_qw, joint.*")
 PARQUET_PLACES = replace(CSV_PLACES, contacts=tabular.CONTACTS)
-MOVEIT_PLACES = PosePlaces("qdgrasp.grasps.pregrasp_poses, pre_grasp_posture", "grasp_pose, grasp_posture")
+MOVEIT_PLACES = PosePlaces("grasp_pose, pre_grasp_posture", "qdgrasp.grasps.settled_poses, grasp_posture")
 
 FORMATS = {
     each.name: each

@@ -10,9 +10,9 @@ and the joints after closing. The commanded pose, which goes with `pregrasp_cspa
 of our own beside it.
 
 For MoveIt the list `grasps` has messages `moveit_msgs/msg/Grasp` (ROS 2). `grasp_pose` is that of the hand's
-root link, the parent link of the end effector, in the object's frame: the settled pose, at which the hand has
-`grasp_posture`. Messages have no place for the commanded pose; it stands in the block `qdgrasp`. Approach and
-retreat, along the hand's own approach axis, are suggestions.
+root link, the parent link of the end effector, in the object's frame: the commanded pose, to which the hand
+comes with `pre_grasp_posture` and where it closes. Messages have no place for the settled pose; it stands in
+the block `qdgrasp`. Approach and retreat, along the hand's own approach axis, are suggestions.
 """
 
 import json
@@ -213,8 +213,8 @@ def write_moveit(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     with path.open("w", encoding="utf-8") as file:
         file.write(yaml_block({"qdgrasp": metadata.values}))
         file.writelines(_extra_lines(grasps, metadata.frame))
-        poses = [f"[{', '.join(pose)}]" for pose in table_decimals(grasps.poses(metadata.frame))]
-        file.write(f"    pregrasp_poses: [{', '.join(poses)}]\n")
+        poses = [f"[{', '.join(pose)}]" for pose in table_decimals(grasps.settled_poses(metadata.frame))]
+        file.write(f"    settled_poses: [{', '.join(poses)}]\n")
         file.write("grasps:\n")
         file.writelines(_messages(grasps, metadata))
 
@@ -223,7 +223,7 @@ def _messages(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
     names = ", ".join(map(_quoted, grasps.joint_names))
     moves = _moves(grasps)
     object_frame, touched = HEADER.format(_quoted(metadata.object)), _quoted(metadata.object)
-    for number, quality, (pose, closed), (_, start) in grasp_decimals(grasps, metadata.frame):
+    for number, quality, (_, closed), (pose, start) in grasp_decimals(grasps, metadata.frame):
         x, y, z, qx, qy, qz, qw = pose
         yield (
             f"- id: grasp_{number}\n"

@@ -89,6 +89,12 @@ def first_occurrences(keys: NDArray[np.int64]) -> NDArray[np.bool_]:
 ROUNDING = 1e-6  # Taken from every nu [rad]: where a prior ends at pi / 4, float32 goes beyond
 
 
+def nu_angles(rows: Rows) -> NDArray[np.float64]:
+    """Return nu of the rows that aim at a surface point, less `ROUNDING`: (m,) [rad], 0 to pi."""
+    aimed = rows["nu"][rows["surface_point"].any(axis=1)].astype(np.float64)
+    return np.clip(aimed - ROUNDING, 0.0, math.pi)
+
+
 @dataclass(frozen=True)
 class SuccessHistory:
     """The nominal successes of a run in journal order."""
@@ -115,8 +121,7 @@ class SuccessHistory:
     @property
     def nu(self) -> NDArray[np.float64]:
         """(m,) [rad], 0 to pi: of those that aim at a surface point."""
-        aimed = self.rows["nu"][self.rows["surface_point"].any(axis=1)].astype(np.float64)
-        return np.clip(aimed - ROUNDING, 0.0, math.pi)
+        return nu_angles(self.rows)
 
     def cells(self, least: Outcome = Outcome.DROPPED) -> StepSeries:
         """Distinct 1 cm cells with a success of at least this outcome."""
@@ -259,8 +264,7 @@ class SuccessMetrics:
         """Count the next rows."""
         found = successes(rows)
         self.successes += len(found)
-        nu = found["nu"][found["surface_point"].any(axis=1)].astype(np.float64)
-        angles = np.clip(nu, 0.0, math.pi)  # pi in float32 is more than pi
+        angles = nu_angles(found)
         self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
         self._near += int(np.count_nonzero(angles < NEAR_NU))
         self._closed.add(self._trials.take(rows))

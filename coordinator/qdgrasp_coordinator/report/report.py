@@ -23,6 +23,7 @@ from qdgrasp_coordinator.report.figures import (
 from qdgrasp_coordinator.report.run_groups import (
     RunGroup,
     curve_panels,
+    distinct_searches,
     group_runs,
     pool_objects,
     read_histories,
@@ -65,6 +66,8 @@ class CampaignReport:
     """By name, the reason why a figure was left out; empty for those that were drawn."""
     without_curves: list[str]
     """Runs that were left out: too few of their rows were kept."""
+    repeats: list[str]
+    """Runs that were left out: another run of the same search is longer, or a copy."""
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -107,7 +110,8 @@ def write_report(
     if not folders:
         raise FolderError(f"Of every run in {path} only the successes were kept; curves need every row.")
     without_curves = [folder.path.absolute().name for folder in there if folder not in folders]
-    arms = group_runs(read_histories(folders, ReferenceLookup(references)))
+    runs, copies = distinct_searches(read_histories(folders, ReferenceLookup(references)))
+    arms, repeats = group_runs(runs), [run.path.absolute().name for run in copies]
     begun = [group for group in arms if any(run.evaluations for run in group.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
@@ -126,12 +130,12 @@ def write_report(
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             (made / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
-        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, without_curves)
+        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, (without_curves, repeats))
         (made / PAGE_FILE).write_text(page, encoding="utf-8")
     for name in earlier:  # figures of an earlier analysis that were left out of this one
         for suffix in SUFFIXES if figures.get(name, "no more") else ():
             (out / name).with_suffix(suffix).unlink(missing_ok=True)
-    return CampaignReport(out, arms, claims, figures, without_curves)
+    return CampaignReport(out, arms, claims, figures, without_curves, repeats)
 
 
 def _draw(

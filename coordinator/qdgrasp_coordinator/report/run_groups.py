@@ -19,7 +19,7 @@ from qdgrasp_coordinator.report.run_history import RunHistory, read_history
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder, search_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_protocol.spec import Overlaps, RunSpec
@@ -136,14 +136,24 @@ def read_histories(folders: Iterable[RunFolder], targets: ReferenceLookup) -> It
         if not folder.has_bundle():
             yield read_history(folder, CoverageTarget(why="the run's scene is not here"))
             continue
-        key = folder.bundle().digest, run_object
-        if key not in known:
-            known[key] = targets.of(folder.scene(), run_object)
-        yield read_history(folder, known[key])
+        scene = folder.bundle().digest
+        if (scene, run_object) not in known:
+            known[scene, run_object] = targets.of(folder.scene(), run_object)
+        yield read_history(folder, known[scene, run_object], search_digest(folder.spec, scene))
+
+
+def distinct_searches(runs: Iterable[RunHistory]) -> tuple[list[RunHistory], list[RunHistory]]:
+    """Separate runs from copies and shorter runs of the same searches: no samples of their own."""
+    kept: dict[str, RunHistory] = {}
+    there = list(runs)
+    for run in sorted(there, key=lambda run: -run.evaluations):  # of equal ones the first
+        kept.setdefault(run.search or str(run.path), run)
+    longest = {run.path for run in kept.values()}
+    return list(kept.values()), [run for run in there if run.path not in longest]
 
 
 def group_runs(runs: Iterable[RunHistory]) -> list[RunGroup]:
-    """Group runs that differ in their seed alone.
+    """Group runs that differ in their seed, and maybe in their budget.
 
     Hands and methods are in the paper's order, searches of a program's own last.
     """

@@ -84,6 +84,8 @@ class RunHistory:
     eta: EtaSummary | None
     """Eta of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
+    search: str = ""
+    """`search_digest` of the run; empty: its scene is not here."""
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Share of the reference set found after so many evaluations; NaN without one."""
@@ -115,7 +117,7 @@ def has_curves(folder: RunFolder) -> bool:
         return _has_curves(journal, folder.spec)
 
 
-def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
+def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") -> RunHistory:
     """Read what a run found, also while it goes on.
 
     Raises FolderError if its journal cannot be read, or does not hold enough of it (`has_curves`).
@@ -146,6 +148,7 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
         near=int(np.count_nonzero(history.nu < NEAR_NU)),
         eta=metrics.eta,
+        search=search,
     )
 
 

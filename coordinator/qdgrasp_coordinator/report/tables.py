@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -270,13 +270,13 @@ def markdown_page(
     claims: Sequence[JudgedClaim],
     figures: Mapping[str, str],
     sweeps: Sequence[SettingSweep] = (),
-    without_curves: Sequence[str] = (),
+    left_out: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> str:
     """Write an analysis as a page; `figures` gives the reason why one was left out."""
     parts = (
         f"# {name}\n",
         _overview(groups),
-        *([f"{left_out_words(without_curves)}\n"] if without_curves else []),
+        *(f"{sentence}\n" for sentence in left_out_words(*left_out)),
         f"{CLAIMS_HEADING}\n",
         _claims(claims),
         *(_figure(figure, missing) for figure, missing in figures.items()),
@@ -291,10 +291,15 @@ def markdown_page(
     return "\n".join(parts)
 
 
-def left_out_words(runs: Sequence[str]) -> str:
-    """Name the runs of which too little was kept for curves."""
-    left_out = counted(len(runs), "run is", "runs are")
-    return f"{left_out} left out, of which only the successes were kept: {first_few(runs, MOST_NAMED)}."
+def left_out_words(without_curves: Sequence[str], repeats: Sequence[str]) -> Iterator[str]:
+    """Yield sentences on runs of which too little was kept for curves, and on repeated ones."""
+    for runs, why in (
+        (without_curves, "of which only the successes were kept"),
+        (repeats, "as other runs are of the same search, and as long or longer"),
+    ):
+        if runs:
+            left_out = counted(len(runs), "run is", "runs are")
+            yield f"{left_out} left out, {why}: {first_few(runs, MOST_NAMED)}."
 
 
 def _overview(groups: Sequence[RunGroup]) -> str:

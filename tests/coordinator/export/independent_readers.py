@@ -169,12 +169,12 @@ def moveit(path: Path) -> Read:
     told = yaml.safe_load(path.read_text())
     for message in told["grasps"]:
         check_message(message, GRASP)
-    before = np.array(beside(told)["pregrasp_poses"])
+    settled = np.array(beside(told)["settled_poses"])
     poses = [message["grasp_pose"]["pose"] for message in told["grasps"]]
     positions = [[pose["position"][axis] for axis in "xyz"] for pose in poses]
     turns = [[pose["orientation"][axis] for axis in "xyzw"] for pose in poses]
     quality = np.array([message["grasp_quality"] for message in told["grasps"]])
-    return Read(homogeneous(before[:, :3], before[:, 3:]), homogeneous(positions, turns), quality, told)
+    return Read(homogeneous(positions, turns), homogeneous(settled[:, :3], settled[:, 3:]), quality, told)
 
 
 def check_message(message: Any, definition: Any) -> None:

@@ -132,6 +132,8 @@ def test_other_formats_say_so_too(made: RunFolder, tmp_path: Path) -> None:
     (tmp_path / "out.yaml").unlink()
     moveit = yaml.safe_load(written(made, tmp_path, "moveit").read_text())
     assert moveit["grasps"][ABOVE]["pre_grasp_approach"]["desired_distance"] == WAY
+    end = moveit["grasps"][ABOVE]["grasp_pose"]["pose"]["position"]
+    assert [end["x"], end["y"], end["z"] + WAY] == pytest.approx(START, abs=1e-6)
     assert moveit["qdgrasp"]["grasps"]["resting_poses"] == isaac["resting_poses"]
     with h5py.File(written(made, tmp_path, "acronym")) as file:
         assert file["grasps/approach_transforms"][ABOVE, :3, 3] == pytest.approx(START, abs=1e-7)

@@ -75,6 +75,13 @@ def test_nu_from_0_to_pi_falls_into_18_bins_with_both_ends() -> None:
     assert lean.below_quarter_pi == 0.5
 
 
+def test_nu_at_the_end_of_the_prior_for_approach_is_not_beyond_it() -> None:
+    found = rows(*[Outcome.DROPPED] * 2)
+    found["nu"] = [math.pi / 4, np.nextafter(np.float32(math.pi / 4), np.float32(0))]  # float32 rounds up
+    assert float(found["nu"][0]) > math.pi / 4
+    assert counted(found).nu.below_quarter_pi == 1.0
+
+
 def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
     found = rows(Outcome.HELD, Outcome.HELD)
     found["surface_point"][0] = 0

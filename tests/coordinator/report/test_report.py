@@ -1,11 +1,13 @@
 import csv
 import json
+import shutil
 from itertools import product
 from pathlib import Path
 
 import matplotlib.image
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
@@ -197,7 +199,8 @@ def test_with_many_hands_the_cells_are_drawn_on_one_object_or_on_those_that_are_
     scenes = [*product(("panda", "allegro", "jaw"), ("mug", "bowl", "can")), ("jaw", "bowl-2")]
     for (hand, thing), method in product(scenes, ("contact_rand", "approach_rand")):
         spec = {"gripper": hand, "object": f"{thing}.stl", "method": method, "evaluations": 20}
-        record(tmp_path / "runs" / f"{hand}-{thing}-{method}", made_scene(), random_rows(20), **spec)
+        scene = replace(made_scene(hand), object=replace(made_scene().object, name=thing))
+        record(tmp_path / "runs" / f"{hand}-{thing}-{method}", scene, random_rows(20), **spec)
     assert {row["object"] for row in table(analysed(tmp_path).out / "voxels.csv")} == {"bowl"}
     lone = table(analysed(tmp_path, methods=["contact_rand"]).out / "voxels.csv")
     assert {(row["gripper"], row["object"]) for row in lone} == set(scenes)
@@ -300,3 +303,15 @@ def test_a_pruned_run_without_curves_is_left_out_and_that_is_said(campaign: Path
     assert json.loads(as_json.output)["without_curves"] == ["jaw-block-aimed-s0"]
     with pytest.raises(FolderError, match=r"Of every run in .* only the successes were kept"):
         write_report(campaign / "runs" / "jaw-block-aimed-s0", campaign / "none")
+
+
+def test_a_copy_of_a_run_and_a_shorter_run_of_its_search_are_no_runs_of_their_own(campaign: Path) -> None:
+    home, before = campaign / "runs", analysed(campaign)
+    shutil.copytree(home / "jaw-block-contact_rand-s0", home / "another")
+    prune_run(RunFolder.open(home / "another"))
+    rows = random_rows(50, seed=10 * METHODS.index("me_scs"))
+    record(home / "shorter", made_scene(), rows, method="me_scs", seed=0, evaluations=50)
+    after = analysed(campaign)
+    assert (after.runs, after.repeats) == (before.runs, ["jaw-block-contact_rand-s0", "shorter"])
+    said = "2 runs are left out, as other runs are of the same search, and as long or longer: "
+    assert said in (campaign / "analysis" / "tables.md").read_text()
