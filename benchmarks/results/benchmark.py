@@ -209,7 +209,8 @@ def _losses(found: Sequence[Contest], known: Sequence[Arm]) -> Iterator[str]:
     )
     yield (
         f"{held_out} held-out scenes are in, the cheapest first, so that they are no random sample of all; "
-        f"of tuning scenes {tuning}.\n"
+        f"of tuning scenes {tuning}. A scene is in when all its seeds are; "
+        "scenes with fewer have lines in the tables below.\n"
     )
 
 

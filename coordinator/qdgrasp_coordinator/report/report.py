@@ -67,7 +67,7 @@ class CampaignReport:
     without_curves: list[str]
     """Runs that were left out: too few of their rows were kept."""
     repeats: list[str]
-    """Runs that were left out: another run of the same search is longer, or a copy."""
+    """Runs that were left out: another run of the same search is as long, or longer."""
 
     @property
     def left_out(self) -> dict[str, str]:
