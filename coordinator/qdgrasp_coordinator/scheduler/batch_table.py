@@ -111,6 +111,8 @@ def _check_result(batch: Batch | ShapeBuild, result: Result | Built) -> None:
         if not (isinstance(batch, ShapeBuild) and isinstance(result, Built)):
             raise MessageError("a shape is no answer to a batch, nor rows to a build")
         return
+    if result.run != batch.run.run:
+        raise MessageError(f"a result is of run '{result.run}', its batch of '{batch.run.run}'")
     if result.n != len(batch):
         raise MessageError(f"a result has {result.n} rows, its batch {len(batch)}")
     for failure in result.failures:

@@ -205,7 +205,8 @@ class JobScheduler:
         for verdict in self.dispatcher.take_verdicts():
             self._on_verdict(verdict)
         for result in released:
-            if (run := self.runs.get(result.run.run)) is not None:
+            run = self.runs.get(result.run.run)
+            if run is not None and not run.goes_back:  # a reopened run asks for these rows again
                 self._take_rows(run, result.worker.wid, result.reply, result.rows, now)
         for worker in self.dispatcher.take_sick():
             words = (

@@ -357,12 +357,14 @@ def test_each_kind_of_result_is_counted() -> None:
     assert counted == {"foreign": 1, "fresh": 1, "duplicate": 2, "leased": 1}
 
 
-@pytest.mark.parametrize(("n", "failed"), [(1, ()), (3, ()), (2, (2,))])
-def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(n, failed) -> None:
+@pytest.mark.parametrize(
+    "wrong", [{"n": 1}, {"n": 3}, {"failures": failures((2,))}, {"run": "other"}], ids=str
+)
+def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(wrong) -> None:
     dispatch, lease = with_one_lease()
-    fitting = result(lease)
+    answer = structs.replace(result(lease), **wrong)
     with pytest.raises(MessageError):
-        dispatch.settle(ANN, structs.replace(fitting, n=n, failures=failures(failed)), SHAPE.empty(n), 0.1)
+        dispatch.settle(ANN, answer, SHAPE.empty(answer.n), 0.1)
     assert dispatch.leases(0.1) == []
     assert settle(dispatch, lease, 0.2).kind is Settlement.FRESH
 

@@ -5,8 +5,9 @@ from math import inf
 
 import msgspec
 import pytest
+from tests.coordinator.scheduler.leases import result
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
-from tests.fakes.job import FakeRunQueue, assignment, scheduler_of
+from tests.fakes.job import FakeRunQueue, SlowSink, assignment, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
@@ -143,6 +144,26 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
     request = JoinRequest(msgspec.structs.replace(without, wid=BOB))
     scheduler.handle(request, 2.0)
     assert "run 'run-0' is simulated in pybullet" in str(request.answer.exception())
+
+
+@pytest.mark.parametrize("goes_back", [False, True])
+def test_checked_rows_count_unless_their_run_goes_back_to_what_is_recorded(goes_back: bool) -> None:
+    scheduler = scheduler_of(FakeRunQueue({}), lambda _event: None)
+    run = ActiveRun(assignment("run-0", Plan(population=4)), sink := SlowSink(SHAPE))
+    scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
+    for wid in (ANN, BOB):
+        scheduler.handle(TokenChange(KEYS.worker_token(wid), True), 0.0)
+        scheduler.handle(JoinRequest(join_message(wid)), 0.0)
+    scheduler.is_paused = True  # it asks the search, and leases nothing by itself
+    scheduler.step(0.0)
+    run.goes_back = goes_back
+    for turn in range(10):
+        for lease in scheduler.dispatcher.leases(turn):
+            answer = msgspec.structs.replace(result(lease), epoch=scheduler.epoch)
+            scheduler.dispatcher.settle(lease.wid, answer, SHAPE.empty(len(lease.batch)), turn)
+        scheduler.step(turn)
+    assert scheduler.dispatcher.counters["checked"] > 0
+    assert (len(sink.rows) == 4) is not goes_back
 
 
 def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWithoutRuns) -> None:
