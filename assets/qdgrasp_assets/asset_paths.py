@@ -43,7 +43,7 @@ def path_problem(path: Path) -> str:
 
 def asset_folders() -> tuple[Path, ...]:
     """Return the folders that `QDGRASP_ASSET_PATH` names, separated by colons, in order."""
-    return tuple(Path(part).expanduser() for part in os.environ.get(ASSET_PATH, "").split(os.pathsep) if part)
+    return tuple(named_path(part) for part in os.environ.get(ASSET_PATH, "").split(os.pathsep) if part)
 
 
 def on_asset_path(relative: str) -> Path | None:
@@ -93,5 +93,5 @@ def data_folder() -> Path:
 def _own_folder(variable: str, xdg: str, default: str) -> Path:
     own = os.environ.get(variable)
     if own:
-        return Path(own).expanduser()
-    return Path(os.environ.get(xdg) or default).expanduser() / "qdgrasp"
+        return named_path(own)
+    return named_path(os.environ.get(xdg) or default) / "qdgrasp"

@@ -76,7 +76,7 @@ def read_draft(
     repairs: tuple[str, ...] = ()
     if not asked.hull:
         mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes or asked.remesh)
-    if asked.changes_mesh:
+    if asked.changes_mesh and mesh.areas.any():
         try:
             mesh, changes = prepare_mesh(mesh, asked)
         except AssetError as error:

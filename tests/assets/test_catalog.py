@@ -1,6 +1,7 @@
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -10,6 +11,7 @@ from msgspec.structs import replace
 from tests.assets.test_stand_ins import PUBLISHED
 
 from qdgrasp_assets import catalog
+from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.catalog import (
     build_scene,
     carried_hand,
@@ -122,6 +124,11 @@ def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
 def test_a_home_of_nobody_is_no_home():
     with pytest.raises(AssetError, match=r"No mesh file at '~nobody-of-that-name/part\.stl'"):
         scene(object="~nobody-of-that-name/part.stl", mass=0.3)
+
+
+def test_a_cache_at_the_home_of_nobody_is_a_folder_of_that_name(monkeypatch):
+    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
+    assert cache_folder() == Path("~nobody-of-that-name/cache")
 
 
 def test_an_object_of_the_catalog_has_its_own_size():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.object_model import read_draft, read_object, read_solid
+from qdgrasp_assets.object_model import read_draft, read_object, read_solid, solid_draft
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
 
@@ -130,6 +130,13 @@ def test_a_mesh_that_is_no_solid_is_refused(tmp_path, mesh, sentence):
     with pytest.raises(AssetError, match=sentence) as refused:
         read_solid(write(tmp_path / "part.ply", mesh))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("asked", [{"remesh": True}, {"hull": True}, {"simplify": 10}], ids=str)
+def test_a_mesh_without_area_is_refused_before_it_is_changed(tmp_path, asked):
+    line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
+    with pytest.raises(AssetError):
+        solid_draft(write(tmp_path / "part.ply", line), preparation=MeshPreparation(**asked))
 
 
 def test_all_that_is_wrong_is_said_at_once(tmp_path):

@@ -14,6 +14,7 @@ from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo, run_command
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import ONE_THREAD, configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_worker.device import MOST_WORLDS, Device
@@ -99,6 +100,8 @@ def worker(
     """
     with lifetime("qdgrasp-worker") as stop:
         os.environ.update(ONE_THREAD | os.environ)
+        if worlds is not None and device is None:
+            raise InputError("--worlds is a number of a device's; name the device with --device.")
         found = Device.find(device, worlds) if device else None
         if self_test:
             from qdgrasp_worker.platform import platform

@@ -87,7 +87,7 @@ def info(
     if given and not objects:
         raise InputError(f"--{next(iter(given))} does nothing without --objects; add it, or leave it out.")
     if objects:
-        output = OutFile(table, instead="name another file with --csv") if table else None
+        output = OutFile(table, instead="name another file with --csv", force=None) if table else None
         if output:
             output.check()
         key = (sort or "").removeprefix("-")
@@ -108,9 +108,10 @@ def info(
 def _print_objects(shown: Sequence[ObjectListing], output: OutFile | None, *, as_json: bool) -> None:
     if output:
         output.write(to_csv(shown))
-        echo(f"{counted(len(shown), 'object')} in {output.path}")
-    elif as_json:
+    if as_json:
         echo(json.dumps(msgspec.to_builtins(shown)))
+    elif output:
+        echo(f"{counted(len(shown), 'object')} in {output.path}")
     else:
         echo("\n".join(printable(line) for line in table_lines(shown)))
 

@@ -279,7 +279,11 @@ def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
     )
     least = " or ".join(map(str, sorted(filter(None, figures.least))))
     taken = options.choice | ({"min_fitness": least} if options.choice["min_fitness"] is None else {})
-    given = {name: value for name, value in taken.items() if value not in (None, 0.0)}
+    given = {
+        name: value
+        for name, value in taken.items()
+        if value is not None and (value != 0 or name not in ("min_fitness", "min_quality"))
+    }
     limits = given.pop("limits", {})
     given |= {name: value for name, value in limits.items() if value is not None}
     chosen = ", ".join(f"{name} {value}" for name, value in given.items()) or "every success"

@@ -223,6 +223,8 @@ def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]
     if fitness is None or fitness.shape != (len(found),):
         form = "nothing" if fitness is None else _array_form(fitness)
         raise AssetError(f"'{name}.fitness' in '{path}' must be ({len(found)},), got {form}.")
+    if fitness.dtype.kind not in "iu" or fitness.max(initial=0) > 2 or fitness.min(initial=0) < 0:
+        raise AssetError(f"'{name}.fitness' in '{path}' must be whole numbers from 0 to 2.")
     cells = found.astype(np.int64)
     if len(np.unique(cells, axis=0)) != len(cells):
         raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")

@@ -338,18 +338,20 @@ def _verdict(one: JudgedClaim) -> str:
     return f"**{one.verdict.value}**{lacking if is_partial else ''}"
 
 
-NO_INTERVAL = f"none: fewer than {LEAST_RUNS} runs"
+FEW_RUNS = f"none: fewer than {LEAST_RUNS} runs"
+NOTHING_FOUND = "none: both found nothing"
 
 
 def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
     for found, is_judged in one.numbers:
         interval, (low, high) = found.interval, (min(found.evaluations), max(found.evaluations))
         verdict = one.claim.band.verdict(interval).value
+        missing = FEW_RUNS if interval.scenes else NOTHING_FOUND
         yield (
             one.claim.letter,
             f"`{found.subject}`: {found.statistic}",
             f"{interval.value:.3g}",
-            f"{interval.low:.3g} to {interval.high:.3g}" if interval.is_known else NO_INTERVAL,
+            f"{interval.low:.3g} to {interval.high:.3g}" if interval.is_known else missing,
             verdict if is_judged else "to compare with",
             f"{low:,}" if low == high else f"{low:,} to {high:,}",
             str(interval.scenes),

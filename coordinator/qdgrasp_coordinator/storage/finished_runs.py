@@ -104,7 +104,7 @@ class FinishedRuns:
         for line in text.split(b"\n"):
             try:
                 found = msgspec.json.decode(line, type=_RunEngine) if line else None
-            except (msgspec.MsgspecError, RecursionError):
+            except (ValueError, RecursionError):  # ValueError: msgspec's too, and text that is not UTF-8
                 if first + len(line) == stop:
                     break
                 found = None
@@ -145,7 +145,7 @@ class FinishedRuns:
 
     def _line(self, run: str) -> FinishedRun | None:
         place = self._places.get(run)
-        with suppress(OSError, msgspec.MsgspecError, RecursionError):
+        with suppress(OSError, ValueError, RecursionError):
             if place is not None:
                 handle = os.open(self._file, os.O_RDONLY)
                 try:

@@ -246,5 +246,5 @@ class JobFolder:
     def _job(self) -> JobRecord:
         try:
             return msgspec.json.decode(atomic_files.read(self.path / JOB), type=JobRecord)
-        except (msgspec.MsgspecError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:  # ValueError: msgspec's too, and text that is not UTF-8
             raise atomic_files.damaged_file(self.path / JOB, str(error)) from None

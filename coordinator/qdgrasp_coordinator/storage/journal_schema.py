@@ -169,10 +169,11 @@ def explaining_read_errors(file: Path) -> Iterator[None]:
     except sqlite3.ProgrammingError:
         raise  # the module's own word on how it is used, such as after the end: the file is as it was
     except sqlite3.DatabaseError as error:
-        if error.sqlite_errorcode == sqlite3.SQLITE_NOTADB:
+        code = getattr(error, "sqlite_errorcode", None)  # text that is not UTF-8 has none
+        if code == sqlite3.SQLITE_NOTADB:
             raise FolderError(f"{file} is not a journal of qdgrasp.") from None
-        if error.sqlite_errorcode in NO_ROOM:
+        if code in NO_ROOM:
             raise DiskFull(f"There is no room in {file.parent} to read {file.name}: {error}.") from None
-        if error.sqlite_errorcode in UNREADABLE:
+        if code in UNREADABLE:
             raise FolderError(f"{file} cannot be read: {error}.") from None
         raise damaged_file(file, str(error)) from None

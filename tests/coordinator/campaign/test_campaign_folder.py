@@ -156,6 +156,7 @@ def test_another_end_or_other_rows_are_counted_anew(campaign: JobFolder) -> None
         lambda text: text[:-20],
         lambda text: text[:40] + b"\n" + text[40:],
         lambda text: text.replace(b'"files":"', b'"files":"0'),
+        lambda text: text.replace(b'"files":"', b'"files":"\xff'),
     ],
 )
 def test_an_index_that_is_damaged_is_mended_from_the_journals(campaign: JobFolder, damage) -> None:

@@ -294,7 +294,10 @@ def test_the_table_is_written_as_csv(campaign: Path, tmp_path: Path) -> None:
         rows = list(csv.DictReader(lines))
     assert [row["object"] for row in rows][:2] == ["part_00000", "part_00001"]
     assert rows[2]["little"].startswith("no grasp: the open hand")
-    assert "is there already" in str(info(campaign, "--objects", "--csv", file).exception)
+    refusal = str(info(campaign, "--objects", "--csv", file).exception)
+    assert "is there already; name another file" in refusal
+    shown = info(campaign, "--objects", "--json", "--csv", tmp_path / "again.csv").stdout
+    assert len(json.loads(shown)) == 13
 
 
 @pytest.mark.parametrize(

@@ -252,6 +252,12 @@ def test_each_run_has_the_least_fitness_of_its_own_protocol(campaign, make_run, 
     assert "- taken of each run: min_fitness 1 or 6\n" in (tmp_path / "out" / "README.md").read_text()
 
 
+def test_a_distance_of_zero_that_was_asked_for_stands_in_the_card(campaign, tmp_path) -> None:
+    choice = GraspChoice(min_fitness=0, approach_distance=0.0)
+    export_campaign(campaign.path, tmp_path / "out", "parquet", choice)
+    assert "- taken of each run: approach_distance 0.0\n" in (tmp_path / "out" / "README.md").read_text()
+
+
 def test_runs_that_cannot_be_read_are_left_out_and_named(campaign: JobFolder, tmp_path: Path) -> None:
     (campaign.run_path("jaw-cup-s0") / "scene.bundle").unlink()
     said = export_campaign(campaign.path, tmp_path / "out", "parquet", GRASPS)

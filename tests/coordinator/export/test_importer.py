@@ -278,6 +278,12 @@ def test_a_file_of_none_of_the_formats_is_refused(panda, tmp_path: Path, content
     check_refusal(panda, tmp_path / "f", why)
 
 
+def test_an_object_is_named_of_a_folder_alone(panda, tmp_path: Path) -> None:
+    (tmp_path / "f").touch()
+    with pytest.raises(UnreadableGrasps, match="--of names an object of a data set's folder"):
+        panda(tmp_path / "f", of="mug")
+
+
 def test_what_is_no_file_is_refused_and_not_waited_for(panda, tmp_path: Path) -> None:
     check_refusal(panda, tmp_path / "none", "no such file or directory")
     check_refusal(panda, tmp_path, "it is a folder; of one that is for GraspGen name the JSON in grasp_data")

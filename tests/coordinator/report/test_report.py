@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 import shutil
 from itertools import product
 from pathlib import Path
@@ -239,6 +240,15 @@ def test_a_sweep_of_runs_that_found_nothing_has_no_best_value(tmp_path: Path) ->
         record(tmp_path / f"runs/{sigma}", made_scene(), rows, **settings)
     page = (analysed(tmp_path).out / "tables.md").read_text()
     assert "| me_scs | 0 [0, 0] default | 0 [0, 0] |  | nothing was found |" in page
+
+
+def test_a_claim_on_methods_that_found_nothing_has_no_interval_and_says_why(tmp_path: Path) -> None:
+    rows = random_rows(20)
+    rows["outcome"] = Outcome.MISSED
+    for method in ("contact_rand", "contact_me_scs"):
+        record(tmp_path / "runs" / method, made_scene(), rows, method=method, evaluations=20)
+    page = (analysed(tmp_path).out / "tables.md").read_text()
+    assert re.search(r"contact_me_scs.*nan \| none: both found nothing", page)
 
 
 def test_a_search_of_a_program_s_own_is_drawn_beside_the_others(tmp_path: Path) -> None:

@@ -114,8 +114,9 @@ def test_the_folder_of_an_earlier_version_gets_an_identity_with_its_next_turn(fo
     assert known == folder.job.identity != ""
 
 
-def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
-    (folder.path / "job.json").write_text('{"job": "a", "epoch"')
+@pytest.mark.parametrize("damaged", [b'{"job": "a", "epoch"', b'{"job": "\xff", "epoch": 3}'])
+def test_a_damaged_job_file_is_named(folder: RunFolder, damaged: bytes) -> None:
+    (folder.path / "job.json").write_bytes(damaged)
     with pytest.raises(FolderError, match=r"job\.json is damaged"):
         assert folder.job.epoch
 

@@ -4,6 +4,7 @@ import signal
 from unittest.mock import Mock, call
 
 import typer.main
+from typer.testing import CliRunner
 
 from qdgrasp_protocol.process import ProcessExit, ProcessGroup, Stop
 from qdgrasp_worker.cli import app
@@ -23,6 +24,11 @@ def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_
     changed = {name for name, value in team.params.items() if member.params[name] != value}
     assert changed == set(POOL_OPTIONS)
     assert (member.params["workers"], member.params["pin"]) == (1, False)
+
+
+def test_worlds_without_a_device_are_refused():
+    refusal = CliRunner().invoke(app, ["--worlds", "64"]).exception
+    assert "--worlds is a number of a device's; name the device with --device" in str(refusal)
 
 
 def hopeless(*deaths: tuple[str, int, float]) -> list[bool]:
