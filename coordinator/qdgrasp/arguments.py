@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.genes import PRIOR_GENES, layout
-from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
-from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames
+from qdgrasp_coordinator.search.fixed_poses import PoseNames
 from qdgrasp_protocol.engines import EngineChoice
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
@@ -148,13 +148,3 @@ def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
         bounds = "finite" if layout.prior == GIVEN else "in [-1, 1]"
         raise ImpossibleValue("genomes", float(wrong[0]), f"{bounds} ({len(wrong)} numbers are not)")
     return genomes
-
-
-def check_fixed_poses(genomes: Genomes, hand: SceneGripper) -> None:
-    """Check that genomes (n, d) of the prior `given` are poses, and synergies that a hand has.
-
-    Raises InputError if a quaternion is of length zero, a position is too far away, or there is no such
-    synergy.
-    """
-    labels = genomes[:, 7] if hand.synergies else None
-    HandPoses.of(POSE_COLUMNS, genomes[:, :3], genomes[:, 3:7], labels).check(hand)

@@ -13,7 +13,7 @@ from typing import Self, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
+from qdgrasp.arguments import POSE_COLUMNS, SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_coordinator.local.session import LocalSession
 from qdgrasp_coordinator.metrics.scores import nominal_scores
@@ -27,7 +27,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     prepare_scene,
     row_shape,
 )
-from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, scores
+from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, check_given, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Rows
@@ -187,7 +187,7 @@ class Evaluations:
         if not len(asked):
             return row_shape(self.scene, self.prior).empty(0)
         if self.prior == GIVEN:
-            check_fixed_poses(asked, self.scene.gripper)
+            check_given(POSE_COLUMNS, asked, self.scene.gripper)
         request = GenomeRequest(
             plan_genomes(self.spec, self._prepared, self.prior, asked, f"lot-{next(self._count)}")
         )

@@ -30,6 +30,7 @@ class PoseNames(NamedTuple):
     spreads: str
 
 
+IN_SPECS = PoseNames("poses (x y z)", "poses (qx qy qz qw)", "poses (synergy)", "poses (free joints)")
 IN_FILES = PoseNames("base_position", "base_quaternion_xyzw", "synergy", "spread")
 
 
@@ -73,8 +74,8 @@ class HandPoses:
             raise ImpossibleValue(names.positions, float(far[0]), expected)
         if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
             raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
-        if np.isinf(free).any():
-            raise InputError(f"{names.spreads} holds a number that is infinite.")
+        if len(wide := free[np.abs(free) > FARTHEST]):
+            raise ImpossibleValue(names.spreads, float(wide[0]), f"no more than {FARTHEST:g} rad")
         return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
 
     def __len__(self) -> int:
@@ -111,6 +112,12 @@ class HandPoses:
         given = np.full((len(self), count), np.nan)
         given[:, : self.spreads.shape[1]] = self.spreads[:, :count]
         return np.where(np.isnan(given), default, given)
+
+
+def check_given(names: PoseNames, genomes: Genomes, hand: SceneGripper) -> None:
+    """Check genomes (n, d) of the prior `given`: as `HandPoses.of`, and for a hand."""
+    labels, own = (genomes[:, 7], 8) if hand.synergies else (None, 7)
+    HandPoses.of(names, genomes[:, :3], genomes[:, 3:7], labels, genomes[:, own:]).check(hand)
 
 
 def read_poses(path: Path) -> HandPoses:
@@ -227,7 +234,7 @@ def check_poses(spec: RunSpec) -> None:
         raise ImpossibleValue(
             "evaluations", spec.evaluations, f"at most {len(spec.poses)}, one for each pose"
         )
-    if not all(np.isfinite(pose).all() for pose in spec.poses):
+    if not all((np.abs(pose) <= np.finfo(np.float32).max).all() for pose in spec.poses):
         raise ImpossibleValue("poses", "one with a number that is not finite", "lists of finite numbers")
 
 

@@ -10,9 +10,10 @@ from tests.coordinator.monitor.sample_jobs import figures
 from tests.coordinator.scenes import jaw, made_scene
 
 import qdgrasp
-from qdgrasp.arguments import check_fixed_poses, check_genomes, layout_of
+from qdgrasp.arguments import POSE_COLUMNS, check_genomes, layout_of
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
+from qdgrasp_coordinator.search.fixed_poses import check_given
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError, UnknownName
 from qdgrasp_protocol.rows import Gene, Layout
@@ -64,13 +65,14 @@ def test_poses_may_lie_anywhere() -> None:
         ([1e9, 0, 0, 0, 0, 0, 1], "x y z"),
         ([0, 0, 0, 0, 0, 0, 1, 2], "synergy.* 0 to 1 for this hand, got 2"),
         ([0, 0, 0, 0, 0, 0, 1, 0.5], "synergy"),
+        ([0, 0, 0, 0, 0, 0, 1, 1, 1e30], "free joints.* no more than 1000 rad"),
     ],
 )
 def test_what_no_hand_can_take_is_no_pose(pose: list[float], wanted: str) -> None:
     synergies = tuple(Synergy(name=name, joints=("finger",)) for name in "ab")
     hand = msgspec.structs.replace(jaw("jaw"), synergies=synergies if len(pose) > 7 else ())
     with pytest.raises(InputError, match=wanted):
-        check_fixed_poses(np.array([pose], np.float32), hand)
+        check_given(POSE_COLUMNS, np.array([pose], np.float32), hand)
 
 
 def test_no_genomes_are_genomes() -> None:

@@ -9,10 +9,19 @@ from types import FrameType
 
 import numpy as np
 import pytest
+from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, SingleRunQueue, full_spec, prepare_scene
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.scheduler.run_plan import (
+    ReevaluationPlan,
+    SingleRunQueue,
+    full_spec,
+    plan_run,
+    prepare_scene,
+)
 from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_protocol.errors import ImpossibleValue, JawNeeded
+from qdgrasp_coordinator.storage.run_folder import PreparedScene
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
@@ -78,6 +87,16 @@ def test_a_hand_without_a_jaw_is_refused_by_antipodal_methods_alone(tmp_path) ->
     prepare_scene(full_spec({**asked, "method": "approach_rand"}))
     with pytest.raises(JawNeeded, match=r"'antipodal' is for two-finger hands, and the gripper 'hand'"):
         prepare_scene(full_spec({**asked, "method": "antipodal_me_scs"}))
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [((1e6, 0, 0, 0, 0, 0, 1), r"poses \(x y z\) must be no more"), ((0,) * 7, "of length zero")],
+)
+def test_poses_of_a_spec_that_no_hand_can_take_end_the_run_before_it_begins(pose, words) -> None:
+    spec = full_spec({**ASKED, "method": "given", "evaluations": 1, "poses": [pose]})
+    with pytest.raises(InputError, match=words):
+        plan_run(spec, PreparedScene(made_scene(), pack_scene(made_scene())))
 
 
 SHAPE = RowShape(genes=2, joints=1)
