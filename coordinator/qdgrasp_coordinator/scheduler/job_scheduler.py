@@ -118,6 +118,7 @@ class JobScheduler:
         """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
         self.epoch = epoch
         self.workers = WorkerRegistry()
+        self._settled_by: set[str] = set()  # Ids of the workers whose rows some run has taken
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size, self._checked)
 
     def handle(self, event: InboxEvent, now: float) -> None:
@@ -187,6 +188,7 @@ class JobScheduler:
         """Take rows of a worker for good, and pass those that became final on to the recorder."""
         if len(rows) > len(settled.failures):
             run.settled_by.add(wid)
+            self._settled_by.add(wid)
         self.workers.on_settled(wid, len(rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
@@ -227,8 +229,8 @@ class JobScheduler:
             log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
             self.events.note("error", verdict.words(name), run=verdict.run, worker=name.wid)
             took_part = [run for run in self.runs if name.wid in run.settled_by]
-            if took_part:
-                runs = first_few([run.name for run in took_part], RUNS_NAMED)
+            if name.wid in self._settled_by:
+                runs = first_few([*(run.name for run in took_part), "runs that ended before"], RUNS_NAMED)
                 rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {runs}"
                 words = f"{rows} may be wrong; `qdgrasp verify DIR` evaluates them again."
                 self.events.note("warning", words, worker=name.wid)
