@@ -170,10 +170,14 @@ def campaign(
                 raise InputError("--mass and --density say the same of each object: give one of them.")
             values = {**goals, **options.given(**keys)}
             asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard, tell=tell)
-        elif flags := options.given(**keys, mass=mass, density=density, scale=metres, simplify=prepared):
+        elif flags := options.given(
+            **keys, mass=mass, density=density, scale=scale, units=units, simplify=simplify,
+            remesh=remesh or None, hull=hull or None, glued=glued or None,
+        ):  # fmt: skip
+            flag = next(iter(flags)).replace("_", "-")
             raise InputError(
-                f"--{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its "
-                "own, see docs/campaigns.md."
+                f"--{flag} goes with --objects DIR or a manifest: a campaign's file says its own, see "
+                "docs/campaigns.md."
             )
         elif what is None:
             raise InputError(

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.rows import RowShape
@@ -64,6 +65,10 @@ def coordinator(
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """  # noqa: D205  # typer joins the lines
+    if connect and (listen or insecure):
+        raise InputError(
+            "--listen and --insecure are of a router of one's own: leave them out, or --connect."
+        )
     folder = JobFolder.open(what) if what.is_dir() else None
     programme = runs_of_job(what, folder)
     name = job or (folder.name if folder else job_name(what.stem))

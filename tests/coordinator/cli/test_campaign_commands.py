@@ -84,6 +84,9 @@ def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked
     [
         (f"{MESHES} --evaluations 9 --max-evaluations 9", "--evaluations and --max-evaluations both say"),
         ("c.toml --grasps-per-object 9 --max-evaluations 8", "--max-evaluations must be at least 9, as"),
+        ("c.toml --grasps-per-cell 3", "--grasps-per-cell goes with --objects DIR"),
+        ("c.toml --units mm", "--units goes with --objects DIR"),
+        ("c.toml --remesh", "--remesh goes with --objects DIR"),
         ("c.toml --saturation 1.5", "saturation must be a number at least 0 and less than 1, got 1.5"),
     ],
 )

@@ -16,7 +16,7 @@ import typer
 from typer.testing import CliRunner
 
 from qdgrasp import entry
-from qdgrasp_coordinator.cli import main
+from qdgrasp_coordinator.cli import coordinator_process, main
 
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
 """Packages that take a tenth of a second or more to import; commands import them where needed."""
@@ -27,6 +27,13 @@ def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
     statements = f"import json, sys, qdgrasp_coordinator.cli.{module}; print(json.dumps(sorted(sys.modules)))"
     said = subprocess.run([sys.executable, "-c", statements], capture_output=True, check=True, text=True)
     assert not HEAVY & set(json.loads(said.stdout))
+
+
+@pytest.mark.parametrize("flags", [["--listen", "tcp/127.0.0.1:0"], ["--insecure"]])
+def test_a_coordinator_at_routers_that_run_has_no_flags_of_its_own_router(flags: list[str]) -> None:
+    asked = ["spec.toml", "--connect", "tcp/127.0.0.1:7447", *flags]
+    refusal = CliRunner().invoke(coordinator_process.app, asked).exception
+    assert "--listen and --insecure are of a router of one's own" in str(refusal)
 
 
 SCRIPTS = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]

@@ -208,15 +208,18 @@ def _chart_lines(one: CurveChart, width: int, height: int, glyphs: Glyphs) -> Li
     return lines
 
 
+GO_ON = "`qdgrasp resume DIR` or `campaign DIR` goes on"
+
+
 def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
     """Return the obstacle of a job and its remedy; without one, the recorder's state."""
     one = view.figures
     words = {
-        "gone": f"its coordinator is gone since {span_text(view.silent)}: `qdgrasp resume DIR` goes on",
+        "gone": f"its coordinator is gone since {span_text(view.silent)}: {GO_ON}",
         "silent": f"nothing was heard of it for {span_text(view.silent)}: "
         "what is shown is what was heard last",
         "ended": "it has ended",
-        "cancelled": "it was ended before it was done: `qdgrasp resume DIR` goes on",
+        "cancelled": f"it was ended before it was done: {GO_ON}",
         "paused": f"paused until `qdgrasp continue {view.job}`",
     }
     if view.state in ("silent", *OVER):

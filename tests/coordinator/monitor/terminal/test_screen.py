@@ -231,7 +231,7 @@ class TestTrouble:
             (job(waiting=1234), "1 234 rows not on disk yet"),
             (job(requeued=3, strays=2), "3 batches given again · 2 results dropped"),
             (job(workers=[]), "workers: none has joined"),
-            (job(state="cancelled"), "ended before it was done: `qdgrasp resume DIR` goes on"),
+            (job(state="cancelled"), f"ended before it was done: {charts.GO_ON}"),
             (job(state="ending", later=60.0), "nothing was heard of it"),
             (job(), "all on disk"),
         ],

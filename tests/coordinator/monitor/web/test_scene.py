@@ -639,9 +639,7 @@ def closed(chromium: Any) -> Iterator[tuple[Page, str]]:
         ("Fewest finger links", "2", "3 of 4 cells of 1 cm", [5, 8, 3]),
     ],
 )
-def test_only_grasps_that_closed_so_well_are_shown_and_gone_through(
-    closed: tuple[Page, str], name: str, most: str, cells: str, numbers: list[int]
-) -> None:
+def test_only_grasps_that_closed_so_well_are_shown_and_gone_through(closed, name, most, cells, numbers):
     page, _ = closed
     page.get_by_label(name).fill(most)
     expect(page.locator("#scene-words")).to_have_text(cells)
