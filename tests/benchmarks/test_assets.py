@@ -62,9 +62,7 @@ def test_a_guess_that_is_not_right_is_marked(claw: Path, known: KnownHand, colum
     assert [place for place, words in enumerate(row) if words.startswith("WRONG")] == [column]
 
 
-def test_a_hand_that_is_in_no_folder_is_named(
-    claw: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hand_that_is_in_no_folder_is_named(claw, monkeypatch, capsys) -> None:
     hands = {"claw": CLAW, "other": KnownHand("other.urdf", "boxes", "palm", (0, 0, 1), 2)}
     monkeypatch.setattr(hand_guesses, "HANDS", hands)
     monkeypatch.setattr("sys.argv", ["hand_guesses", str(claw.parent), "--pictures", str(claw.parent)])

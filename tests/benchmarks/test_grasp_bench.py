@@ -34,9 +34,7 @@ class TestObjects:
         make_asset(tmp_path / f"{name}.stl")  # raises for another digest
         assert (tmp_path / f"{name}.stl").read_bytes() == OBJECTS[name].file
 
-    def test_it_can_be_used_as_it_is_and_is_of_a_size_and_weight_to_be_grasped(
-        self, name: str, tmp_path: Path
-    ) -> None:
+    def test_it_can_be_used_as_it_is_and_is_of_a_size_and_weight_to_be_grasped(self, name, tmp_path) -> None:
         file = tmp_path / f"{name}.stl"
         make_asset(file)
         found = check_mesh(file)
@@ -125,9 +123,7 @@ def specs(known: Programme, campaign: str) -> list[RunSpec]:
 
 
 class TestCampaigns:
-    def test_there_are_79_held_out_scenes_of_five_or_four_methods_and_five_seeds(
-        self, known: Programme
-    ) -> None:
+    def test_there_are_79_held_out_scenes_of_five_or_four_methods_and_five_seeds(self, known) -> None:
         runs = known.campaigns["grasp-bench-1"]
         scenes = {one.key.scene for one in runs}
         assert len(scenes) == 7 + 12 + 6 * 10
@@ -186,9 +182,7 @@ class TestCampaigns:
         assert {name for name in named if asset_name(name)} == {f"{NAME}/{file}" for file in FILES}
 
 
-def test_a_scene_is_listed_by_its_part_of_the_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scene_is_listed_by_its_part_of_the_names(tmp_path, capsys) -> None:
     show(["grasp-bench-1"], ["panda-ycb_bowl"], table=tmp_path / "runs.csv")
     *runs, total = capsys.readouterr().out.splitlines()
     assert len(runs) == 25

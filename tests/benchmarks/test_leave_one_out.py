@@ -1,7 +1,7 @@
 """Constants of the default search that are replaced, refitted, and compared with today's."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -104,9 +104,7 @@ OF_SEARCH = [name for name in VARIANTS[1:] if name not in OF_WORKERS]
 
 
 @pytest.mark.parametrize(("found", "names"), [(played, OF_SEARCH), (ran, OF_WORKERS)])
-def test_each_variant_searches_in_its_own_way_and_leaves_no_trace(
-    found: Callable[[str], bytes], names: list[str]
-) -> None:
+def test_each_variant_searches_in_its_own_way_and_leaves_no_trace(found, names) -> None:
     usual = found(TODAY)
     assert len({usual, *map(found, names)}) == 1 + len(names)
     assert found(TODAY) == usual
@@ -147,9 +145,7 @@ class TestTable:
             *sorted(f"{name},ycb_rubiks_cube,1,20,100,200,1.5,c0de" for name, *_ in self.asked),
         ]
 
-    def test_a_run_of_other_code_is_done_again_unless_that_is_accepted(
-        self, tmp_path: Path, carried: list[Key]
-    ) -> None:
+    def test_a_run_of_other_code_is_done_again_unless_that_is_accepted(self, tmp_path, carried) -> None:
         file = tmp_path / "table.csv"
         carry_on(file, self.asked[:2], {"c0de"})
         carried.clear()
@@ -201,9 +197,7 @@ class TestRefit:
         [(0, {}, ()), (9, {"WANTED": 0.7}, ()), (10, {"WANTED": 0.7}, ("WANTED",)), (-90, {}, ())],
         ids=str,
     )
-    def test_a_value_gives_way_to_a_better_one_which_is_clear_beyond_an_error(
-        self, gain: int, values: dict[str, float], clear: tuple[str, ...]
-    ) -> None:
+    def test_a_value_gives_way_to_a_better_one_which_is_clear_beyond_an_error(self, gain, values, clear):
         """The error is 9.4 cells."""
         found = refits(tuned({"WANTED=0.7": on(gain, *TUNING)}), EVALUATIONS)[""]
         assert (found.values, found.clear) == (values, clear)
@@ -236,9 +230,7 @@ def held_out(name: str, gain: int) -> dict[Key, Row]:
 
 class TestComparison:
     @pytest.mark.parametrize(("gain", "is_within"), [(1, True), (-1, True), (50, False), (-50, False)])
-    def test_a_difference_is_less_where_it_lies_in_the_interval_of_todays_mean(
-        self, gain: int, is_within: bool
-    ) -> None:
+    def test_a_difference_is_less_where_it_lies_in_the_interval_of_todays_mean(self, gain, is_within) -> None:
         compared = compare(robust_cells(held_out("WANTED=0.3", gain), EVALUATIONS), "WANTED=0.3")
         assert compared.difference.value == pytest.approx(gain / 1000)
         assert compared.difference.low < gain / 1000 < compared.difference.high
@@ -294,9 +286,7 @@ class TestPage:
         assert (program.RESULTS / program.PAGE).read_text(encoding="utf-8") == page(whole, EVALUATIONS)
 
 
-def test_the_program_carries_out_what_is_chosen_and_makes_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_program_carries_out_what_is_chosen_and_makes_the_page(tmp_path, monkeypatch) -> None:
     found: list[Key] = []
     monkeypatch.setattr(runs, "carry_out", lambda key: found.append(key) or row(key))
     words = ["--out", str(tmp_path), "--scenes", "ycb_mug", "ycb_bowl", "--seeds", "2", "--processes", "1"]
@@ -311,9 +301,7 @@ def test_the_program_carries_out_what_is_chosen_and_makes_the_page(
     assert (tmp_path / program.PAGE).read_text() == page({}, EVALUATIONS)
 
 
-def test_a_program_that_is_stopped_says_so_and_has_made_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_program_that_is_stopped_says_so_and_has_made_the_page(tmp_path, monkeypatch, capsys) -> None:
     def stop(_: Key) -> Row:
         raise KeyboardInterrupt
 
@@ -326,9 +314,7 @@ def test_a_program_that_is_stopped_says_so_and_has_made_the_page(
     assert (tmp_path / program.PAGE).exists()
 
 
-def test_a_damaged_table_ends_the_program_with_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_table_ends_the_program_with_a_sentence(tmp_path, monkeypatch, capsys) -> None:
     (tmp_path / program.TABLE).write_text("something,else\n1,2\n")
     monkeypatch.setattr("sys.argv", ["-", "--out", str(tmp_path), "--page"])
     with pytest.raises(SystemExit) as ended:

@@ -150,9 +150,7 @@ class TestDrawnGrasps:
             "drawn_eta": None,
         }
 
-    def test_judging_fills_the_rows_that_lack_it_and_keeps_the_others(
-        self, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_judging_fills_the_rows_that_lack_it_and_keeps_the_others(self, run, tmp_path, monkeypatch):
         one = Wanted("run", run.spec)
         (before,) = rows_of(run.path)
         store = Store(tmp_path / "runs.csv", Programme({"grasp-bench-1": (one,)}), {before.code})
@@ -164,9 +162,7 @@ class TestDrawnGrasps:
         monkeypatch.setattr(work, "judged", lambda path: pytest.fail(str(path)))
         work.judge(store, store.known, run.path, 1, Stop())
 
-    def test_only_rows_of_todays_code_whose_runs_are_here_are_judged(
-        self, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_only_rows_of_todays_code_whose_runs_are_here_are_judged(self, run, tmp_path, monkeypatch):
         def fail(path: Path) -> None:
             raise InputError(f"{path} is gone")
 
@@ -350,9 +346,7 @@ class TestGrowing:
         begin_campaign(place, asked)
         return [(name, spec.evaluations) for name, spec in asked.runs.items()]
 
-    def test_a_later_stage_keeps_what_was_begun_with_the_programmes_names_and_extends_it(
-        self, tmp_path
-    ) -> None:
+    def test_a_later_stage_keeps_what_was_begun_with_the_programmes_names_and_extends_it(self, tmp_path):
         place = tmp_path / "a"
         self.budgets(place, wanted_runs(0), wanted_runs(1))
         assert self.budgets(place, wanted_runs(2), wanted_runs(1, 5000)) == [
@@ -394,9 +388,7 @@ class TestCarryingOn:
         assert [str(error)[:22] for error in failures] == ["Unknown gripper 'claw'"]
         assert tried == [wanted_runs(0)]
 
-    def test_what_the_benchmark_makes_is_made_once_it_is_asked_for(
-        self, store, tmp_path, monkeypatch
-    ) -> None:
+    def test_what_the_benchmark_makes_is_made_once_it_is_asked_for(self, store, tmp_path, monkeypatch):
         tried: list[Wanted] = []
         monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
         asked = Wanted("panda-plate-s0", RunSpec(gripper="panda", object=f"{NAME}/plate.stl", mass=0.065))

@@ -301,9 +301,7 @@ class TestComparisons:
         assert "| the figure that decides | panda | ycb_mug |  | `me_scs` 6.0 |" in text
 
     @pytest.mark.parametrize(("protocol", "figure"), [("paper", "cells"), ("physical", "cells that hold")])
-    def test_without_a_set_cells_are_compared_and_under_physical_those_that_hold(
-        self, protocol: str, figure: str
-    ) -> None:
+    def test_without_a_set_cells_are_compared_and_under_physical_those_that_hold(self, protocol, figure):
         column = {"cells": "cells", "cells that hold": "robust_cells"}[figure]
         rows = [
             made_row(method, seed, protocol=protocol, **{"cells": 7, column: count})

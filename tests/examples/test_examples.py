@@ -174,9 +174,7 @@ def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
         assert scripts("in_mujoco.py", urdf, "part.stl", "one.csv") == said
 
 
-def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
-    scripts: Scripts, commands: Commands
-) -> None:
+def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(scripts, commands) -> None:
     endpoint = own_endpoint()
     run = ("--gripper", "panda", "--object", "mug", "--method", "approach_rand", "--evaluations", 60)
     command = commands.start("run", *run, "--workers", 0, "--listen", endpoint, "--out", "aim")

@@ -73,9 +73,7 @@ def test_the_code_of_today_is_known_to_give_the_same_bits() -> None:
 
 @pytest.mark.usefixtures("same_platform")
 @pytest.mark.parametrize("version", ["0.1.0", "0.0.9"])
-def test_a_run_that_was_begun_by_any_version_is_gone_on_with(
-    version: str, home: Path, recorded_digest: str
-) -> None:
+def test_a_run_that_was_begun_by_any_version_is_gone_on_with(version, home, recorded_digest) -> None:
     with sqlite3.connect(home / "begun" / "run.sqlite") as database:
         change = "UPDATE meta SET value = replace(value, '0.1.0', ?) WHERE name = 'platform'"
         database.execute(change, (version,))

@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
@@ -221,9 +220,7 @@ def wide_rows(path: Path) -> None:
         (wide_rows, ".parquet", CAMPAIGN, "it unfolds to many times its size"),
     ],
 )
-def test_a_file_that_stands_for_far_more_than_it_is_takes_little_room(
-    tmp_path: Path, make: Callable[[Path], None], suffix: str, command: tuple[str, ...], words: str
-) -> None:
+def test_a_file_that_stands_for_far_more_than_it_is_takes_little_room(tmp_path, make, suffix, command, words):
     made = tmp_path / f"made{suffix}"
     make(made)
     done = subprocess.run(

@@ -49,9 +49,7 @@ def test_each_shape_is_built_once_and_runs_are_those_of_scenes_that_are_built_he
     assert digest_of(qdgrasp.home / "alone") == digests(qdgrasp, "out")[name]
 
 
-def test_a_campaign_that_is_killed_while_shapes_are_built_goes_on_and_builds_none_twice(
-    qdgrasp: Commands, parts: Path
-) -> None:
+def test_a_campaign_that_is_killed_while_shapes_are_built_goes_on_and_builds_none_twice(qdgrasp, parts):
     process = qdgrasp.start(*CAMPAIGN, "--workers", 1, "--out", "out")
     wait_for(lambda: shapes(qdgrasp) or process.poll() is not None, "a shape")
     started = list(processes_of(process.pid).values())

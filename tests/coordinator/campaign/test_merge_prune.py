@@ -98,9 +98,7 @@ def test_a_table_of_another_engine_gets_the_new_numbers_of_its_rows(runs) -> Non
 
 
 @pytest.mark.parametrize(("end", "is_kept"), [("run.sqlite.part", True), ("engine-mujoco.csv.part", False)])
-def test_an_interrupted_prune_leaves_no_table_with_numbers_of_other_rows(
-    runs, monkeypatch, end, is_kept
-) -> None:
+def test_an_interrupted_prune_leaves_no_table_with_numbers_of_other_rows(runs, monkeypatch, end, is_kept):
     run, *_ = runs
     judge(run)
     table, before, replace = table_path(run, "mujoco"), digest_of(run), Path.replace
@@ -267,9 +265,7 @@ def test_a_run_beside_its_own_beginning_counts_once_and_that_is_said(tmp_path, r
         )
 
 
-def test_a_search_counts_once_whatever_ended_it_and_whatever_was_pruned_or_merged(
-    tmp_path, recorded, runs
-) -> None:
+def test_a_search_counts_once_whatever_ended_it_and_whatever_was_pruned_or_merged(tmp_path, recorded, runs):
     whole, rows = runs[0], random_rows(N, seed=0)
     sooner = recorded("sooner", rows[:100], evaluations=100, seed=0)
     early = recorded("early", rows[:150], seed=0)
@@ -342,9 +338,7 @@ def test_grasps_of_runs_with_different_priors_are_not_ranked_together(tmp_path, 
 
 
 @pytest.mark.parametrize("moment", ["run_summary", "source_rows"])
-def test_a_run_that_grows_while_it_is_merged_is_refused(
-    tmp_path, recorded, runs, monkeypatch, moment
-) -> None:
+def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, recorded, runs, monkeypatch, moment):
     rows = random_rows(60, seed=7)
     rows["outcome"] = Outcome.HELD
     growing = recorded("growing", rows[:40], seed=7)

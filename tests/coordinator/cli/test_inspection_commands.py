@@ -194,9 +194,7 @@ def test_a_browser_is_opened_where_somebody_sits(environment: dict[str, str], is
 
 
 @pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
-def test_the_address_is_printed_and_opened_unless_somebody_says_no(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str], is_opened: bool
-) -> None:
+def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, monkeypatch, flags, is_opened):
     seen, address = SimpleQueue[str](), "http://127.0.0.1:8080/"
 
     def serve(*given: Any) -> None:

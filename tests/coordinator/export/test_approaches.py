@@ -161,9 +161,7 @@ def test_a_lift_is_told_as_one(scene: Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_nothing_of_it_is_written_where_it_is_not_asked_for(
-    made: RunFolder, tmp_path: Path, name: str
-) -> None:
+def test_nothing_of_it_is_written_where_it_is_not_asked_for(made, tmp_path, name) -> None:
     out = tmp_path / f"out{FORMATS[name].suffix}"
     export_run(made, out, name)
     files = [out] if out.is_file() else [file for file in out.rglob("*") if file.is_file()]

@@ -31,9 +31,7 @@ def depths(bodies: Bodies, hands: ClosedHands, poses: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_closed_hands_are_as_deep_in_the_object_as_was_recorded_and_contacts_lie_on_both(
-    run: RunFolder, tmp_path: Path, name: str
-) -> None:
+def test_closed_hands_are_as_deep_in_the_object_as_was_recorded_and_contacts_lie_on_both(run, tmp_path, name):
     export_run(run, tmp_path / "out", name, negatives=0)
     hands = closed_hands(name, READERS[name](tmp_path / "out"))
     bodies = Bodies(run.path / "scene.bundle", MARGIN)

@@ -134,9 +134,7 @@ def test_shards_hold_several_objects_sorted_and_end_by_size(campaign, tmp_path, 
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("ended", ["at a run", "within a file", "between file and line"])
-def test_what_is_complete_is_kept_and_the_rest_written_once(
-    campaign: JobFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, ended: str
-) -> None:
+def test_what_is_complete_is_kept_and_the_rest_written_once(campaign, tmp_path, monkeypatch, name, ended):
     def export(out: Path, **more: object) -> str:
         return export_campaign(campaign.path, out, name, GRASPS, shard_bytes=1, **more)
 

@@ -71,9 +71,7 @@ def test_what_is_there_is_replaced_by_force_alone(run: RunFolder, tmp_path: Path
 
 
 @each_format
-def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
-    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(run, tmp_path, monkeypatch, name):
     form = FORMATS[name]
 
     def half(path: Path, *arguments: object) -> None:

@@ -227,9 +227,7 @@ def test_contacts_are_told_in_the_frame_of_the_poses_by_the_names_of_links(
 
 
 @each_format
-def test_a_run_without_settled_poses_says_so_and_leaves_them_out(
-    make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
-) -> None:
+def test_a_run_without_settled_poses_says_so_and_leaves_them_out(make_run, scene, tmp_path, name) -> None:
     early = msgspec.structs.replace(scene, contact_slots=0)
     run = record(tmp_path / "run", early, random_rows(early, [Outcome.HELD] * 2), method="contact_rand")
     assert export_run(run, tmp_path / "out", name).endswith(f" But {NOT_SETTLED}.")

@@ -22,7 +22,6 @@ from tests.coordinator.export.foreign_files import (
 from typer.testing import CliRunner
 
 from qdgrasp_assets.catalog import find_gripper
-from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.export import importer
 from qdgrasp_coordinator.export.exporter import export_run
@@ -129,9 +128,7 @@ def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, 
     assert [note[:39] for note in found.mismatches] == ["The object 'block' of the file has its "]
 
 
-def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_said(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_said(run, tmp_path) -> None:
     export_run(run, tmp_path / "f", "parquet")
     out = tmp_path / "poses.npz"
     asked = ["import", str(tmp_path / "f"), "--gripper", "panda", "--object", "mug", "-o", str(out)]
@@ -145,9 +142,7 @@ def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_s
     assert "so it is not the same object" in taken.stderr
 
 
-def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(run, tmp_path) -> None:
     export_run(run, tmp_path / "f", "parquet")
     scene = run.scene()
     com, size = np.array(scene.object.com_in_mesh), np.subtract(scene.object_high, scene.object_low)
@@ -180,9 +175,7 @@ def test_a_hand_that_is_not_what_it_was_is_pointed_out(tmp_path: Path) -> None:
     assert "is not what it was when the file was written by version 0.1" in notes("f" * 64)[0]
 
 
-def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere(
-    run: RunFolder, scene: Scene, tmp_path: Path
-) -> None:
+def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere(run, scene, tmp_path):
     grasps = read_run(run)
     export_run(run, tmp_path / "f", "parquet", min_fitness=0)
     found = importer.import_poses(tmp_path / "f", scene.gripper, ObjectFrame(COM, 1.0))
@@ -190,9 +183,7 @@ def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere
 
 
 @pytest.mark.parametrize("name", ["parquet", "isaac", "acronym", "graspgen"])
-def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(
-    run: RunFolder, tmp_path: Path, name: str
-) -> None:
+def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(run, tmp_path, name):
     export_run(run, tmp_path / "f", name)
     file, hand, thing = imported_file(tmp_path / "f"), run.scene().gripper, ObjectFrame(COM, 1.0)
     plain, named = (importer.import_poses(file, hand, thing, frame) for frame in (None, "mesh"))
@@ -215,9 +206,7 @@ def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_noth
         ({"runs": [{"run": "a", "digest": "", "spec": "own?"}]}, "the spec of run 'a' in it cannot be read"),
     ],
 )
-def test_impossible_numbers_in_what_a_file_of_ours_says_are_refused(
-    run: RunFolder, panda, tmp_path: Path, changed: dict[str, object], why: str
-) -> None:
+def test_impossible_numbers_in_what_a_file_of_ours_says_are_refused(run, panda, tmp_path, changed, why):
     export_run(run, tmp_path / "f", "isaac")
     told = yaml.safe_load((tmp_path / "f").read_text())
     told["qdgrasp"] |= changed

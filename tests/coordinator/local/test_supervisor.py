@@ -172,9 +172,7 @@ def test_a_port_that_is_taken_from_the_start_ends_the_job(tmp_path, monkeypatch)
         carries_out(tmp_path, monkeypatch, "tcp/127.0.0.1:1", TAKEN)
 
 
-def test_a_session_that_failed_at_a_coordinator_that_died_is_opened_at_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_that_failed_at_a_coordinator_that_died_is_opened_at_the_next(tmp_path, monkeypatch):
     opened: list[str] = []
 
     def fail_once(endpoint: str, put: Callable) -> None:

@@ -181,9 +181,7 @@ def test_turned_any_way_a_margin_stays_between_those_of_two_round_cones(seed, co
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), contacts=st.integers(3, 8), torsion=st.sampled_from([0.0, 0.05]))
-def test_another_contact_more_friction_or_softer_fingers_never_lower_a_margin(
-    seed: int, contacts: int, torsion: float
-) -> None:
+def test_another_contact_more_friction_or_softer_fingers_never_lower_a_margin(seed, contacts, torsion):
     points, normals = on_ellipsoid(seed, contacts + 1)
     found = margin(points[1:], normals[1:], torsion=torsion)
     assert margin(points, normals, torsion=torsion) >= found - FLOAT32

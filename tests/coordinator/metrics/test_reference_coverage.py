@@ -259,9 +259,7 @@ def test_a_set_of_one_s_own_goes_before_the_published_ones(published, tmp_path, 
     assert ReferenceLookup([own]).of(make_scene("jaw"), "block.stl").size == 0
 
 
-def test_a_file_without_origin_says_its_hand_by_its_name(
-    published: Path, tmp_path: Path, make_scene: SceneMaker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_without_origin_says_its_hand_by_its_name(published, tmp_path, make_scene, monkeypatch):
     monkeypatch.delenv("QDGRASP_ASSET_PATH")
     scene = on(make_scene("barrett"), "ycb_block")
     assert ReferenceLookup().of(scene, "ycb_block").size == 0

@@ -120,9 +120,7 @@ def test_of_cells_that_are_found_as_easily_the_number_is_estimated_well(runs: in
 @pytest.mark.parametrize(
     ("runs", "seen", "total"), [(3, 0.40, 0.58), (5, 0.51, 0.67), (10, 0.64, 0.77), (25, 0.78, 0.86)]
 )
-def test_of_cells_that_differ_the_number_is_estimated_too_low_and_nearer_than_what_is_seen(
-    runs: int, seen: float, total: float
-) -> None:
+def test_of_cells_that_differ_the_number_is_estimated_too_low_and_nearer_than_what_is_seen(runs, seen, total):
     """The shares of docs/coverage.md; Chao's estimate is a lower bound."""
     found = estimates(runs, chances=unequal)
     assert np.mean([one.seen for one in found]) / CELLS == pytest.approx(seen, abs=0.015)

@@ -144,9 +144,7 @@ def test_of_a_run_that_is_not_there_nothing_is_told(campaign: Path) -> None:
 
 
 @pytest.mark.parametrize("run", ["a", "b"])
-def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(
-    campaign: Path, run: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(campaign, run, monkeypatch):
     monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 120)
     counted = RunIndex(campaign)
     ends = [[point.evaluations for point in counted.one(run).curve.points] for _ in range(4)]
@@ -289,9 +287,7 @@ def test_a_scene_is_shown_from_the_folder_of_its_run(network, coordinator, path)
         ("run=run&from=1e3", "'1e3' is no number: from"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_with_the_reason(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, parameters: str, reason: str
-) -> None:
+def test_what_cannot_be_shown_is_refused_with_the_reason(network, coordinator, path, parameters, reason):
     with recording(network, path), network.session() as bus:
         coordinator.open()
         with pytest.raises(Refused, match=reason):

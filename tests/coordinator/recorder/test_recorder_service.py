@@ -38,9 +38,7 @@ class TestOpening:
         with folder.journal() as journal:
             assert journal.spec == longer
 
-    def test_another_spec_or_scene_or_job_is_refused_with_the_difference(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_another_spec_or_scene_or_job_is_refused_with_the_difference(self, network, coordinator, folder):
         other = RunSpec(gripper="panda", object="mug", seed=1, mutation_sigma=0.2)
         for opened_before in (False, True):
             with recording(network, folder.path):
@@ -112,9 +110,7 @@ class TestOpening:
 
 
 class TestRecording:
-    def test_lost_repeated_and_overlapping_messages_leave_each_row_once(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
+    def test_lost_repeated_and_overlapping_messages_leave_each_row_once(self, network, coordinator, folder):
         rows = make_rows(100)
         with recording(network, folder.path):
             coordinator.open()
@@ -148,9 +144,7 @@ class TestRecording:
             coordinator.hears_durable(10)
             assert coordinator.page(5, 3).failures == (Failure(row=0, reason="the child aborted"),)
 
-    def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(
-        self, network: MemoryNetwork, folder: RunFolder
-    ) -> None:
+    def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(self, network, folder):
         link, run = RecorderClient(network.session(), JOB, SHAPE), FakeCoordinator(network.session())
         with recording(network, folder.path):
             run.meet()

@@ -51,9 +51,7 @@ def skewed(random: np.random.Generator, scenes: int, runs: int) -> list[np.ndarr
 
 
 @pytest.mark.parametrize(("scenes", "runs", "least"), [(1, 5, 0.9), (1, 10, 0.9), (20, 5, 0.9)])
-def test_intervals_hold_the_true_difference_about_as_often_as_they_say(
-    scenes, runs, least, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_intervals_hold_the_true_difference_about_as_often_as_they_say(scenes, runs, least, monkeypatch):
     monkeypatch.setattr(bootstrap, "RESAMPLES", 400)
     random = np.random.default_rng(3)
     found = [

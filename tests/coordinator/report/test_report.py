@@ -188,9 +188,7 @@ def test_cells_of_robust_runs_have_an_eta(tmp_path: Path) -> None:
         ({"me_rand": 90, "approach_me_scs": 30}, {"me_rand"}),
     ],
 )
-def test_the_cells_are_those_of_the_compared_methods_or_of_what_found_the_most(
-    found, drawn, tmp_path
-) -> None:
+def test_the_cells_are_those_of_the_compared_methods_or_of_what_found_the_most(found, drawn, tmp_path):
     for method, rows in found.items():
         record(tmp_path / method, made_scene(), random_rows(rows), method=method, evaluations=100)
     assert {row["method"] for row in table(analysed(tmp_path).out / "voxels.csv")} == drawn

@@ -292,9 +292,7 @@ LONE = made("me_scs", climb(1), evaluations=40)
         ([LONE], 2, "1\u20132 seeds \u00d7 40\u2013100 evaluations, 1 unfinished"),
     ],
 )
-def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves(
-    more: list[RunHistory], room: float, words: str
-) -> None:
+def test_the_heading_of_a_panel_says_how_many_seeds_and_evaluations_are_behind_its_curves(more, room, words):
     assert run_words(group_runs([*RUNS, *more]), room) == words
 
 

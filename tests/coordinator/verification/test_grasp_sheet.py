@@ -112,9 +112,7 @@ def test_hands_stand_as_they_settled_or_open_as_commanded(run: RunFolder) -> Non
     np.testing.assert_array_equal(opened.joints, chosen.pregrasp)
 
 
-def test_a_sheet_is_the_same_file_every_time_and_nothing_after_a_signal(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_a_sheet_is_the_same_file_every_time_and_nothing_after_a_signal(run, tmp_path) -> None:
     choice, stop = SheetChoice.parse("best:3"), Stop()
     chosen = choice.read(run)
     for name in ("one.png", "other.png"):

@@ -105,9 +105,7 @@ def test_a_row_that_failed_and_has_a_result_now_differs(folders: list[RunFolder]
     assert len(lots.different) == 1
 
 
-def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table(tmp_path, monkeypatch):
     rows = own(random_rows(3))
     rows["outcome"] = (Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED)
     folder = record(tmp_path / "run", made_scene(), rows, protocol="physical")
