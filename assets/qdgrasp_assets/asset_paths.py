@@ -25,7 +25,7 @@ def named_path(name: str | Path) -> Path:
 
 
 def path_problem(path: Path) -> str:
-    """Return why a path has no ordinary file, as the end of a sentence; empty if it has one.
+    """Return why a path has no ordinary file to read, as the end of a sentence; empty if it has one.
 
     A pipe is never waited for, and a device never read.
     """
@@ -37,7 +37,7 @@ def path_problem(path: Path) -> str:
     except ValueError:  # a name that no file can have
         return NOT_THERE
     if stat.S_ISREG(mode):
-        return ""
+        return "" if os.access(path, os.R_OK) else "may not be read"
     return A_FOLDER if stat.S_ISDIR(mode) else SPECIAL
 
 

@@ -1,6 +1,7 @@
 """Mesh files as objects: accepted, repaired, or refused in one sentence."""
 
 import logging
+import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -137,6 +138,13 @@ def test_a_mesh_without_area_is_refused_before_it_is_changed(tmp_path, asked):
     line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
     with pytest.raises(AssetError):
         solid_draft(write(tmp_path / "part.ply", line), preparation=MeshPreparation(**asked))
+
+
+def test_a_mesh_that_may_not_be_read_is_refused_in_a_sentence(tmp_path, monkeypatch):
+    path = write(tmp_path / "part.stl", block())
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(AssetError, match=r"part\.stl'.* may not be read"):
+        solid_draft(path)
 
 
 def test_all_that_is_wrong_is_said_at_once(tmp_path):

@@ -16,7 +16,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import (
     interpolate_posture,
 )
 from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME
-from qdgrasp_assets.grippers.gripper_file import GripperFile
+from qdgrasp_assets.grippers.gripper_file import NOTHING_CLOSES, GripperFile
 from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
@@ -119,7 +119,7 @@ def depth_at(hand: HandPostures, one: str, other: str, share: float) -> float:
 def _closing_faults(hand: HandPostures) -> Iterator[str]:
     closing = hand.closing
     if not closing.closed:
-        yield "no joint closes: give those of the fingers a closed position that is not the open one"
+        yield NOTHING_CLOSES
         return
     if not closing.fingers:
         return

@@ -16,6 +16,7 @@ import numpy as np
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.collision_shapes import largest_side
 from qdgrasp_assets.grippers.gripper_file import (
+    NOTHING_CLOSES,
     GripperFile,
     JointTable,
     gripper_faults,
@@ -23,7 +24,7 @@ from qdgrasp_assets.grippers.gripper_file import (
     urdf_path,
 )
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf, without_visuals
-from qdgrasp_assets.grippers.urdf_checks import missing_meshes, weight_faults
+from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, weight_faults
 from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
 
@@ -168,9 +169,11 @@ class Gripper:
     """The whole URDF; the hand is its sub-tree from `base_link`."""
 
     def check_hand(self) -> None:
-        """Check the hand's masses, and that its meshes are there; `AssetError`."""
+        """Check that a joint closes, and the hand's joints, masses and meshes; `AssetError`."""
+        if not any(each.closed not in (None, each.open) for each in self.file.joints.values()):
+            raise AssetError(f"The gripper '{self.name}': {NOTHING_CLOSES}.")
         hand = self.robot.subtree(self.file.base_link)
-        if found := (*weight_faults(hand.element), *missing_meshes(hand)):
+        if found := (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand)):
             raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
 
     def on_carrier(self, protocol: str) -> SceneGripper:

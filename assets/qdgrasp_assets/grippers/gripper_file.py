@@ -101,6 +101,7 @@ def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -
 
 
 ON_ASSET_PATH = "asset://"
+NOTHING_CLOSES = "no joint closes: give those of the fingers a closed position that is not the open one"
 
 
 class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -177,7 +177,10 @@ def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | N
                     f"The URDF '{path}': joint '{joint.name}' names the link '{link}', which does not exist."
                 )
     roots = set(links) - {joint.child for joint in joints}
-    if len(roots) != 1 or len(joints) != len(links) - 1 or len(set(links)) != len(links):
+    reached = set(roots)
+    while further := {joint.child for joint in joints if joint.parent in reached} - reached:
+        reached |= further
+    if len(roots) != 1 or len(joints) != len(links) - 1 or len(reached) != len(links):
         raise AssetError(
             f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
             f"{len(roots)} roots."

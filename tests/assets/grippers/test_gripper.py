@@ -109,6 +109,7 @@ IN_URDF = (
     ('xyz="0 0 0.1"', 'xyz="0 0 up"', r"must hold 3 numbers"),
     ('<child link="finger"/>', '<child link="fngr"/>', "names the link 'fngr'"),
     ('<child link="finger"/>', '<child link="palm"/>', "is not one tree"),
+    ('<parent link="palm"/><child', '<parent link="finger"/><child', "is not one tree"),
 )
 
 
@@ -174,6 +175,12 @@ def test_a_package_reference_is_found_in_a_folder_above_the_urdf(claw, edit):
     folder.mkdir()
     (claw.parent / "palm.stl").rename(folder / "palm.stl")
     assert list(read(claw).on_carrier("paper").meshes) == ["0_palm.stl"]
+
+
+def test_a_hand_in_which_nothing_closes_is_refused(claw, edit):
+    edit(claw, re.search(r"closed = .*", claw.read_text()).group(), "")
+    with pytest.raises(AssetError, match="gripper 'claw': no joint closes"):
+        find_gripper(str(claw))
 
 
 def test_there_is_no_gripper_where_there_is_no_file():
