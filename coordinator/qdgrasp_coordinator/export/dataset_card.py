@@ -17,6 +17,7 @@ from qdgrasp_coordinator.export.frames import Frame
 from qdgrasp_coordinator.export.metadata import (
     FITNESS_MEANING,
     GRASP_WORDS,
+    LIFT_MEANING,
     OBJECT_FRAMES,
     SUCCESS_WORDS,
     UNITS,
@@ -24,6 +25,7 @@ from qdgrasp_coordinator.export.metadata import (
 from qdgrasp_coordinator.export.tabular import JOINT, PREGRASP
 from qdgrasp_coordinator.export.text_format import yaml_block
 from qdgrasp_protocol.keys import job_name
+from qdgrasp_protocol.rows import LIFT
 from qdgrasp_protocol.text import counted
 
 CARD, INDEX_CSV, INDEX_PARQUET = "README.md", "index.csv", "index.parquet"
@@ -288,6 +290,7 @@ def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
     given |= {name: value for name, value in limits.items() if value is not None}
     chosen = ", ".join(f"{name} {value}" for name, value in given.items()) or "every success"
     frame = OBJECT_FRAMES[options.frame].format("the mesh")
+    lifted = f"; under `{LIFT}` {LIFT_MEANING}" if any(f"`{LIFT}`" in it for it in figures.conditions) else ""
     return f"""## Simulation
 
 An open hand without an arm stands at a commanded pose, closes, and the object is disturbed
@@ -297,7 +300,7 @@ An open hand without an arm stands at a commanded pose, closes, and the object i
 
 - success: {SUCCESS_WORDS}
 - grasp: {GRASP_WORDS}
-- fitness: {FITNESS_MEANING}
+- fitness: {FITNESS_MEANING}{lifted}
 - quality (`confidence`): 0 to 1, higher is better: the estimated probability of transfer where it is known,
   else the share of the disturbances that was survived
 - taken of each run: {chosen}

@@ -13,6 +13,7 @@ from typing import IO, Any
 from qdgrasp_protocol.errors import DiskFull, FolderError, NoFolder, OutputError
 
 LONGEST = 200  # Longest part of a name that a temporary folder's name repeats [bytes]
+OLD = "old"  # In a temporary folder, the folder that is being replaced
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -149,10 +150,12 @@ def _begin(whole: Path) -> str:
 
 
 def _sweep(whole: Path) -> None:
-    """Remove the temporary folders that killed processes left of a folder."""
+    """Remove the temporary folders that killed processes left of a folder; what they moved away goes back."""
     for part in whole.parent.iterdir():
         if is_staging(part, whole) and part.is_dir():
             with suppress(BlockingIOError), _held(part):
+                if (part / OLD).exists() and not os.path.lexists(whole):
+                    (part / OLD).rename(whole)
                 shutil.rmtree(part, ignore_errors=True)
 
 

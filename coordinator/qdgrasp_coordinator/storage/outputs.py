@@ -96,10 +96,11 @@ class WholeOutput(Output):
         """
         self.check()
         with atomic_files.writing(self.path, self.instead), atomic_files.staging_folder(self.path) as part:
+            self.check()  # what a killed process had moved away is back
             made = part / "new" / self.path.name
             made.parent.mkdir()
             yield made
-            atomic_files.put_in_place(made, self.path, part / "old")
+            atomic_files.put_in_place(made, self.path, part / atomic_files.OLD)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ import qdgrasp
 from qdgrasp_coordinator.campaign import campaign_export
 from qdgrasp_coordinator.campaign.campaign_export import export_campaign, parse_shares, split_of
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.export import grasp_reader, grasp_set
+from qdgrasp_coordinator.export import grasp_reader, grasp_set, metadata
 from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, read_run
 from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -248,6 +248,18 @@ def test_each_run_has_the_least_fitness_of_its_own_protocol(campaign, make_run, 
     assert (index.min_fitness["jaw-cow-s0"], index.rows["jaw-cow-s0"]) == (6, 1)
     assert (index.min_fitness["jaw-cup-s0"], index.rows["jaw-cup-s0"]) == (1, 4)
     assert "- taken of each run: min_fitness 1 or 6\n" in (tmp_path / "out" / "README.md").read_text()
+
+
+def test_the_card_says_the_fitness_of_lifted_grasps_where_there_are_any(campaign, make_run, tmp_path) -> None:
+    cards = []
+    for name in ("without", "with"):
+        export_campaign(campaign.path, tmp_path / "out" / name, "parquet", GRASPS)
+        cards.append((tmp_path / "out" / name / "README.md").read_text())
+        run = make_run(Outcome.HELD, name=name, object="cow.stl", protocol="lift")
+        shutil.copytree(
+            run.path, campaign.run_path(f"jaw-{name}-s0"), ignore=shutil.ignore_patterns("job.json")
+        )
+    assert [f"; under `lift` {metadata.LIFT_MEANING}" in card for card in cards] == [False, True]
 
 
 def test_a_distance_of_zero_that_was_asked_for_stands_in_the_card(campaign, tmp_path) -> None:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import pytest
@@ -289,6 +289,18 @@ def test_what_a_killed_process_left_in_a_folder_is_in_the_way_of_none_and_is_swe
     (tmp_path / "out" / ".new.1.part" / "drawing.png").touch()
     put(SharedFolder(tmp_path / "out", is_kind=lambda _: False), {"one": "1"})
     assert there(tmp_path) == ["out", "out/one"]
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_that_a_killed_process_was_replacing_is_put_back(tmp_path: Path, force: bool) -> None:
+    (tmp_path / ".out.1.part" / "old").mkdir(parents=True)
+    (tmp_path / ".out.1.part" / "old" / "one").touch()
+    out = OutFolder(tmp_path / "out", force=force, is_kind=lambda path: (path / "one").exists())
+    refusal = nullcontext() if force else pytest.raises(OutputError, match="is there already")
+    with refusal, out.writing() as made:
+        made.mkdir()
+        (made / "two").touch()
+    assert there(tmp_path) == ["out", "out/two" if force else "out/one"]
 
 
 def test_a_process_that_is_killed_while_files_take_their_places_leaves_a_folder_of_its_kind(
