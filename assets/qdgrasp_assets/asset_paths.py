@@ -25,7 +25,7 @@ def named_path(name: str | Path) -> Path:
 
 
 def path_problem(path: Path) -> str:
-    """Return why a path has no ordinary file to read, as the end of a sentence; empty if it has one.
+    """Return why a path is no ordinary file to read, as the end of a sentence; empty: it is.
 
     A pipe is never waited for, and a device never read.
     """

@@ -160,7 +160,13 @@ class Urdf:
 
 def read_urdf(path: Path) -> Urdf:
     """Read a robot from a URDF file; errors of `read_robot_element` and `parse_robot`."""
-    return parse_robot(path, read_robot_element(path))
+    robot = parse_robot(path, read_robot_element(path))
+    reached = set(robot.links) - {joint.child for joint in robot.joints}
+    while further := {joint.child for joint in robot.joints if joint.parent in reached} - reached:
+        reached |= further
+    if len(reached) < len(robot.links):
+        raise AssetError(f"The URDF '{path}' is not one tree: some of its joints close a circle.")
+    return robot
 
 
 def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | None = None) -> Urdf:
@@ -177,10 +183,7 @@ def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | N
                     f"The URDF '{path}': joint '{joint.name}' names the link '{link}', which does not exist."
                 )
     roots = set(links) - {joint.child for joint in joints}
-    reached = set(roots)
-    while further := {joint.child for joint in joints if joint.parent in reached} - reached:
-        reached |= further
-    if len(roots) != 1 or len(joints) != len(links) - 1 or len(reached) != len(links):
+    if len(roots) != 1 or len(joints) != len(links) - 1 or len(set(links)) != len(links):
         raise AssetError(
             f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
             f"{len(roots)} roots."

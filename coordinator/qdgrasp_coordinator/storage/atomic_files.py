@@ -150,7 +150,7 @@ def _begin(whole: Path) -> str:
 
 
 def _sweep(whole: Path) -> None:
-    """Remove the temporary folders that killed processes left of a folder; what they moved away goes back."""
+    """Remove what killed processes left of a folder; a folder that they moved goes back."""
     for part in whole.parent.iterdir():
         if is_staging(part, whole) and part.is_dir():
             with suppress(BlockingIOError), _held(part):
