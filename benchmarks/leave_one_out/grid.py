@@ -45,7 +45,13 @@ GRID = {
             (0.25, 1.0),
             (f"{SEARCH}.frontier.DEAD_END", f"{SEARCH}.success_model.DEAD_END_DISCOUNT"),
         ),
-        Constant("SCOUT_SHARE", "share of exploration", 0.04, (0.02, 0.08), (f"{SEARCH}.aimed.SCOUT_SHARE",)),
+        Constant(
+            "EXPLORING_SHARE",
+            "share of exploration",
+            0.04,
+            (0.02, 0.08),
+            (f"{SEARCH}.aimed.EXPLORING_SHARE",),
+        ),
         Constant(
             "MOST_CANDIDATES",
             "candidates of a genome",

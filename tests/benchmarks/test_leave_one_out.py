@@ -168,8 +168,8 @@ class TestTable:
             read(tmp_path / "table.csv")
 
     def test_a_run_counts_cells_that_hold_and_cells(self) -> None:
-        found = runs.carry_out(Key("SCOUT_SHARE=0.08", "tennis_ball", 1, 10))
-        assert found.key == ("SCOUT_SHARE=0.08", "tennis_ball", 1, 10)
+        found = runs.carry_out(Key("EXPLORING_SHARE=0.08", "tennis_ball", 1, 10))
+        assert found.key == ("EXPLORING_SHARE=0.08", "tennis_ball", 1, 10)
         assert 0 < found.robust_cells <= found.cells <= 10
         assert found.code == runs.code_digest()
 
@@ -207,12 +207,12 @@ class TestRefit:
         assert refits(table, EVALUATIONS)[""].values == {"DEAD_END": 1.0}
 
     def test_what_one_object_decides_is_not_there_without_it(self) -> None:
-        known = refits(tuned({"SCOUT_SHARE=0.08": on(300, "ycb_mug")}), EVALUATIONS)
+        known = refits(tuned({"EXPLORING_SHARE=0.08": on(300, "ycb_mug")}), EVALUATIONS)
         assert {left_out: one.variant for left_out, one in known.items()} == {
-            "": "SCOUT_SHARE=0.08",
-            "ycb_rubiks_cube": "SCOUT_SHARE=0.08",
+            "": "EXPLORING_SHARE=0.08",
+            "ycb_rubiks_cube": "EXPLORING_SHARE=0.08",
             "ycb_mug": TODAY,
-            "ycb_power_drill": "SCOUT_SHARE=0.08",
+            "ycb_power_drill": "EXPLORING_SHARE=0.08",
         }
 
     def test_nothing_is_refitted_before_all_runs_are_in(self) -> None:
@@ -244,7 +244,7 @@ def lines(text: str, first: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith(f"| {first} |")]
 
 
-GAINS = {"SCOUT_SHARE=0.08": on(300, "ycb_mug")}
+GAINS = {"EXPLORING_SHARE=0.08": on(300, "ycb_mug")}
 
 
 class TestPage:
@@ -262,17 +262,17 @@ class TestPage:
         assert lines(text, "`WANTED=0.3`") == ["| `WANTED=0.3` | 980 (1.000) |  |  |  |"]
 
     def test_of_all_runs_it_has_refitted_constants_and_verdicts(self) -> None:
-        text = page(tuned(GAINS) | held_out("SCOUT_SHARE=0.08", 50), EVALUATIONS)
+        text = page(tuned(GAINS) | held_out("EXPLORING_SHARE=0.08", 50), EVALUATIONS)
         assert lines(text, "held out") == ["| held out | 60 | 60 |"]
         assert "**0.08**" in lines(text, "all three")[0]
         assert "**" not in lines(text, "all but ycb_mug")[0]
-        assert lines(text, "all three")[1].startswith("| all three | `SCOUT_SHARE=0.08` | +5.0 | +")
+        assert lines(text, "all three")[1].startswith("| all three | `EXPLORING_SHARE=0.08` | +5.0 | +")
         assert lines(text, "all three")[1].endswith("| **not less** | **not shown** |")
         assert lines(text, "all but ycb_mug")[1].endswith("| less: the same constants | yes |")
         assert lines(text, "ycb_bowl") == ["| ycb_bowl | 1000 ± 16 | 1050 ± 16 |"]
 
     def test_a_comparison_waits_for_all_its_runs(self) -> None:
-        there = held_out("SCOUT_SHARE=0.08", 1)
+        there = held_out("EXPLORING_SHARE=0.08", 1)
         there.popitem()
         text = page(tuned(GAINS) | there, EVALUATIONS)
         assert lines(text, "all three")[1].endswith("| not all runs are in |  |")

@@ -21,7 +21,7 @@ from tests.simulation.play import Verdict, play
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
 from qdgrasp_coordinator.scheduler.batch_table import BatchTable
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
-from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
+from qdgrasp_coordinator.search.aimed import FIRST_EXPLORING
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method
 from qdgrasp_protocol.bus import Channel, Sample
@@ -230,7 +230,7 @@ def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(in_fl
     journals = {journal_of(plan, number) for number in (1, 2)}
     assert journals == {reference(plan)}
     rows = np.frombuffer(journals.pop(), plan.task.shape.dtype)
-    assert synthetic_scene.covered(rows[rows["generation"] > FIRST_SCOUTS // 25]) > 20
+    assert synthetic_scene.covered(rows[rows["generation"] > FIRST_EXPLORING // 25]) > 20
 
 
 RARE = (

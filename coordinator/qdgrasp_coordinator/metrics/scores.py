@@ -2,7 +2,7 @@
 
 Where the evaluation protocol has trials, the score of a success is their fitness in sum, and where they are
 fewer than the most, as many times as much; elsewhere it is the nominal fitness. Over all disturbances it is
-eta, the estimated probability that the grasp transfers (Huber et al. 2024, section IV: 100 trials of two
+eta, the estimated probability that the grasp transfers (Huber et al. 2024, appendix B: 100 trials of two
 shakes, so it is the sum over 200; trials of `physical` have six forces each).
 """
 

@@ -190,7 +190,7 @@ class NuSummary(Struct, frozen=True, kw_only=True):
 
 
 class EtaSummary(Struct, frozen=True, kw_only=True):
-    """Estimated probability, 0 to 1, that successes transfer (Huber et al. 2024, section IV)."""
+    """Estimated probability, 0 to 1, that successes transfer (Huber et al. 2024, appendix B)."""
 
     successes: int
     """Successes with as many trials as every one has; the other figures are of these, else None."""

@@ -102,11 +102,11 @@ LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
 
 
 def exploration_grasps(
-    space: SearchSpace, n: int, astray: float, loosest: float, generator: np.random.Generator
+    space: SearchSpace, n: int, free_share: float, loosest: float, generator: np.random.Generator
 ) -> AimedGrasps:
     """Return `n` grasps that explore, without a success to learn from.
 
-    The share `astray` of them aims anywhere in the archive's box, at any point: for objects that are unlike
+    The share `free_share` of them aims anywhere in the archive's box, at any point: for objects unlike
     their boxes. The others have at most the looseness `loosest`: many candidates make up for a box that is
     not the surface; a single one should keep to its aim.
     """
@@ -118,12 +118,12 @@ def exploration_grasps(
     targets = contacts + distances[:, None] * _leaning(outward, generator)
     looseness = loosest * generator.uniform(LEAST_LOOSENESS, 1.0, n)
     anywhere = generator.uniform(bottom, top, (n, 3))
-    is_astray = generator.random(n) < astray
+    is_free = generator.random(n) < free_share
     return AimedGrasps(
-        np.where(is_astray[:, None], anywhere, targets),
+        np.where(is_free[:, None], anywhere, targets),
         contacts,
         generator.uniform(0.0, 2 * np.pi, n),
-        np.where(is_astray, 1.0, looseness),
+        np.where(is_free, 1.0, looseness),
         generator.uniform(-1.0, 1.0, (n, posture_genes(space))),
     )
 
@@ -155,10 +155,12 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
     return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
 
 
-FIRST_SCOUTS = 100  # Genomes that scout before any is aimed
-SCOUT_SHARE = 0.04  # Approximate share of evaluations that scout later; less of genomes: no scout is refused
-ASTRAY_GENOMES = 2000
-"""Genomes after which half of the scouts aim anywhere if there is no success; before, fewer do."""
+FIRST_EXPLORING = 100  # Genomes that explore before any is aimed
+EXPLORING_SHARE = (
+    0.04  # Approximate share of evaluations that explore later; less of genomes: none of these is refused
+)
+ANYWHERE_GENOMES = 2000
+"""Genomes after which half of the exploring ones aim anywhere if there is no success; before, fewer do."""
 SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
 POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
 
@@ -200,27 +202,27 @@ class AimedSearch(ABC):
         """Return the numbers (n, w) that rank candidates, by the value wanted (n,); 0: any."""
 
     def ask(self, generation: int) -> Genomes:
-        """Return genomes that aim at the best cells, and scouts: (population, genes)."""
+        """Return genomes that aim at the best cells, and some that explore: (population, genes)."""
         targets = self._targets(generation)
         self._open[generation] = self._frontier.features(targets)
         aimed = self._aimed(targets, generation)
         if self._candidates == 1:
             aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
-        scouts = self._scouts(generation, self._spec.population - len(aimed))
+        exploring = self._exploring(generation, self._spec.population - len(aimed))
         wanted = self._threshold.wanted(self._frontier.dead_ends(aimed.targets))
-        weights = self._weights(np.concatenate([wanted, np.zeros(len(scouts))]))
-        genomes = join_grasps(aimed, scouts).genomes(self._space.layout, self._candidates, weights)
+        weights = self._weights(np.concatenate([wanted, np.zeros(len(exploring))]))
+        genomes = join_grasps(aimed, exploring).genomes(self._space.layout, self._candidates, weights)
         self._frontier.count_tries(self._aimed_at(genomes))
         self._asked += len(genomes)
         return genomes
 
     def _targets(self, generation: int) -> Places:
         """The cells that a generation aims at; none at the start."""
-        if self._asked < FIRST_SCOUTS:
+        if self._asked < FIRST_EXPLORING:
             return np.zeros(0, np.intp)
         generator = keyed_generator(self._spec.seed, "targets", generation)
-        scouts = SCOUT_SHARE * self._threshold.share
-        n = int(np.count_nonzero(generator.random(self._spec.population) >= scouts))
+        exploring = EXPLORING_SHARE * self._threshold.share
+        n = int(np.count_nonzero(generator.random(self._spec.population) >= exploring))
         return self._choose_cells(generation, n, generator)
 
     def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
@@ -261,12 +263,12 @@ class AimedSearch(ABC):
             return np.zeros((len(wanted), RANKING_GENES[self._space.layout.prior]))
         return self._ranking(wanted)
 
-    def _scouts(self, generation: int, n: int) -> AimedGrasps:
+    def _exploring(self, generation: int, n: int) -> AimedGrasps:
         found = len(self._elites) > 0
-        astray = 0.0 if found else min(0.5, 0.5 * self._asked / ASTRAY_GENOMES)
+        free_share = 0.0 if found else min(0.5, 0.5 * self._asked / ANYWHERE_GENOMES)
         loosest = 0.0 if self._candidates == 1 else 1.0
         return exploration_grasps(
-            self._space, n, astray, loosest, keyed_generator(self._spec.seed, "scouts", generation)
+            self._space, n, free_share, loosest, keyed_generator(self._spec.seed, "scouts", generation)
         )
 
     def _aimed_at(self, genomes: Genomes) -> Places:

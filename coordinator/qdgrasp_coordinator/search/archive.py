@@ -3,7 +3,7 @@
 Its cells are those of `cells`, aligned with S_G: edges at k + 0.5 cm in the object's CoM frame. Not repeated
 here are differences of the paper's released code: a cube displaced by the object's inertial offset with bins
 of 1.00-1.02 cm, positions outside it aliased into other cells, and a failure that replaces a failure with
-probability 0.5. Here positions outside the box are counted and left out, and ties keep the elder.
+probability 0.5. Here positions outside the box are left out, and ties keep the elder.
 """
 
 from dataclasses import dataclass
@@ -38,9 +38,6 @@ class ArchiveElites:
 class EliteArchive:
     """The best genome found in each cell of a box of positions, enlarged to whole cells."""
 
-    outside: int = 0
-    """Number of valid positions outside the box so far."""
-
     def __init__(self, genes: int, box: PositionBox) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._dims = tuple(self._high - self._low + 1)
@@ -65,7 +62,6 @@ class EliteArchive:
         valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
         where = cells(valid["descriptor"][:, :3])
         inside = ((where >= self._low) & (where <= self._high)).all(axis=1)
-        self.outside += int(np.count_nonzero(~inside))
         offered = take_rows(valid, inside)
         places = np.ravel_multi_index(tuple((where[inside] - self._low).T), self._dims)
         objectives = np.where(offered["outcome"] >= Outcome.DROPPED, offered["fitness"], np.float32(FAILED))

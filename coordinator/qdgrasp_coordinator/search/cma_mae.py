@@ -3,7 +3,7 @@
 Huber et al. 2024, section IV, with the parameters of Fontaine and Nikolaidis 2023, "Covariance Matrix
 Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's
 released code. The objective of a simulated pose is its fitness; a rejected one (overlap, dead end, error, or
-a position outside the box) has f_min, so it is ranked last and never inserted.
+a position outside the box) has f_min, so it is never inserted.
 
 Unlike in the released code every emitter starts at a point of its own, a rejected pose is not worth as much
 as a miss, and the genomes told are those asked. As there, genomes are clipped for evaluation alone.
@@ -70,10 +70,6 @@ class CmaMae:
             for start, seed in zip(starts, _seeds(spec.seed, "emitters", EMITTERS), strict=True)
         ]
         self._asked = np.zeros((0, genes))
-
-    def __len__(self) -> int:
-        """Return the number of occupied cells of the archive."""
-        return len(self._archive)
 
     def ask(self, generation: int) -> Genomes:
         """The emitters' genomes one after the other, clipped to [-1, 1]: (population, genes)."""

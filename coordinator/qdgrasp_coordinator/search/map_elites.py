@@ -1,8 +1,8 @@
 """MAP-Elites with uniform or success-based selection, and uniform random search.
 
-Huber et al. 2024, section III-C, on Mouret and Clune 2015. As the paper states it: Gaussian mutation of
-each gene with probability 0.3 and sigma 0.1, clipped to [-1, 1]. The released code mutates every gene with
-sigma 0.05, and ignores successes until 500 cells hold one; see `select_successes`.
+Huber et al. 2024, section III-B and appendix A, on Mouret and Clune 2015. As the paper states it: Gaussian
+mutation of each gene with probability 0.3 and sigma 0.1, clipped to [-1, 1]. The released code mutates every
+gene with sigma 0.05, and ignores successes until 500 cells hold one; see `select_successes`.
 
 In random search every genome is a new draw. The released code of the paper re-evaluates the individuals of
 its first generation when it does not count overlaps, and evaluates that generation twice in any case.

@@ -22,7 +22,7 @@ from qdgrasp_coordinator.search import aimed
 from qdgrasp_coordinator.search.aimed import (
     CANDIDATES,
     CONTACT,
-    FIRST_SCOUTS,
+    FIRST_EXPLORING,
     LOOSENESS,
     TARGET,
     AimedGrasps,
@@ -127,7 +127,7 @@ def test_no_target_lies_outside_the_box(objective: dict[str, Any]) -> None:
 
 def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(objective) -> None:
     search, where = build(spec(overlaps="count", **objective))
-    values = where.layout.values(play(search, where, 2000)["genome"])[FIRST_SCOUTS:]
+    values = where.layout.values(play(search, where, 2000)["genome"])[FIRST_EXPLORING:]
     distances = np.linalg.norm(values[:, TARGET] - values[:, CONTACT], axis=1)
     least, greatest = where.distances
     scatter = 0.005
@@ -138,7 +138,7 @@ def test_the_beginning_and_a_few_later_genomes_scout(objective: dict[str, Any]) 
     search, where = build(spec(**objective))
     rows = play(search, where, 2000)
     loose = where.layout.values(rows["genome"])[:, LOOSENESS] > 0
-    assert loose[:FIRST_SCOUTS].all()
+    assert loose[:FIRST_EXPLORING].all()
     assert 0.01 < loose[1000:][rows["outcome"][1000:] >= Outcome.MISSED].mean() < 0.1
 
 
