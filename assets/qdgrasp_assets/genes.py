@@ -82,7 +82,7 @@ def _finder(scene: Scene) -> Genes:
 
 
 def _cone(scene: Scene, aperture: float) -> Genes:
-    """The genes theta = (x_r, y_r, z_r, nu, d, xi, omega), Huber et al. 2024, eq. 2."""
+    """The genes (x_r, y_r, z_r, nu, d, xi, omega): Huber et al. 2024, eq. 2, nu before d."""
     return (
         *_finder(scene),
         Gene("nu", 0.0, aperture),

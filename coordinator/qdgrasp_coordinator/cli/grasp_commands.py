@@ -255,7 +255,7 @@ def evaluate(
     engine: options.EngineOption = None,
     approach_distance: options.ApproachDistance = None,
     resting_pose: options.RestingPoseOption = None,
-    workers: options.Workers = None,
+    workers: options.OwnWorkers = None,
     batch_size: options.BatchSize = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
 ) -> None:

@@ -156,7 +156,7 @@ def verify(
     engine: Annotated[
         str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
     ] = None,
-    workers: options.Workers = None,
+    workers: options.OwnWorkers = None,
     batch_size: options.BatchSize = None,
     as_json: options.Json = False,
 ) -> None:

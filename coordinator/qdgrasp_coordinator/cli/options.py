@@ -199,6 +199,9 @@ SurfaceSeed = Annotated[
     int | None, typer.Option(help="Seed of the surface points; default 0.", rich_help_panel=MESH_FILE)
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
+OwnWorkers = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Worker processes; default: one per core.")
+]
 Successes = Annotated[
     int | None,
     typer.Option(min=1, help="End with so many successes; default: with the budget.", rich_help_panel=END),

@@ -17,9 +17,9 @@ class Engine(NamedTuple):
     module: str
     """The module of its worlds."""
     shaken_world: str | None
-    """Class of the world of `paper`, `released` and `robust`."""
+    """Class of the world of protocols that shake the hand; None: it has none."""
     physical_world: str
-    """Class of the world of `physical`."""
+    """Class of the world of `physical` and `lift`, and of trials of `physical`."""
 
     @property
     def worlds(self) -> list[str]:
