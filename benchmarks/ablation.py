@@ -29,26 +29,27 @@ from qdgrasp_coordinator.search.touch_search import TouchSearch
 from qdgrasp_coordinator.search.value_search import ValueModel, ValueSearch
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.platform import code_digest
+from qdgrasp_worker.platform import EVALUATION
+from qdgrasp_worker.syntax_digest import syntax_digest
 
 LOOSE = 0.5
 
 
-class WithoutGate(TouchSearch):
+class WithoutSuccessThreshold(TouchSearch):
     """A genome's remaining candidates are simulated, likely or not."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return super()._weights(np.zeros_like(wanted))
 
 
-class WithoutRanking(TouchSearch):
+class WithoutLearnedRanking(TouchSearch):
     """Candidates are ranked by what is swept, and nothing is learned of them."""
 
     def _weights(self, wanted: Floats) -> Floats:
         return np.zeros_like(super()._weights(wanted))
 
 
-class WithoutCandidates(TouchSearch):
+class WithOneCandidate(TouchSearch):
     """One candidate of each genome; where overlaps are redrawn, by the next genome."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -59,7 +60,7 @@ class WithoutCandidates(TouchSearch):
         return np.zeros_like(super()._weights(wanted))
 
 
-class WithoutLikelihood(TouchSearch):
+class WithoutLearnedLikelihood(TouchSearch):
     """Cells by successful neighbours over tries, as if nothing were learned."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -67,7 +68,7 @@ class WithoutLikelihood(TouchSearch):
         self._frontier._model.likely = lambda features: (1.0 + len(NEIGHBOURS) * features[:, 2]) / 27.0  # type: ignore[method-assign]
 
 
-class WithoutPreference(TouchSearch):
+class WithAnyNeighbour(TouchSearch):
     """Any successful neighbour's grasp."""
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
@@ -85,7 +86,7 @@ class WithLooseGrasps(TouchSearch):
         return replace(aims, looseness=np.full(len(aims), LOOSE))
 
 
-class WithoutSpareTries(TouchSearch):
+class WithoutRetries(TouchSearch):
     """Weak grasps are not tried again."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -93,15 +94,15 @@ class WithoutSpareTries(TouchSearch):
         self._retries.ask = lambda *_: np.zeros(0, np.intp)  # type: ignore[method-assign]
 
 
-class WithoutAim(TouchSearch):
-    """Scouts alone, with the same candidates and the same ranking."""
+class WithExplorationOnly(TouchSearch):
+    """Exploration alone, with the same candidates and the same ranking."""
 
     def _targets(self, generation: int) -> Places:
         return np.zeros(0, np.intp)
 
 
 class WithAnyCell(TouchSearch):
-    """Cells of the frontier at random."""
+    """Cells of the frontier at random, in place of second tries too."""
 
     def _targets(self, generation: int) -> Places:
         targets = super()._targets(generation)
@@ -175,19 +176,19 @@ VARIANTS: dict[str, Callable[[RunSpec, SearchSpace], AimedSearch]] = {
     "hold, no second tries": WithoutSecondTries,
     "hold, no threshold": WithoutValueThreshold,
     "aimed": TouchSearch,
-    "no gate": WithoutGate,
-    "no learned ranking": WithoutRanking,
-    "one candidate": WithoutCandidates,
-    "no learned likelihood": WithoutLikelihood,
+    "no threshold": WithoutSuccessThreshold,
+    "no learned ranking": WithoutLearnedRanking,
+    "one candidate": WithOneCandidate,
+    "no learned likelihood": WithoutLearnedLikelihood,
     "any cell of the frontier": WithAnyCell,
-    "any neighbour": WithoutPreference,
+    "any neighbour": WithAnyNeighbour,
     "loose grasps": WithLooseGrasps,
-    "no spare tries": WithoutSpareTries,
-    "scouts alone": WithoutAim,
+    "no second tries": WithoutRetries,
+    "exploration alone": WithExplorationOnly,
 }
 
 
-class Finished:
+class FinishedRuns:
     """Finished runs, in a file with a line of JSON for each.
 
     Parameters
@@ -218,7 +219,7 @@ def measure(
     seeds: Sequence[int],
     names: Sequence[str],
     shakes: bool,
-    finished: Finished,
+    finished: FinishedRuns,
     **values: Any,
 ) -> list[dict[str, Any]]:
     """Figures of each variant, object and seed; runs that are not finished are carried out."""
@@ -229,7 +230,7 @@ def measure(
             "object": thing,
             "seed": seed,
             "shakes": shakes,
-            "code": code_digest(),
+            "code": syntax_digest(*EVALUATION, TouchSearch, ValueSearch),
         }
         run = finished.find(asked)
         if run is None:
@@ -305,7 +306,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/ablation.jsonl"), help="runs that are in")
     asked = parser.parse_args()
     values = {name: getattr(asked, name) for name in ("gripper", "evaluations", "overlaps", "protocol")}
-    finished = Finished(asked.out)
+    finished = FinishedRuns(asked.out)
     found = measure(asked.objects, asked.seeds, asked.variants, not asked.no_shakes, finished, **values)
     Console(stderr=True, width=120).print(table(found))
     sys.stdout.write(json.dumps({"machine": machine(), "runs": found}, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""Cost of a monitor's first look at a run with many cells, its recorder above all.
+"""Cost of a monitor's first reading of a run with many cells, its recorder above all.
 
 `python -m benchmarks.cells` writes a journal by hand, has a real recorder answer for it at a router of
 its own, reads it as `qdgrasp-monitor --web` does, twice, and prints a line of JSON. The coordinator has no
@@ -38,7 +38,7 @@ POPULATION = 100
 COMMIT = 2000
 """Rows in a transaction."""
 TICKS = os.sysconf("SC_CLK_TCK")
-LOOKS = 2
+READS = 2
 WAIT = 30.0  # seconds until a recorder is there
 
 
@@ -93,13 +93,13 @@ def memory(pid: int) -> float:
     return int(line.split()[1]) / 1024
 
 
-def look(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
+def read_cells(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
     """Read all cells of the run, as the page's server does for all of its browsers."""
-    exhibits, since, whole, sent, pages = RunCaches(BusRecords(bus)), 0, 0, 0, 0
+    caches, since, whole, sent, pages = RunCaches(BusRecords(bus)), 0, 0, 0, 0
     began, ours, theirs = time.perf_counter(), time.process_time(), cpu(recorder)
     is_more = True
     while is_more:
-        page = exhibits.cells(job, "run", since)
+        page = caches.cells(job, "run", since)
         _, _, since, is_more, whole, _ = HEADER.unpack_from(page)
         sent, pages = sent + len(page), pages + 1
     return {
@@ -112,7 +112,7 @@ def look(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
     }
 
 
-def listed(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
+def list_runs(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
     """Ask which runs there are until all are counted, and once more."""
     records, found = BusRecords(bus), {}
     for name in ("first", "again"):
@@ -135,8 +135,8 @@ def main() -> None:
         with recording(folder, endpoint) as recorder, ZenohBus.connect(endpoint, WAIT) as bus:
             found = {
                 "rows": ROWS * cells,
-                "looks": [look(bus, folder.name, recorder) for _ in range(LOOKS)],
-                "list_recorder_cpu_seconds": listed(bus, folder.name, recorder),
+                "looks": [read_cells(bus, folder.name, recorder) for _ in range(READS)],
+                "list_recorder_cpu_seconds": list_runs(bus, folder.name, recorder),
                 "recorder_megabytes": round(memory(recorder)),
             }
     print(json.dumps({"cells": cells, **found, "cpus": os.cpu_count(), "load": os.getloadavg()[0]}))

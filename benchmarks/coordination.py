@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from benchmarks.measure import Figure, Ledger, Meter, Subject, in_turns
+from benchmarks.measure import Figure, Meter, StageTimer, TimedWork, measure_in_turns
 from msgspec.structs import replace
 from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
@@ -35,22 +35,24 @@ BATCH = 64
 
 
 def measure_coordination(seconds: float) -> list[Figure]:
-    return in_turns([Subject(f"coordinator, {name}", Coordinator(name)) for name in METHODS], seconds)
+    return measure_in_turns(
+        [TimedWork(f"coordinator, {name}", Coordinator(name)) for name in METHODS], seconds
+    )
 
 
 class TimedSearch:
-    """A search in a ledger."""
+    """A search whose CPU time is added up by stage."""
 
-    def __init__(self, search: SearchAlgorithm, ledger: Ledger) -> None:
+    def __init__(self, search: SearchAlgorithm, timer: StageTimer) -> None:
         self._search = search
-        self._ledger = ledger
+        self._timer = timer
 
     def ask(self, generation: int) -> Genomes:
-        with self._ledger.within("ask"):
+        with self._timer.within("ask"):
             return self._search.ask(generation)
 
     def tell(self, generation: int, rows: Rows) -> None:
-        with self._ledger.within("tell"):
+        with self._timer.within("tell"):
             self._search.tell(generation, rows)
 
 
@@ -71,11 +73,11 @@ class Coordinator:
         )
         self._prior = chosen.prior
         self._shape = synthetic_scene.shape(space) if chosen is AIMED else SHAPE
-        self._ledger = Ledger()
-        with self._ledger.within("ask"):
-            search = TimedSearch(chosen.build(spec, space), self._ledger)
+        self._timer = StageTimer()
+        with self._timer.within("ask"):
+            search = TimedSearch(chosen.build(spec, space), self._timer)
             self._pipeline = Pipeline(search, self._shape, spec.evaluations, "count")
-        self._ledger.seconds.clear()
+        self._timer.seconds.clear()
         self._layout = space.layout
         self._scale = 1.0 if chosen is AIMED else 0.2  # m, of what the first three genes stand for
         workers = WorkerRegistry()
@@ -108,33 +110,33 @@ class Coordinator:
         return self._pipeline.tally.rows - before
 
     def _lease(self) -> list[bytes]:
-        with self._ledger.within("pipeline"):
+        with self._timer.within("pipeline"):
             asked = self._pipeline.ask()
-        with self._ledger.within("dispatch"):
+        with self._timer.within("dispatch"):
             if asked is not None:
                 self._dispatcher.submit(RunRef("run", "0" * 64, self._prior), asked)
             leases = self._dispatcher.leases(0.0)
-        with self._ledger.within("messages"):
+        with self._timer.within("messages"):
             return [messages.encode(lease.work(1)) for lease in leases]
 
     def _settle(self, answer: bytes) -> None:
-        with self._ledger.within("messages"):
+        with self._timer.within("messages"):
             result = messages.decode(answer, Result)
             rows = unpack(self._shape.empty(result.n), RESULT, result.columns)
-        with self._ledger.within("dispatch"):
+        with self._timer.within("dispatch"):
             settled = self._dispatcher.settle(WID, result, rows, 0.0)
         if settled.rows is None:
             return
-        with self._ledger.within("pipeline"):
+        with self._timer.within("pipeline"):
             final = self._pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures)
-        with self._ledger.within("messages"):
+        with self._timer.within("messages"):
             messages.encode(slice_to_message(final, "run", 1, self._shape))
 
     @property
     def stages(self) -> dict[str, float]:
         """Microseconds of a genome by stage."""
         rows = self._pipeline.tally.rows
-        return {name: 1e6 * seconds / rows for name, seconds in self._ledger.seconds.items()}
+        return {name: 1e6 * seconds / rows for name, seconds in self._timer.seconds.items()}
 
     @property
     def remark(self) -> str:
@@ -181,20 +183,22 @@ MESSAGES = 41
 
 def measure_recording(seconds: float) -> list[Figure]:
     with ExitStack() as stack:
-        alone = [Alone(_folder(stack), group) for group in GROUPS]
-        turns = [Turns(stack, runs) for runs in RUNS]
-        for writer in alone:
+        journals = [SingleJournal(_folder(stack), group) for group in GROUPS]
+        interleaved = [InterleavedRuns(stack, runs) for runs in RUNS]
+        for writer in journals:
             stack.callback(writer.close)
-        subjects = [Subject(f"recorder, {work.group} rows at a time", work, "wall") for work in alone]
-        subjects += [Subject(f"recorder, runs in turns: {len(work.names)}", work, "wall") for work in turns]
-        return in_turns(subjects, seconds / 2)
+        workloads = [TimedWork(f"recorder, {work.group} rows at a time", work, "wall") for work in journals]
+        workloads += [
+            TimedWork(f"recorder, runs in turns: {len(work.names)}", work, "wall") for work in interleaved
+        ]
+        return measure_in_turns(workloads, seconds / 2)
 
 
 def _folder(stack: ExitStack) -> Path:
     return Path(stack.enter_context(tempfile.TemporaryDirectory(dir=Path.cwd())))
 
 
-class Alone:
+class SingleJournal:
     """A journal, a transaction at a time."""
 
     remark = "wall time; a transaction each, synced to the disk of this folder"
@@ -217,7 +221,7 @@ class Alone:
         return self.group
 
 
-class Turns:
+class InterleavedRuns:
     """Runs whose rows arrive in turns, committed in groups."""
 
     remark = f"wall time; {SLICE} rows in a message, committed in groups"
@@ -228,7 +232,7 @@ class Turns:
         self._recorder = stack.enter_context(
             open_recorder(_folder(stack) / "job", "job", 60.0, time.monotonic())
         )
-        self._recorder.open(_opening(self.names))
+        self._recorder.open(_open_message(self.names))
         self._message = slice_to_message(JournalSlice(0, _rows(SLICE)), "", self._recorder.epoch, SHAPE)
         self._done = 0
 
@@ -246,7 +250,7 @@ class Turns:
         return MESSAGES * SLICE * len(self.names)
 
 
-def _opening(names: list[str]) -> Open:
+def _open_message(names: list[str]) -> Open:
     spec = to_toml(RunSpec(gripper="panda", object="mug")).encode()
     widths = {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
     return Open(job="job", runs=[OpenRun(run=name, spec=spec, scene="0" * 64, **widths) for name in names])

@@ -11,8 +11,8 @@ from unittest.mock import patch
 
 import numpy as np
 from benchmarks.hands import HANDS
-from benchmarks.measure import ROUNDS, Figure, Ledger, Meter, spread
-from benchmarks.naive import Naive, Published
+from benchmarks.measure import ROUNDS, Figure, Meter, StageTimer, spread
+from benchmarks.naive import NaiveEvaluator, PublishedEvaluator
 from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
@@ -67,17 +67,17 @@ ORDER = (
 """The stages in the order of an evaluation."""
 
 
-class Profile:
-    """Adds up what evaluations spend on each stage."""
+class StageProfile:
+    """Adds up the time that evaluations spend in each stage."""
 
     def __init__(self) -> None:
-        self._ledger = Ledger()
+        self._timer = StageTimer()
         self._evaluations = 0
         self._steps = 0
 
     @contextmanager
-    def watching(self, evaluations: int) -> Iterator[None]:
-        """Watch so many evaluations that are made here."""
+    def profiling(self, evaluations: int) -> Iterator[None]:
+        """Profile so many evaluations that are made in this block."""
         self._evaluations += evaluations
         with ExitStack() as patches:
             for owner, name, stage in STAGES:
@@ -85,12 +85,12 @@ class Profile:
             patches.enter_context(
                 patch.object(BulletShakenWorld, "step", self._stepping(BulletShakenWorld.step))
             )
-            with self._ledger.within(REST):
+            with self._timer.within(REST):
                 yield
 
     def stages(self, microseconds: float) -> dict[str, float]:
-        """An evaluation's time by stage, in an evaluation's order; it is so long without a watch."""
-        seconds, whole = self._ledger.seconds, self._ledger.total
+        """An evaluation's time by stage, in order; `microseconds` is its time without profiling."""
+        seconds, whole = self._timer.seconds, self._timer.total
         names = [name for stage in ORDER for name in (stage, stage + STEPS) if name in seconds]
         return {name: microseconds * seconds[name] / whole for name in names}
 
@@ -102,30 +102,30 @@ class Profile:
     @property
     def step_share(self) -> float:
         """The share of all time that is spent in the simulator's steps: the lower bound."""
-        steps = sum(time for name, time in self._ledger.seconds.items() if name.endswith(STEPS))
-        return steps / self._ledger.total
+        steps = sum(time for name, time in self._timer.seconds.items() if name.endswith(STEPS))
+        return steps / self._timer.total
 
     def _within(self, method: Callable[..., Any], stage: str | Callable[..., str]) -> Callable[..., Any]:
         @wraps(method)
-        def watched(*arguments: Any, **named: Any) -> Any:
-            with self._ledger.within(stage if isinstance(stage, str) else stage(*arguments, **named)):
+        def timed(*arguments: Any, **named: Any) -> Any:
+            with self._timer.within(stage if isinstance(stage, str) else stage(*arguments, **named)):
                 return method(*arguments, **named)
 
-        return watched
+        return timed
 
     def _stepping(self, step: Callable[[BulletShakenWorld], None]) -> Callable[[BulletShakenWorld], None]:
         @wraps(step)
-        def watched(world: BulletShakenWorld) -> None:
+        def timed(world: BulletShakenWorld) -> None:
             self._steps += 1
-            self._ledger.enter(self._ledger.inmost + STEPS)
+            self._timer.enter(self._timer.current + STEPS)
             step(world)
-            self._ledger.leave()
+            self._timer.leave()
 
-        return watched
+        return timed
 
 
-WATCHED = 0.5
-"""Time under a watch, as a share of the time without."""
+PROFILED_SHARE = 0.5
+"""Time with profiling, as a share of the time without."""
 DRAWS = 400
 """Bootstrap draws of the batches, for the interval.
 
@@ -142,7 +142,7 @@ class TimedEvaluations:
         search: SearchAlgorithm,
         prior: str,
         evaluator: Evaluator,
-        naive: Naive | None = None,
+        naive: NaiveEvaluator | None = None,
         first: int = 0,
     ) -> None:
         self.name = name
@@ -152,14 +152,14 @@ class TimedEvaluations:
         self._naive = naive
         self._generation = first
         self._waiting = np.zeros((0, 0), np.float32)
-        self._told: list[Rows] = []
+        self._untold: list[Rows] = []
         self._outcomes: list[NDArray[np.uint8]] = []
-        self._profile = Profile()
+        self._profile = StageProfile()
         self._rows: list[int] = []
         self._own: list[float] = []
         self._other: list[float] = []
         """Of each batch: its rows, and their seconds, of ours and of the naive path."""
-        self._watched = 0.0
+        self._profiled_seconds = 0.0
 
     def skip(self, rows: int) -> "TimedEvaluations":
         """Evaluate some genomes that are not counted."""
@@ -167,14 +167,14 @@ class TimedEvaluations:
             self._evaluate(self._next(FIRST_ROWS))
         return self
 
-    def one(self, rows: int) -> int:
+    def evaluate_batch(self, rows: int) -> int:
         """Evaluate one batch of so many rows, or fewer; returns the number."""
         genomes = self._next(rows)
         self._evaluate(genomes)
         return len(genomes)
 
     def measured(self, seconds: float) -> Figure:
-        """Measure it for so long, the naive path's time included; and half of it once more, under a watch."""
+        """Measure it for so long, the naive path's time included; and half of it once more, profiled."""
         self._outcomes.clear()
         while sum(self._own) + sum(self._other) < seconds:
             self._measure(self._next(self._batch))
@@ -192,17 +192,17 @@ class TimedEvaluations:
         )
 
     def _measure(self, genomes: Genomes) -> None:
-        """Evaluate a batch; the naive path, and now and then we under a watch, do the same."""
-        own, other, watched = Meter(), Meter(), Meter()
+        """Evaluate a batch, with the naive path too, and now and then once more with profiling."""
+        own, other, profiled = Meter(), Meter(), Meter()
         with own.running():
             self._evaluate(genomes)
         if self._naive:
             with other.running():
                 self._naive.evaluate(self._prior, genomes)
-        if self._watched < WATCHED * (sum(self._own) + own.seconds):
-            with watched.running(), self._profile.watching(len(genomes)):
+        if self._profiled_seconds < PROFILED_SHARE * (sum(self._own) + own.seconds):
+            with profiled.running(), self._profile.profiling(len(genomes)):
                 self._evaluated(genomes)
-        self._watched += watched.seconds
+        self._profiled_seconds += profiled.seconds
         for column, value in (
             (self._rows, len(genomes)),
             (self._own, own.seconds),
@@ -226,21 +226,21 @@ class TimedEvaluations:
         return genomes
 
     def _evaluate(self, genomes: Genomes) -> None:
-        self._told.append(self._evaluated(genomes))
-        self._outcomes.append(self._told[-1]["outcome"])
+        self._untold.append(self._evaluated(genomes))
+        self._outcomes.append(self._untold[-1]["outcome"])
 
     def _evaluated(self, genomes: Genomes) -> Rows:
         return self._evaluator.evaluate(self._prior, genomes, np.zeros(len(genomes), np.uint16)).rows
 
     def _tell(self) -> None:
         """Tell the search of the generation that is complete, if one is."""
-        if not self._told:
+        if not self._untold:
             return
-        rows = np.concatenate(self._told)
+        rows = np.concatenate(self._untold)
         rows["generation"], rows["index"] = self._generation, np.arange(len(rows))
         self._search.tell(self._generation, rows)
         self._generation += 1
-        self._told.clear()
+        self._untold.clear()
 
     @property
     def _remark(self) -> str:
@@ -252,15 +252,15 @@ class TimedEvaluations:
         )
 
 
-WARM = 200
+WARM_UP = 200
 """Genomes of the search before it is measured: by then it has found its first grasps."""
 
 
-TURNS = {PoseRegime.ANYWHERE: 2.0, PoseRegime.NEAR: 1.0}
+TIME_FACTORS = {PoseRegime.ANYWHERE: 2.0, PoseRegime.NEAR: 1.0}
 """Factor by which poses anywhere are measured longer: few of them take most of the time."""
 
 
-class Pair(NamedTuple):
+class HandAndObject(NamedTuple):
     """A hand and an object, and the further measurements of them."""
 
     hand: str
@@ -277,20 +277,20 @@ class Pair(NamedTuple):
 
 
 BUILT_IN = [
-    Pair("panda", "rubiks_cube"),
-    Pair("panda", "mug"),
-    Pair("barrett", "rubiks_cube"),
-    Pair("allegro", "rubiks_cube"),
-    Pair("allegro", "mug"),
-    Pair("shadow", "rubiks_cube"),
-    Pair("robotiq_2f", "mug"),
+    HandAndObject("panda", "rubiks_cube"),
+    HandAndObject("panda", "mug"),
+    HandAndObject("barrett", "rubiks_cube"),
+    HandAndObject("allegro", "rubiks_cube"),
+    HandAndObject("allegro", "mug"),
+    HandAndObject("shadow", "rubiks_cube"),
+    HandAndObject("robotiq_2f", "mug"),
 ]
 REFERENCE = [
-    Pair("ref_panda_2f", "ycb_rubiks_cube", "released", searched=False),
-    Pair("ref_panda_2f", "ycb_mug", "released", searched=False),
-    Pair("ref_bh280", "ycb_rubiks_cube", "released", searched=False),
-    Pair("ref_allegro", "ycb_rubiks_cube", "released", searched=False),
-    Pair("ref_shadow", "ycb_mug", "released", searched=False),
+    HandAndObject("ref_panda_2f", "ycb_rubiks_cube", "released", searched=False),
+    HandAndObject("ref_panda_2f", "ycb_mug", "released", searched=False),
+    HandAndObject("ref_bh280", "ycb_rubiks_cube", "released", searched=False),
+    HandAndObject("ref_allegro", "ycb_rubiks_cube", "released", searched=False),
+    HandAndObject("ref_shadow", "ycb_mug", "released", searched=False),
 ]
 
 
@@ -298,30 +298,30 @@ def measure_evaluations(seconds: float) -> Iterator[Figure]:
     hands, things = gripper_names(), object_names()
     for pair in BUILT_IN + REFERENCE:
         if pair.hand in hands and pair.object in things:
-            yield from _pair(pair, seconds)
+            yield from _measure_pair(pair, seconds)
 
 
-def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
+def _measure_pair(pair: HandAndObject, seconds: float) -> Iterator[Figure]:
     scene, theirs = (
         build_scene(RunSpec(gripper=hand, object=pair.object, protocol=pair.protocol))
         for hand in (pair.hand, pair.published)
     )
     regimes, name = RegimeSearch(layout(scene, BENCH_PRIOR)), f"{pair.hand} on {pair.object}"
-    with Evaluator(scene) as evaluator, closing(Published(theirs)) as naive:
-        looking = TimedEvaluations(name, regimes, BENCH_PRIOR, evaluator)
+    with Evaluator(scene) as evaluator, closing(PublishedEvaluator(theirs)) as naive:
+        warm_up = TimedEvaluations(name, regimes, BENCH_PRIOR, evaluator)
         while not regimes.has_parents:
-            looking.skip(ROWS_AT_ONCE)
+            warm_up.skip(ROWS_AT_ONCE)
         for regime in (PoseRegime.ANYWHERE, PoseRegime.NEAR):
             regimes.start_regime(regime, ROWS_AT_ONCE)
-            lot = TimedEvaluations(
+            timed = TimedEvaluations(
                 f"{name}, {regime.value}", regimes, BENCH_PRIOR, evaluator, naive, regimes.since
             )
-            yield lot.measured(seconds * TURNS[regime])
+            yield timed.measured(seconds * TIME_FACTORS[regime])
         if pair.searched:
-            yield _searched(pair, evaluator).skip(WARM).measured(seconds / 2)
+            yield _searched(pair, evaluator).skip(WARM_UP).measured(seconds / 2)
 
 
-def _searched(pair: Pair, evaluator: Evaluator) -> TimedEvaluations:
+def _searched(pair: HandAndObject, evaluator: Evaluator) -> TimedEvaluations:
     spec = full_spec({"gripper": pair.hand, "object": pair.object, "method": DEFAULT_METHOD})
     chosen, name = method(spec.method), f"{pair.hand} on {pair.object}, {spec.method}"
     prior = prior_of(spec)
@@ -331,7 +331,7 @@ def _searched(pair: Pair, evaluator: Evaluator) -> TimedEvaluations:
 HAND, OBJECT = "panda", "mug"
 PROCESSES = 2
 BATCHES = {PoseRegime.ANYWHERE: ROWS_AT_ONCE, PoseRegime.NEAR: FIRST_ROWS}
-"""Rows that are evaluated at once: small against a turn."""
+"""Rows that are evaluated at once: small against a round."""
 
 
 def measure_scaling(seconds: float) -> list[Figure]:
@@ -346,7 +346,7 @@ def measure_scaling(seconds: float) -> list[Figure]:
         ]
 
 
-class Turn(NamedTuple):
+class RoundSpeed(NamedTuple):
     """Speed of processes that evaluate side by side."""
 
     rate: float
@@ -356,25 +356,25 @@ class Turn(NamedTuple):
 
 
 def _lines(workers: list[Connection], regime: PoseRegime, seconds: float) -> Iterator[Figure]:
-    turns: dict[int, list[Turn]] = {1: [], PROCESSES: []}
+    rounds: dict[int, list[RoundSpeed]] = {1: [], PROCESSES: []}
     for _ in range(ROUNDS):
-        for count, found in turns.items():
-            found.append(_turn(workers[:count], regime, seconds / ROUNDS))
-    for count, found in turns.items():
+        for count, found in rounds.items():
+            found.append(_measure_round(workers[:count], regime, seconds / ROUNDS))
+    for count, found in rounds.items():
         name = f"{HAND} on {OBJECT}, {regime.value}, {count} process{'' if count == 1 else 'es'}"
-        rates = tuple(turn.rate for turn in found)
-        remark = "wall time" + (_gain(turns[1], found) if count > 1 else "")
+        rates = tuple(one.rate for one in found)
+        remark = "wall time" + (_gain(rounds[1], found) if count > 1 else "")
         yield Figure(name, sum(rates) * seconds / ROUNDS, seconds, "wall", remark, rates)
 
 
-def _turn(workers: list[Connection], regime: PoseRegime, seconds: float) -> Turn:
+def _measure_round(workers: list[Connection], regime: PoseRegime, seconds: float) -> RoundSpeed:
     for worker in workers:
         worker.send((regime, seconds))
     rows, rates, cpu = zip(*(worker.recv() for worker in workers), strict=True)
-    return Turn(sum(rates), sum(cpu) / sum(rows))
+    return RoundSpeed(sum(rates), sum(cpu) / sum(rows))
 
 
-def _gain(alone: list[Turn], together: list[Turn]) -> str:
+def _gain(alone: list[RoundSpeed], together: list[RoundSpeed]) -> str:
     rates, costs = zip(
         *((b.rate / a.rate, b.cost / a.cost) for a, b in zip(alone, together, strict=True)), strict=True
     )
@@ -400,14 +400,14 @@ def _serve(pipe: Connection, number: int) -> None:
     scene = build_scene(RunSpec(gripper=HAND, object=OBJECT))
     regimes = RegimeSearch(layout(scene, BENCH_PRIOR))
     with Evaluator(scene) as evaluator:
-        lot = TimedEvaluations(str(number), regimes, BENCH_PRIOR, evaluator)
+        timed = TimedEvaluations(str(number), regimes, BENCH_PRIOR, evaluator)
         while not regimes.has_parents:
-            lot.skip(ROWS_AT_ONCE)
+            timed.skip(ROWS_AT_ONCE)
         pipe.send(None)
         while (asked := pipe.recv()) is not None:
             regime, seconds = asked
             regimes.start_regime(regime, ROWS_AT_ONCE)
             began, cpu, rows = time.perf_counter(), time.process_time(), 0
             while time.perf_counter() < began + seconds:
-                rows += lot.one(BATCHES[regime])
+                rows += timed.evaluate_batch(BATCHES[regime])
             pipe.send((rows, rows / (time.perf_counter() - began), time.process_time() - cpu))

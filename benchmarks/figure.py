@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from benchmarks.evaluation_speed import ORDER, STEPS
-from benchmarks.measure import Figure, taken
+from benchmarks.measure import Figure, duration_text
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
@@ -45,7 +45,7 @@ def draw(figures: Sequence[Figure]) -> FigureGrid:
     )
     for column, regime in enumerate(regimes):
         axes = grid.axes(0, column)
-        _dress(axes, regime, pairs if column == 0 else [""] * len(pairs))
+        _style_axes(axes, regime, pairs if column == 0 else [""] * len(pairs))
         for row, pair in enumerate(pairs):
             if figure := bars.get((pair, regime)):
                 _bar(axes, row, figure)
@@ -56,7 +56,7 @@ def draw(figures: Sequence[Figure]) -> FigureGrid:
     return grid
 
 
-def _dress(axes: Axes, regime: str, names: Sequence[str]) -> None:
+def _style_axes(axes: Axes, regime: str, names: Sequence[str]) -> None:
     plain_axes(axes)
     axes.grid(visible=False, axis="y")
     axes.grid(axis="x", color=RULE, linewidth=0.6)
@@ -78,5 +78,6 @@ def _bar(axes: Axes, row: int, figure: Figure) -> None:
             width = time / whole
             axes.barh(row, width, BAR, left, color=COLOURS[stage], alpha=opacity, linewidth=0)
             left += width
-    axes.annotate(taken(figure.microseconds), (1, row), (4, 0), textcoords="offset points", va="center",
-                  size=7.5, color=FAINT, annotation_clip=False)  # fmt: skip
+    words = duration_text(figure.microseconds)
+    axes.annotate(words, (1, row), (4, 0), textcoords="offset points", va="center", size=7.5, color=FAINT,
+                  annotation_clip=False)  # fmt: skip

@@ -84,11 +84,11 @@ def joined(parts: Sequence[Verdicts]) -> Verdicts:
     return Verdicts(*columns, sum(part.steps for part in parts), sum(part.seconds for part in parts))
 
 
-Three = tuple[Verdicts, Verdicts, Verdicts]
+VerdictTriple = tuple[Verdicts, Verdicts, Verdicts]
 """Verdicts of the built-in hand, the reference hand, and that one on poses moved by 1 um."""
 
 
-def _joined(parts: Sequence[Three]) -> Three:
+def _joined(parts: Sequence[VerdictTriple]) -> VerdictTriple:
     own, reference, again = (joined(side) for side in zip(*parts, strict=True))
     return own, reference, again
 
@@ -97,8 +97,8 @@ def _joined(parts: Sequence[Three]) -> Three:
 class Comparison:
     """Figures of a built-in hand, from genomes anywhere and near successes."""
 
-    anywhere: Three
-    near: Three
+    anywhere: VerdictTriple
+    near: VerdictTriple
 
     def as_dict(self) -> dict[str, Any]:
         own, reference, again = _joined([self.anywhere, self.near])
@@ -151,11 +151,11 @@ def _on(hand: str, thing: str, number: int) -> Comparison:
         for _ in range(MOST):
             drawn = random.uniform(-1, 1, (number, genes)).astype(np.float32)
             genomes = np.concatenate([genomes, drawn])
-            anywhere.append(_judged(own, reference, drawn, random))
+            anywhere.append(_evaluate_both(own, reference, drawn, random))
             succeeded = np.concatenate([ours.is_success | theirs.is_success for ours, theirs, _ in anywhere])
             if succeeded.sum() >= PARENTS:
                 break
-        near = _judged(own, reference, _around(genomes[succeeded], number, random), random)
+        near = _evaluate_both(own, reference, _around(genomes[succeeded], number, random), random)
     return Comparison(_joined(anywhere), near)
 
 
@@ -168,19 +168,19 @@ def _around(parents: NDArray[np.float32], number: int, random: np.random.Generat
     return np.clip(chosen + random.normal(0, SIGMA, chosen.shape), -1, 1).astype(np.float32)
 
 
-def _judged(
+def _evaluate_both(
     own: Evaluator, reference: Evaluator, genomes: NDArray[np.float32], random: np.random.Generator
-) -> Three:
+) -> VerdictTriple:
     ours, theirs = _alternately([own, reference], PRIOR, genomes)
     np.testing.assert_array_equal(ours.base_to_object, theirs.base_to_object)
     shift = random.normal(size=(len(genomes), 3))
     shift *= MOVED / np.linalg.norm(shift, axis=1, keepdims=True)
-    poses = _as_given(reference, genomes, theirs.base_to_object)
+    poses = _given_genomes(reference, genomes, theirs.base_to_object)
     poses[:, :3] += shift.astype(np.float32)
     return ours, theirs, _alternately([reference], "given", poses)[0]
 
 
-def _as_given(
+def _given_genomes(
     evaluator: Evaluator, genomes: NDArray[np.float32], base_to_object: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """The poses of genomes as genomes of the prior `given`: with the synergy's label and the free joints."""

@@ -1,6 +1,6 @@
 """Why runs do not find the rest of S_G: `python -m benchmarks.limits RUN...`.
 
-Outcomes of the evaluations of each stretch of a run, and of the cells of S_G that it did not find:
+Outcomes of the evaluations of each part of a run, and of the cells of S_G that it did not find:
 whether a hand closed there without success, and how far they are from the cells that it found.
 """
 
@@ -21,17 +21,17 @@ from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 
-STRETCHES = 5
+PARTS = 5
 
 
 @dataclass(frozen=True)
-class Share:
-    """Outcomes of the counted evaluations of a stretch, in percent."""
+class OutcomeShares:
+    """Outcomes of the counted evaluations of a part of a run, in percent."""
 
     until: int
-    unseated: float
+    not_simulated: float
     """Dead ends and overlaps: nothing was simulated."""
-    lost: float
+    no_contact: float
     """The hand closed and did not hold the object: missed or brushed."""
     known: float
     """A success in a cell that had one."""
@@ -42,7 +42,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Rest:
+class UnfoundCells:
     """The cells of S_G without a success, in percent of S_G."""
 
     cells: float
@@ -54,8 +54,8 @@ class Rest:
     """Cells whose best known fitness is 0."""
 
 
-def shares(rows: Rows, reference: ReferenceSet, counts: NDArray[np.bool_]) -> Iterator[Share]:
-    """Outcomes of the counted evaluations, in `STRETCHES` equal parts."""
+def shares(rows: Rows, reference: ReferenceSet, counts: NDArray[np.bool_]) -> Iterator[OutcomeShares]:
+    """Outcomes of the counted evaluations, in `PARTS` equal parts."""
     rows = rows[counts]
     where = cell_keys(cells(rows["descriptor"][:, :3]))
     is_found = rows["outcome"] >= Outcome.DROPPED
@@ -63,19 +63,19 @@ def shares(rows: Rows, reference: ReferenceSet, counts: NDArray[np.bool_]) -> It
     is_new[np.flatnonzero(is_found)[np.unique(where[is_found], return_index=True)[1]]] = True
     is_ours = np.isin(where, cell_keys(reference.cells))
     kinds = {
-        "unseated": rows["outcome"] <= Outcome.OVERLAP,
-        "lost": (rows["outcome"] > Outcome.OVERLAP) & ~is_found,
+        "not_simulated": rows["outcome"] <= Outcome.OVERLAP,
+        "no_contact": (rows["outcome"] > Outcome.OVERLAP) & ~is_found,
         "known": is_found & ~is_new,
         "elsewhere": is_new & ~is_ours,
         "new": is_new & is_ours,
     }
-    for part in np.array_split(np.arange(len(rows)), STRETCHES):
-        yield Share(
+    for part in np.array_split(np.arange(len(rows)), PARTS):
+        yield OutcomeShares(
             int(part[-1]) + 1, **{name: 100 * float(kind[part].mean()) for name, kind in kinds.items()}
         )
 
 
-def rest(rows: Rows, reference: ReferenceSet) -> Rest:
+def unfound_cells(rows: Rows, reference: ReferenceSet) -> UnfoundCells:
     """Figures of the cells that were not found."""
     closed = rows[rows["outcome"] >= Outcome.MISSED]
     found = np.unique(cells(closed["descriptor"][closed["outcome"] >= Outcome.DROPPED, :3]), axis=0)
@@ -85,7 +85,7 @@ def rest(rows: Rows, reference: ReferenceSet) -> Rest:
     beside = KDTree(found).query(left, p=np.inf)[0] <= 1
     weak = reference.fitness[is_left] == 0
     share = 100 / len(reference)
-    return Rest(share * len(left), share * tried.sum(), share * beside.sum(), share * weak.sum())
+    return UnfoundCells(share * len(left), share * tried.sum(), share * beside.sum(), share * weak.sum())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -97,16 +97,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = RunFolder.open(path)
         reference = targets.of(folder.scene(), folder.spec.object).reference
         with folder.journal() as journal:
-            rows = np.concatenate([stretch.rows for stretch in journal.slices()])
+            rows = np.concatenate([part.rows for part in journal.slices()])
         rows = rows[rows["trial"] == 0]
         table = Table(
-            "evaluations", *(name for name in Share.__annotations__ if name != "until"), title=path.name
+            "evaluations",
+            *(name for name in OutcomeShares.__annotations__ if name != "until"),
+            title=path.name,
         )
         for share in shares(rows, reference, evaluation_mask(rows, folder.spec.overlaps)):
-            values = (share.unseated, share.lost, share.known, share.elsewhere, share.new)
+            values = (share.not_simulated, share.no_contact, share.known, share.elsewhere, share.new)
             table.add_row(f"to {share.until}", *(f"{value:.1f} %" for value in values))
         console.print(table)
-        left = rest(rows, reference)
+        left = unfound_cells(rows, reference)
         console.print(
             f"{left.cells:.1f} % of S_G was not found: a hand closed in {left.closed:.1f} % without success, "
             f"{left.beside:.1f} % lie beside a cell that was found, {left.weak:.1f} % survive no shake in S_G"

@@ -15,8 +15,8 @@ from rich.table import Table
 from qdgrasp_coordinator.local.benchmark_figures import node_info
 
 
-class Ledger:
-    """Adds up the CPU seconds of entries by name."""
+class StageTimer:
+    """Adds up the CPU seconds of stages by name."""
 
     def __init__(self) -> None:
         self.seconds: Counter[str] = Counter()
@@ -38,19 +38,19 @@ class Ledger:
             self.leave()
 
     def enter(self, name: str) -> None:
-        self._pass()
+        self._add_elapsed()
         self._open.append(name)
 
     def leave(self) -> None:
-        self._pass()
+        self._add_elapsed()
         self._open.pop()
 
     @property
-    def inmost(self) -> str:
+    def current(self) -> str:
         """The innermost open name, to which time is counted now."""
         return self._open[-1]
 
-    def _pass(self) -> None:
+    def _add_elapsed(self) -> None:
         now = time.process_time()
         if self._open:
             self.seconds[self._open[-1]] += now - self._mark
@@ -58,7 +58,7 @@ class Ledger:
 
 
 ROUNDS = 5
-"""Turns of each thing that is compared."""
+"""Times that each workload is measured."""
 Clock = Callable[[], float]
 CLOCKS: dict[str, Clock] = {"cpu": time.process_time, "wall": time.perf_counter}
 
@@ -131,7 +131,7 @@ def number(value: float, digits: int = 3) -> str:
     return f"{rounded:,.0f}" if rounded >= 10 ** (digits - 1) else f"{rounded:.{digits}g}"
 
 
-def taken(microseconds: float) -> str:
+def duration_text(microseconds: float) -> str:
     """A time in the unit that suits it."""
     for unit, size in (("s", 1e6), ("ms", 1e3)):
         if microseconds >= size:
@@ -153,8 +153,8 @@ class Meter:
         self.seconds += self._clock() - began
 
 
-class Work(Protocol):
-    """One of several things that are measured in turns."""
+class Workload(Protocol):
+    """One of several workloads that are measured in turns."""
 
     def __call__(self, meter: Meter) -> float:
         """Do some of the work, count its time, and return its amount."""
@@ -169,17 +169,17 @@ class Work(Protocol):
 
 
 @dataclass
-class Subject:
-    """A work, and the time of each of its turns."""
+class TimedWork:
+    """A workload, and what it did in each of its rounds."""
 
     name: str
-    work: Work
+    work: Workload
     clock: str = "cpu"
     counts: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
 
-    def turn(self, seconds: float) -> None:
-        """Work for a time."""
+    def measure_round(self, seconds: float) -> None:
+        """Do the work for a time, and note how much was done."""
         meter, count = Meter(self.clock), 0.0
         while meter.seconds < seconds:
             count += self.work(meter)
@@ -193,12 +193,12 @@ class Subject:
         return Figure(self.name, *total, self.clock, self.work.remark, rates, stages=self.work.stages)
 
 
-def in_turns(subjects: Sequence[Subject], seconds: float, rounds: int = ROUNDS) -> list[Figure]:
-    """Measure things in turns, each for so many seconds."""
+def measure_in_turns(workloads: Sequence[TimedWork], seconds: float, rounds: int = ROUNDS) -> list[Figure]:
+    """Measure workloads in turns, each for so many seconds."""
     for _ in range(rounds):
-        for subject in subjects:
-            subject.turn(seconds / rounds)
-    return [subject.figure for subject in subjects]
+        for workload in workloads:
+            workload.measure_round(seconds / rounds)
+    return [workload.figure for workload in workloads]
 
 
 def machine() -> dict[str, Any]:
@@ -225,19 +225,19 @@ def markdown(name: str, figures: Sequence[Figure]) -> str:
 
 def lines(figures: Sequence[Figure]) -> list[list[str]]:
     """The head of a part's table, and its rows."""
-    is_beside = any(figure.published for figure in figures)
+    has_published = any(figure.published for figure in figures)
     heads = [
         "what",
         "per second",
         "one takes",
-        "public code's calls, times" if is_beside else "first line, times",
+        "public code's calls, times" if has_published else "first line, times",
     ]
-    return [[*heads, "remark"], *(_line(figure, figures[0], is_beside) for figure in figures)]
+    return [[*heads, "remark"], *(_line(figure, figures[0], has_published) for figure in figures)]
 
 
-def _line(figure: Figure, first: Figure, is_beside: bool) -> list[str]:
+def _line(figure: Figure, first: Figure, has_published: bool) -> list[str]:
     if figure.clock == "none":
         return [figure.name, "", number(figure.count), "", figure.remark]
-    times = figure.published if is_beside else figure.ratios(first)
+    times = figure.published if has_published else figure.ratios(first)
     rate = spread(figure.rates or [figure.per_second])
-    return [figure.name, rate, taken(figure.microseconds), spread(times), figure.remark]
+    return [figure.name, rate, duration_text(figure.microseconds), spread(times), figure.remark]

@@ -1,6 +1,6 @@
 """Memory of a worker's process: its growth with evaluations, and its size with eight scenes.
 
-`python -m benchmarks.memory [--share S]`. Each course is followed in a process of its own; `--share`
+`python -m benchmarks.memory [--share S]`. Each series is measured in a process of its own; `--share`
 takes that part of its evaluations.
 """
 
@@ -23,12 +23,12 @@ from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, ROWS_AT_ONCE, Evaluator, EvaluatorCache
 
-LOOKS = 20
-"""Samples of memory in a course; the first fifth of it is warming up."""
+SAMPLES = 20
+"""Samples of memory in a series; the first fifth of it is warming up."""
 BATCH = ROWS_AT_ONCE
 MEGABYTE = 1 << 20
 Genomes = NDArray[np.float32]
-EIGHT = tuple(
+EIGHT_SCENES = tuple(
     (gripper, thing)
     for gripper in ("panda", "allegro", "barrett", "shadow")
     for thing in ("mug", "power_drill")
@@ -37,7 +37,7 @@ EIGHT = tuple(
 
 
 @dataclass(frozen=True)
-class Course:
+class EvaluationSeries:
     """Evaluations of random genomes, one after the other."""
 
     gripper: str
@@ -50,14 +50,14 @@ class Course:
         return f"{self.gripper} {self.object} {self.prior}, {self.evaluations:,} genomes"
 
 
-COURSES = (
-    Course("panda", "rubiks_cube", "contact", 100_000),
-    Course("panda", "mug", VALUED, 3_000),
+SERIES = (
+    EvaluationSeries("panda", "rubiks_cube", "contact", 100_000),
+    EvaluationSeries("panda", "mug", VALUED, 3_000),
 )
 
 
 @dataclass(frozen=True)
-class Found:
+class MemoryUse:
     """Memory of a process over time [MB]."""
 
     sizes: tuple[float, ...]
@@ -77,15 +77,15 @@ def status(name: str) -> float:
     return int(value.split()[1]) * 1024 / MEGABYTE
 
 
-def follow(course: Course) -> Found:
-    """Evaluate random genomes and look at the memory of this process."""
-    scene = build_scene(RunSpec(gripper=course.gripper, object=course.object))
+def measure_memory(series: EvaluationSeries) -> MemoryUse:
+    """Evaluate random genomes and read the memory of this process."""
+    scene = build_scene(RunSpec(gripper=series.gripper, object=series.object))
     sizes, random = [status("VmRSS")], np.random.default_rng(0)
     with Evaluator(scene) as evaluator:
-        for _ in range(LOOKS):
-            evaluate(evaluator, course.prior, course.evaluations // LOOKS, random)
+        for _ in range(SAMPLES):
+            evaluate(evaluator, series.prior, series.evaluations // SAMPLES, random)
             sizes.append(status("VmRSS"))
-    return Found(tuple(sizes), status("VmHWM"))
+    return MemoryUse(tuple(sizes), status("VmHWM"))
 
 
 def evaluate(evaluator: Evaluator, prior: str, number: int, random: np.random.Generator) -> None:
@@ -111,37 +111,37 @@ DRAWN = {"contact": anywhere, VALUED: above}
 """Functions that draw genomes, by prior."""
 
 
-def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
+def measure_scenes(scenes: tuple[tuple[str, str], ...] = EIGHT_SCENES) -> MemoryUse:
     """Keep as many scenes as a worker does, and evaluate genomes of two priors on each."""
     random, sizes = np.random.default_rng(0), [status("VmRSS")]
     assert len(scenes) <= MAX_EVALUATORS
-    with EvaluatorCache() as worlds:
+    with EvaluatorCache() as evaluators:
         for gripper, thing in scenes:
             payload = pack_scene(build_scene(RunSpec(gripper=gripper, object=thing))).payload
-            evaluator = worlds.get(
+            evaluator = evaluators.get(
                 f"{gripper} {thing}", lambda payload=payload: Evaluator(unpack_scene(payload))
             )
             for prior in ("contact", VALUED):
                 evaluate(evaluator, prior, 2 * ROWS_AT_ONCE, random)
             sizes.append(status("VmRSS"))
-    return Found(tuple(sizes), status("VmHWM"))
+    return MemoryUse(tuple(sizes), status("VmHWM"))
 
 
-def apart(act: Callable[..., Found], *arguments: object) -> Found:
+def in_new_process(act: Callable[..., MemoryUse], *arguments: object) -> MemoryUse:
     """The result of a function in a new process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(act, arguments)
 
 
-def shortened(course: Course, share: float) -> Course:
-    """The course with this share of its evaluations."""
-    return Course(course.gripper, course.object, course.prior, int(course.evaluations * share))
+def shortened(series: EvaluationSeries, share: float) -> EvaluationSeries:
+    """The series with this share of its evaluations."""
+    return EvaluationSeries(series.gripper, series.object, series.prior, int(series.evaluations * share))
 
 
 def measure(seconds: float) -> list[Figure]:
     """Lines of `make bench`: the memory of a worker, counted in MB; `seconds` plays no role."""
-    eight = apart(serve)
-    name = f"memory of a worker with {len(EIGHT)} scenes"
+    eight = in_new_process(measure_scenes)
+    name = f"memory of a worker with {len(EIGHT_SCENES)} scenes"
     return [Figure(name, round(eight.peak), 1.0, "none", "MB at the peak, the overlap filter on")]
 
 
@@ -150,13 +150,14 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0)
     asked = parser.parse_args()
     found = {
-        course.words: apart(follow, course) for course in (shortened(each, asked.share) for each in COURSES)
+        series.words: in_new_process(measure_memory, series)
+        for series in (shortened(each, asked.share) for each in SERIES)
     }
     values = {
         name: {"growth": each.growth, "peak": each.peak, "sizes": each.sizes} for name, each in found.items()
     }
-    eight = apart(serve)
-    values[f"{len(EIGHT)} scenes"] = {"peak": eight.peak, "sizes": eight.sizes}
+    eight = in_new_process(measure_scenes)
+    values[f"{len(EIGHT_SCENES)} scenes"] = {"peak": eight.peak, "sizes": eight.sizes}
     sys.stdout.write(json.dumps(values, indent=1) + "\n")
 
 

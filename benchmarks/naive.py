@@ -3,7 +3,7 @@
 Every pose is simulated: the overlap is tested by a step, all motors are commanded and all contacts are asked
 for at each step, in numpy's numbers, and nothing ends early. Outcomes mean the same as in `Episode`. That
 code's decoding of poses, which costs 1.6 to 35 ms more, is left out; its reading of a state file twice in
-each evaluation, and its asking for contacts finger by finger, are in `Published` alone.
+each evaluation, and its asking for contacts finger by finger, are in `PublishedEvaluator` alone.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.world import STILL, UPRIGHT, closing_joints
 
 
-class Naive:
+class NaiveEvaluator:
     """A world of its own for one scene, until `close`."""
 
     def __init__(self, scene: Scene) -> None:
@@ -120,7 +120,7 @@ class Naive:
         return {point[3] for point in self._contacts()} & self._hand.finger_links
 
 
-class Published(Naive):
+class PublishedEvaluator(NaiveEvaluator):
     """The naive path with all that the public code's loop does, short of its wrapper around each call."""
 
     def __init__(self, scene: Scene) -> None:

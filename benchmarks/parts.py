@@ -84,7 +84,7 @@ class Line:
     near_us: float
 
 
-class Judge:
+class PartsComparison:
     """One object under several sets of parts."""
 
     def __init__(self, name: str, number: int, near: int) -> None:
@@ -93,28 +93,28 @@ class Judge:
         self._scene = build_scene(spec)
         target = find_object(spec)
         self.mesh, self.own = target.centred_mesh, target.centred_parts
-        self._room = FingerClearance(self.mesh)
+        self._clearance = FingerClearance(self.mesh)
         genes = len(layout(self._scene, PRIOR))
         random = np.random.default_rng(0)
         self._anywhere = random.uniform(-1.0, 1.0, (number, genes)).astype(np.float32)
         with Evaluator(self._scene) as evaluator:
-            self._right_anywhere = judged(evaluator, self._anywhere)
+            self._right_anywhere = evaluated(evaluator, self._anywhere)
             grasps = self._anywhere[self._right_anywhere.grasps]
             around = grasps[random.integers(len(grasps), size=near)]
             moved = around + random.normal(0.0, SIGMA, around.shape)
             self._near = np.clip(moved, -1.0, 1.0).astype(np.float32)
-            self._right_near = judged(evaluator, self._near)
+            self._right_near = evaluated(evaluator, self._near)
 
     def line(self, source: str, parts: tuple[Mesh, ...], seconds: float) -> Line:
         """The line of these parts, on the same poses."""
         anywhere, near = self._right_anywhere, self._right_near
         if source != OWN:
             with Evaluator(with_parts(self._scene, parts)) as evaluator:
-                anywhere, near = judged(evaluator, self._anywhere), judged(evaluator, self._near)
+                anywhere, near = evaluated(evaluator, self._anywhere), evaluated(evaluator, self._near)
         right, either = self._right_near.grasps, self._right_near.grasps | near.grasps
         agrees = self._right_near.rows["fitness"] == near.rows["fitness"]
         same = self._right_anywhere.rows["outcome"] == anywhere.rows["outcome"]
-        fit = self._room.fit(parts)
+        fit = self._clearance.fit(parts)
         return Line(
             object=self.name,
             parts_from=source,
@@ -133,7 +133,7 @@ class Judge:
         )
 
 
-def judged(evaluator: Evaluator, genomes: Genomes) -> Verdicts:
+def evaluated(evaluator: Evaluator, genomes: Genomes) -> Verdicts:
     """The rows of genomes, and their cost."""
     evaluator.evaluate(PRIOR, genomes[:1], np.zeros(1, np.uint16))  # setup is not measured
     began = time.process_time()
@@ -151,21 +151,21 @@ def with_parts(scene: Scene, parts: tuple[Mesh, ...]) -> Scene:
 
 def compare(name: str, thresholds: tuple[float, ...], number: int, near: int) -> list[Line]:
     """Its own parts, the hull, and the parts that CoACD finds at each threshold."""
-    judge = Judge(name, number, near)
+    comparison = PartsComparison(name, number, near)
     sets: Mapping[str, float | None] = {OWN: None, HULL: None, **{f"{each:g}": each for each in thresholds}}
     lines = []
     for source, threshold in sets.items():
         began = time.perf_counter()
-        parts = parts_of(judge, source, threshold)
-        lines.append(judge.line(source, parts, time.perf_counter() - began))
+        parts = parts_of(comparison, source, threshold)
+        lines.append(comparison.line(source, parts, time.perf_counter() - began))
     return lines
 
 
-def parts_of(judge: Judge, source: str, threshold: float | None) -> tuple[Mesh, ...]:
+def parts_of(comparison: PartsComparison, source: str, threshold: float | None) -> tuple[Mesh, ...]:
     """One of the sets of parts."""
     if threshold is not None:
-        return decompose(judge.mesh, judge.name, threshold, TIME_LIMIT)
-    return judge.own if source == OWN else (hull(judge.mesh.vertices),)
+        return decompose(comparison.mesh, comparison.name, threshold, TIME_LIMIT)
+    return comparison.own if source == OWN else (hull(comparison.mesh.vertices),)
 
 
 def table(lines: list[Line]) -> Table:

@@ -31,7 +31,7 @@ MILESTONES = (1000, 2000, 3000, 5000, 10_000, 20_000, 50_000)
 
 
 @dataclass(frozen=True)
-class Alone:
+class SingleRun:
     """The rows of a run, and its cost."""
 
     spec: RunSpec
@@ -49,7 +49,7 @@ class Alone:
         return np.cumsum(evaluation_mask(self.rows, self.spec.overlaps))
 
     @property
-    def finds(self) -> SuccessHistory:
+    def history(self) -> SuccessHistory:
         return SuccessHistory.among(self.rows, self.spec.overlaps)
 
     def coverage(self, evaluations: Sequence[int], least: Outcome = Outcome.DROPPED) -> NDArray[np.float64]:
@@ -58,7 +58,7 @@ class Alone:
         if known is None:
             return np.full(len(evaluations), np.nan)
         known = known.robust if least is Outcome.HELD else known
-        return self.finds.found(known, least).after(evaluations) / len(known)
+        return self.history.found(known, least).after(evaluations) / len(known)
 
     def as_dict(self) -> dict[str, Any]:
         spent = int(self.evaluations[-1])
@@ -75,10 +75,12 @@ class Alone:
             "evaluations": passed,
             "coverage": np.round(self.coverage(passed), 4).tolist(),
             "robust_coverage": np.round(self.coverage(passed, Outcome.HELD), 4).tolist(),
-            "cells": self.finds.cells().after(passed).tolist(),
-            "cells_that_hold": self.finds.cells(Outcome.HELD).after(passed).tolist(),
-            "successes": len(self.finds.rows),
-            "mean_fitness": round(float(self.finds.rows["fitness"].mean()), 3) if len(self.finds.rows) else 0,
+            "cells": self.history.cells().after(passed).tolist(),
+            "cells_that_hold": self.history.cells(Outcome.HELD).after(passed).tolist(),
+            "successes": len(self.history.rows),
+            "mean_fitness": round(float(self.history.rows["fitness"].mean()), 3)
+            if len(self.history.rows)
+            else 0,
             "genomes": len(nominal),
             "proposals": int(nominal["proposals"].sum(dtype=np.int64)),
             "evaluation_cpu_seconds": round(self.evaluation_seconds, 2),
@@ -86,7 +88,7 @@ class Alone:
         }
 
 
-class Timed:
+class TimedSearch:
     """A search whose CPU time is measured."""
 
     def __init__(self, search: SearchAlgorithm) -> None:
@@ -102,7 +104,7 @@ class Timed:
             self._search.tell(generation, rows)
 
 
-def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True) -> Alone:
+def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True) -> SingleRun:
     """Carry out a run.
 
     Parameters
@@ -117,7 +119,7 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
     """
     prior = prior_of(spec)
     scene = build_scene(spec)
-    search = Timed((build or method(spec.method).build)(spec, search_space(scene, prior)))
+    search = TimedSearch((build or method(spec.method).build)(spec, search_space(scene, prior)))
     flight, more = Flight.of(spec), TrialPlan.of(spec)
     shape = row_shape(scene, prior)
     pipeline = Pipeline(search, shape, spec.evaluations, spec.overlaps, flight, more)
@@ -125,7 +127,7 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
         if not shakes:
             evaluator._protocol = replace(evaluator._protocol, shakes=())
         rows, seconds = _evaluated(pipeline, evaluator, prior)
-    return Alone(spec, scene, rows, seconds, search.meter.seconds)
+    return SingleRun(spec, scene, rows, seconds, search.meter.seconds)
 
 
 def _evaluated(pipeline: Pipeline, evaluator: Evaluator, prior: str) -> tuple[Rows, float]:
@@ -186,7 +188,7 @@ ARMS: dict[str, dict[str, Any]] = {
 def measure_growth(seconds: float) -> list[Figure]:
     """The lines of `make bench`; `seconds` plays no role: they take what the evaluations take."""
     thing = SCANNED if SCANNED in object_names() else STAND_IN
-    found: dict[str, list[Alone]] = {name: [] for name in ARMS}
+    found: dict[str, list[SingleRun]] = {name: [] for name in ARMS}
     for seed in SEEDS:
         for name, arm in ARMS.items():
             values = {"gripper": HAND, "object": thing, "evaluations": EVALUATIONS, "seed": seed}
@@ -194,8 +196,8 @@ def measure_growth(seconds: float) -> list[Figure]:
     return [_figure(f"{HAND} on {thing}, {name}", runs) for name, runs in found.items()]
 
 
-def _figure(name: str, runs: list[Alone]) -> Figure:
-    cells = [int(run.finds.cells().after([EVALUATIONS])[-1]) for run in runs]
+def _figure(name: str, runs: list[SingleRun]) -> Figure:
+    cells = [int(run.history.cells().after([EVALUATIONS])[-1]) for run in runs]
     seconds = [run.evaluation_seconds + run.search_seconds for run in runs]
     covered = [100 * float(run.coverage([EVALUATIONS])[-1]) for run in runs]
     rates = [share / taken for share, taken in zip(covered, seconds, strict=True)]

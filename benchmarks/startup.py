@@ -52,7 +52,7 @@ COMMANDS = {
 
 
 @dataclass(frozen=True)
-class Moment:
+class StageTime:
     """When a stage was reached, since the start of the process."""
 
     wall: float
@@ -61,12 +61,12 @@ class Moment:
     """CPU seconds of the worker and its simulator, of all their threads; to 10 ms."""
 
 
-Course = dict[str, Moment]
-"""The moment of each stage."""
+StageTimes = dict[str, StageTime]
+"""The time of each stage."""
 
 
 @dataclass
-class Counter:
+class StandInCoordinator:
     """The other end of the bus: answers one worker as a coordinator does."""
 
     scene: Scene
@@ -114,30 +114,32 @@ class Counter:
         )
 
 
-def first_result(gripper: str, thing: str, prior: str) -> Course:
+def first_result(gripper: str, thing: str, prior: str) -> StageTimes:
     """Start a worker and follow it to its first result."""
     scene = build_scene(RunSpec(gripper=gripper, object=thing))
-    counter = Counter(scene, pack_scene(scene), prior)
+    coordinator = StandInCoordinator(scene, pack_scene(scene), prior)
     keys, (bus, endpoint) = Keys(JOB), ZenohBus.embedded(None)
     with ExitStack() as stack:
         stack.enter_context(bus)
-        stack.enter_context(bus.answer(keys.join, counter.join))
-        stack.enter_context(bus.answer(keys.asset(), counter.asset))
-        stack.enter_context(bus.subscribe(keys.result(), counter.result))
+        stack.enter_context(bus.answer(keys.join, coordinator.join))
+        stack.enter_context(bus.answer(keys.asset(), coordinator.asset))
+        stack.enter_context(bus.subscribe(keys.result(), coordinator.result))
         stack.enter_context(bus.token(keys.coordinator_token(EPOCH)))
         cache = stack.enter_context(tempfile.TemporaryDirectory())
         began = time.perf_counter()
         process = stack.enter_context(started(endpoint, cache))
-        course: Course = {}
-        while len(course) < len(STAGES):
-            stage = counter.seen.get(timeout=PATIENCE)
-            course[stage] = Moment(time.perf_counter() - began, cpu_seconds(process.pid))
+        times: StageTimes = {}
+        while len(times) < len(STAGES):
+            stage = coordinator.seen.get(timeout=PATIENCE)
+            times[stage] = StageTime(time.perf_counter() - began, cpu_seconds(process.pid))
             if stage == STAGES[0]:
-                join = counter.joined.get()
+                join = coordinator.joined.get()
                 bus.put(
-                    keys.work(join.wid), messages.encode(counter.work(join)), encoding=messages.encoding(Work)
+                    keys.work(join.wid),
+                    messages.encode(coordinator.work(join)),
+                    encoding=messages.encoding(Work),
                 )
-        return course
+        return times
 
 
 @contextmanager
@@ -160,17 +162,17 @@ def cpu_seconds(pid: int) -> float:
     return (int(user) + int(system)) / TICKS + sum(cpu_seconds(int(child)) for child in started)
 
 
-def middle(courses: list[Course]) -> Course:
+def median_times(rounds: list[StageTimes]) -> StageTimes:
     """The medians of each stage."""
     return {
-        stage: Moment(
-            median(course[stage].wall for course in courses), median(course[stage].cpu for course in courses)
+        stage: StageTime(
+            median(times[stage].wall for times in rounds), median(times[stage].cpu for times in rounds)
         )
         for stage in STAGES
     }
 
 
-def command(arguments: list[str]) -> Moment:
+def command(arguments: list[str]) -> StageTime:
     """Time of `qdgrasp` with these arguments, from start to end, with all its processes."""
     with tempfile.TemporaryDirectory() as folder:
         before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -179,7 +181,7 @@ def command(arguments: list[str]) -> Moment:
         )
         after, passed = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - began
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Moment(passed, cpu)
+    return StageTime(passed, cpu)
 
 
 def measure(seconds: float) -> list[Figure]:
@@ -189,9 +191,9 @@ def measure(seconds: float) -> list[Figure]:
 
 
 def _worker(gripper: str, thing: str, prior: str) -> Iterator[Figure]:
-    course = middle([first_result(gripper, thing, prior) for _ in range(ROUNDS)])
+    times = median_times([first_result(gripper, thing, prior) for _ in range(ROUNDS)])
     for clock in ("wall", "cpu"):
-        *on_the_way, end = (getattr(course[stage], clock) for stage in STAGES)
+        *on_the_way, end = (getattr(times[stage], clock) for stage in STAGES)
         remark = f"{clock}; " + ", ".join(
             f"{stage} after {at:.2f} s" for stage, at in zip(STAGES, on_the_way, strict=False)
         )
@@ -210,8 +212,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--scene", nargs=3, metavar=("GRIPPER", "OBJECT", "PRIOR"), default=SCENES[0])
     asked = parser.parse_args()
-    course = middle([first_result(*asked.scene) for _ in range(asked.rounds)])
-    values = {stage: {"wall": moment.wall, "cpu": moment.cpu} for stage, moment in course.items()}
+    times = median_times([first_result(*asked.scene) for _ in range(asked.rounds)])
+    values = {
+        stage: {"wall": time_of_stage.wall, "cpu": time_of_stage.cpu}
+        for stage, time_of_stage in times.items()
+    }
     sys.stdout.write(json.dumps(values, indent=1) + "\n")
 
 

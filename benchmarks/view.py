@@ -21,8 +21,8 @@ from qdgrasp_coordinator.storage.success_pages import MOST_SUCCESSES, SuccessTab
 from qdgrasp_protocol.rows import Outcome
 
 INSIDE = 10  # cells; the object is within this distance of the middle
-THERE = "(words) => document.querySelector('#scene-words').textContent.startsWith(words)"
-TURN = """async (ms) => {
+IS_SHOWN = "(words) => document.querySelector('#scene-words').textContent.startsWith(words)"
+ROTATE = """async (ms) => {
   const canvas = document.querySelector("#scene"), key = new KeyboardEvent("keydown", { key: "ArrowLeft" });
   const frame = () => new Promise(requestAnimationFrame);
   const times = [];
@@ -32,7 +32,7 @@ TURN = """async (ms) => {
   }
   return times;
 }"""
-WARM, MEASURED = 3000, 6000  # ms, of warming up and of measuring
+WARM_UP, MEASURED = 3000, 6000  # ms, of warming up and of measuring
 
 
 def archive(n: int) -> SuccessTable:
@@ -50,18 +50,22 @@ def measured(page: Any, cells: int, address: str) -> dict[str, object]:
     """Figures of a visit to a page, in a browser that runs."""
     began = time.perf_counter()
     page.goto(f"{address}/#job=mug")
-    page.wait_for_function(THERE, arg=f"{cells:,} cells")
+    page.wait_for_function(IS_SHOWN, arg=f"{cells:,} cells")
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     opened = time.perf_counter() - began
-    return {"opened_seconds": round(opened, 2), "cut_open": turned(page), "whole": turned(page, "Cut open")}
+    return {
+        "opened_seconds": round(opened, 2),
+        "cut_open": frame_rates(page),
+        "whole": frame_rates(page, "Cut open"),
+    }
 
 
-def turned(page: Any, button: str | None = None) -> dict[str, float | str]:
+def frame_rates(page: Any, button: str | None = None) -> dict[str, float | str]:
     """Frame rate and resolution while the page turns, after a button was pressed."""
     if button:
         page.get_by_role("button", name="Leave out the cells").click()
-    page.evaluate(TURN, WARM)
-    times = np.diff(page.evaluate(TURN, MEASURED))
+    page.evaluate(ROTATE, WARM_UP)
+    times = np.diff(page.evaluate(ROTATE, MEASURED))
     return {
         "frames_per_second": round(1000 / float(times.mean()), 1),
         "p95_frame_ms": round(float(np.quantile(times, 0.95)), 1),

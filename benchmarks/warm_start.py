@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from benchmarks.single_run import Alone, run
+from benchmarks.single_run import SingleRun, run
 
 from qdgrasp_coordinator.campaign.warm_start import learned_weights, replayed_search
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
@@ -34,13 +34,13 @@ def learned_search(asked: argparse.Namespace, thing: str) -> ValueSearch:
     return replayed_search(spec, prepare_scene(spec), [run(spec).rows])
 
 
-def figures(found: Alone) -> dict[str, Any]:
+def figures(found: SingleRun) -> dict[str, Any]:
     """Cells, cells that hold and genomes after so many evaluations."""
     passed = [number for number in MILESTONES if number <= found.spec.evaluations]
     return {
         "evaluations": passed,
-        "cells": found.finds.cells().after(passed).tolist(),
-        "cells_that_hold": found.finds.cells(Outcome.HELD).after(passed).tolist(),
+        "cells": found.history.cells().after(passed).tolist(),
+        "cells_that_hold": found.history.cells(Outcome.HELD).after(passed).tolist(),
         "genomes": (1 + np.searchsorted(found.evaluations, passed)).tolist(),
         "cpu_seconds": round(found.evaluation_seconds + found.search_seconds, 1),
     }

@@ -15,14 +15,14 @@ from benchmarks.leave_one_out.runs import (
     HELD_OUT,
     HELD_OUT_SEEDS,
     Key,
-    carry_on,
     code_digest,
     held_out_runs,
     read,
+    run_missing,
     tuning_runs,
 )
 from benchmarks.results.programme import TUNING
-from benchmarks.results.table import held
+from benchmarks.results.table import locked
 
 from qdgrasp_coordinator.cli.options import cores
 from qdgrasp_coordinator.storage import atomic_files
@@ -39,12 +39,12 @@ def measure(asked: argparse.Namespace) -> None:
     def chosen(runs: list[Key]) -> list[Key]:
         return [key for key in runs if key.scene in asked.scenes and key.seed in asked.seeds]
 
-    with held(file):
+    with locked(file):
         try:
             if not asked.page:
-                carry_on(file, chosen(tuning_runs(asked.evaluations)), current, asked.processes)
+                run_missing(file, chosen(tuning_runs(asked.evaluations)), current, asked.processes)
                 sets = [one.variant for one in refits(read(file), asked.evaluations).values()]
-                carry_on(file, chosen(held_out_runs(sets, asked.evaluations)), current, asked.processes)
+                run_missing(file, chosen(held_out_runs(sets, asked.evaluations)), current, asked.processes)
         finally:
             atomic_files.replace(asked.out / PAGE, page(read(file), asked.evaluations).encode())
 

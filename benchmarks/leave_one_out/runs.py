@@ -131,12 +131,12 @@ def carry_out(asked: Key) -> Row:
     spec = full_spec(values | {"seed": asked.seed, "surface_seed": asked.seed})
     with patched(values_of(asked.variant)):
         found = single_run.run(spec)
-    held, cells = (found.finds.cells(least).end for least in (Outcome.HELD, Outcome.DROPPED))
+    held, cells = (found.history.cells(least).end for least in (Outcome.HELD, Outcome.DROPPED))
     seconds = round(found.evaluation_seconds + found.search_seconds, 1)
     return Row(*asked, robust_cells=held, cells=cells, cpu_seconds=seconds, code=code_digest())
 
 
-def carry_on(file: Path, asked: Iterable[Key], current: Collection[str], processes: int = 1) -> None:
+def run_missing(file: Path, asked: Iterable[Key], current: Collection[str], processes: int = 1) -> None:
     """Carry out the runs of current code that a file's table lacks; write each as it ends."""
     table = read(file)
     missing = [key for key in asked if key not in table or table[key].code not in current]

@@ -48,7 +48,7 @@ def scene_of(hand: str, target: str, protocol: str) -> Scene:
 
 
 @dataclass
-class Judged:
+class PoseResult:
     """The result of a pose under a protocol."""
 
     result: EpisodeResult
@@ -70,7 +70,7 @@ class CountingWorld(BulletPhysicalWorld):
 
 
 @dataclass(frozen=True)
-class SeenEpisode(PhysicalEpisode):
+class RecordingEpisode(PhysicalEpisode):
     """An episode that stores the object's pose after closing."""
 
     places: list[tuple[Any, Any]] = field(default_factory=list)
@@ -80,14 +80,14 @@ class SeenEpisode(PhysicalEpisode):
         return super()._closed_grasp(pose, fingers)
 
 
-def judge(world: GraspWorld, episode: ShakenEpisode | SeenEpisode, pose: HandPose) -> Judged:
+def evaluate_pose(world: GraspWorld, episode: ShakenEpisode | RecordingEpisode, pose: HandPose) -> PoseResult:
     """Evaluate a pose."""
-    places = episode.places if isinstance(episode, SeenEpisode) else []
+    places = episode.places if isinstance(episode, RecordingEpisode) else []
     places.clear()
     before, started = getattr(world, "count", 0), time.process_time()
     result = episode.run(TrialSetup(pose))
     seconds = time.process_time() - started
-    return Judged(result, seconds, getattr(world, "count", 0) - before, places[0] if places else None)
+    return PoseResult(result, seconds, getattr(world, "count", 0) - before, places[0] if places else None)
 
 
 def poses_of(scene: Scene, seed: int) -> Iterator[HandPose]:
@@ -116,30 +116,30 @@ def touched_poses(scene: Scene, n: int, seed: int) -> list[HandPose]:
     return found
 
 
-def physical_runs(scene: Scene, physics: Physics, poses: Sequence[HandPose]) -> list[Judged]:
+def physical_runs(scene: Scene, physics: Physics, poses: Sequence[HandPose]) -> list[PoseResult]:
     """The results of poses under `physical` with other settings."""
     with closing(CountingWorld(scene, physics)) as world:
-        episode = SeenEpisode(world, replace(PHYSICAL, physics=physics))
-        return [judge(world, episode, pose) for pose in poses]
+        episode = RecordingEpisode(world, replace(PHYSICAL, physics=physics))
+        return [evaluate_pose(world, episode, pose) for pose in poses]
 
 
 def side_by_side(
     paper_scene: Scene, scene: Scene, physics: Physics, poses: Sequence[HandPose]
-) -> tuple[list[Judged], list[Judged]]:
+) -> tuple[list[PoseResult], list[PoseResult]]:
     """The results of poses under both protocols, in turns."""
     with closing(BulletShakenWorld(paper_scene)) as first, closing(CountingWorld(scene, physics)) as second:
         paper = ShakenEpisode(first, PAPER)
-        physical = SeenEpisode(second, replace(PHYSICAL, physics=physics))
-        pairs = [(judge(first, paper, pose), judge(second, physical, pose)) for pose in poses]
+        physical = RecordingEpisode(second, replace(PHYSICAL, physics=physics))
+        pairs = [(evaluate_pose(first, paper, pose), evaluate_pose(second, physical, pose)) for pose in poses]
     return [one for one, _ in pairs], [other for _, other in pairs]
 
 
-def held(found: Sequence[Judged]) -> np.ndarray:
+def held(found: Sequence[PoseResult]) -> np.ndarray:
     """Which poses are held, (n,)."""
     return np.array([each.result.outcome is Outcome.HELD for each in found])
 
 
-def spread_of(one: Sequence[Judged], other: Sequence[Judged]) -> tuple[np.ndarray, np.ndarray]:
+def spread_of(one: Sequence[PoseResult], other: Sequence[PoseResult]) -> tuple[np.ndarray, np.ndarray]:
     """Distances [mm] and angles [deg] of the objects after closing, where both have touched."""
     pairs = [(a.place, b.place) for a, b in zip(one, other, strict=True) if a.place and b.place]
     away = np.array([dist(a[0], b[0]) * 1e3 for a, b in pairs] or [np.nan])

@@ -2,8 +2,8 @@
 
 Poses are those that touch the object in Bullet, of the priors `contact` and, for two-finger hands, also
 `antipodal`: the first ones that Bullet holds and the first ones that it does not, `--held` and `--lost` of
-them. Both engines judge each in turns, and each engine again at half the time step, so that a reader sees how
-much of a disagreement is between the engines.
+them. Both engines evaluate each in turns, and each engine again at half the time step, so that a reader sees
+how much of a disagreement is between the engines.
 
 CPU times are of all poses of a scene, engines in turns within each pose; `--rounds` repeats that, and tells
 the median. The ratio on equal steps is that of the times of a step.
@@ -106,7 +106,7 @@ class Verdict(NamedTuple):
     steps: int
 
 
-class Judge:
+class PoseEvaluator:
     """Evaluates poses in a world, and counts its steps."""
 
     def __init__(self, world: AnyWorld, protocol: EvaluationProtocol) -> None:
@@ -125,11 +125,13 @@ class Judge:
         return Verdict(result, time.process_time() - started, self._steps)
 
 
-def chosen_poses(scene: Scene, judge: Callable[[HandPose], Verdict], held: int, lost: int) -> list[HandPose]:
+def chosen_poses(
+    scene: Scene, evaluate: Callable[[HandPose], Verdict], held: int, lost: int
+) -> list[HandPose]:
     """The first poses that touch: some that hold and some that do not."""
     found: dict[bool, list[HandPose]] = {True: [], False: []}
     for pose in poses_of(scene, seed=1):
-        outcome = judge(pose).result.outcome
+        outcome = evaluate(pose).result.outcome
         holds = outcome is Outcome.HELD
         if outcome.is_touched and len(found[holds]) < (held if holds else lost):
             found[holds].append(pose)
@@ -157,12 +159,18 @@ def figures(hand: str, target: str, protocol: str, held: int, lost: int, rounds:
         "mujoco half": lambda: half_step_world(second, rules),
     }
     with ExitStack() as worlds:
-        judges = {name: Judge(worlds.enter_context(closing(make())), rules) for name, make in makers.items()}
-        poses = chosen_poses(first, judges["bullet"], held, lost)
-        found = {name: [judge(pose) for pose in poses] for name, judge in judges.items() if "half" in name}
+        evaluators = {
+            name: PoseEvaluator(worlds.enter_context(closing(make())), rules) for name, make in makers.items()
+        }
+        poses = chosen_poses(first, evaluators["bullet"], held, lost)
+        found = {
+            name: [evaluate(pose) for pose in poses]
+            for name, evaluate in evaluators.items()
+            if "half" in name
+        }
         times: dict[str, list[float]] = {"bullet": [], "mujoco": []}
         for _ in range(rounds):
-            pairs = [(judges["bullet"](pose), judges["mujoco"](pose)) for pose in poses]
+            pairs = [(evaluators["bullet"](pose), evaluators["mujoco"](pose)) for pose in poses]
             for name, verdicts in zip(("bullet", "mujoco"), zip(*pairs, strict=True), strict=True):
                 found[name] = list(verdicts)
                 times[name].append(sum(verdict.seconds for verdict in verdicts))

@@ -53,7 +53,7 @@ FRESH = range(51, 101)
 Arrays = dict[str, NDArray[Any]]
 
 
-def kept_arrays(file: Path, make: Callable[[], Arrays]) -> Arrays:
+def cached_arrays(file: Path, make: Callable[[], Arrays]) -> Arrays:
     """The arrays in an npz file, made where there is none."""
     if not file.exists():
         np.savez(file.with_suffix(".part.npz"), allow_pickle=False, **make())
@@ -90,14 +90,14 @@ class Study:
     def _words(self) -> dict[str, Any]:
         return {"gripper": HAND, "object": self.target, "evaluations": EVALUATIONS[self.target], "seed": 0}
 
-    def _kept(self, name: str, make: Any) -> Arrays:
+    def _cached(self, name: str, make: Any) -> Arrays:
         """Arrays of a file, made where there is none."""
-        return kept_arrays(self._folder / f"{self.target}-{name}.npz", make)
+        return cached_arrays(self._folder / f"{self.target}-{name}.npz", make)
 
     @cached_property
     def grasps(self) -> Arrays:
         """The successes that are looked at: genomes, outcome, position, penetration, group (-1: none)."""
-        return self._kept("grasps", self._choose)
+        return self._cached("grasps", self._choose)
 
     def _choose(self) -> Arrays:
         found = run(full_spec({**self._words, "protocol": "physical"}))
@@ -128,7 +128,7 @@ class Study:
 
     @cached_property
     def _arrivals(self) -> Arrays:
-        return self._kept("arrivals", lambda: met_trials(self.scene("physical"), self.grasps["genomes"]))
+        return self._cached("arrivals", lambda: met_trials(self.scene("physical"), self.grasps["genomes"]))
 
     @cached_property
     def _paper(self) -> Arrays:
@@ -136,7 +136,7 @@ class Study:
             with Evaluator(self.scene("paper")) as evaluator:
                 return evaluated(evaluator, self.grasps["genomes"], range(1, TRIALS + 1))
 
-        return self._kept("paper", make)
+        return self._cached("paper", make)
 
     def results(self, arm: str) -> Results:
         """The trials of all grasps in an arm."""
@@ -152,7 +152,7 @@ class Study:
     def refined(self, which: str) -> Arrays:
         """Fresh etas of the first or best grasp of each group, of its refined one and of its neighbour."""
         is_best = which == "best"
-        return self._kept("refined-best" if is_best else "refined", lambda: refine(self, is_best=is_best))
+        return self._cached("refined-best" if is_best else "refined", lambda: refine(self, is_best=is_best))
 
 
 def evaluated(evaluator: Evaluator, genomes: NDArray[np.float32], numbers: Iterable[int]) -> Arrays:
@@ -258,8 +258,8 @@ def refine(study: Study, *, is_best: bool) -> Arrays:
             neighbour = others[known.eta(PUSHES)[others].argmax()]
             fresh = [grasps["genomes"][own], chosen, grasps["genomes"][neighbour]]
             distinct = {genome.tobytes(): genome for genome in fresh}
-            judged = dict(zip(distinct, etas(np.array([*distinct.values()]), FRESH), strict=True))
-            rows.append([judged[genome.tobytes()] for genome in fresh])
+            found = dict(zip(distinct, etas(np.array([*distinct.values()]), FRESH), strict=True))
+            rows.append([found[genome.tobytes()] for genome in fresh])
             seconds.append(spent)
             simulated.append([trials, TRIALS * (len(others) - 1)])
     return {"eta": np.array(rows), "seconds": np.array(seconds), "simulated": np.array(simulated)}
@@ -307,7 +307,7 @@ def outcome_rows(study: Study) -> Iterable[list[object]]:
 def choice_rows(study: Study) -> Iterable[list[object]]:
     """Choices in groups by eta of trials 1 to 25, judged by trials 26 to 50 of the arm, and of "path"."""
     groups, depth = study.grasps["group"], study.grasps["penetration"]
-    judge = study.results("path").eta(PUSHES, TRIALS // 2)
+    by_path = study.results("path").eta(PUSHES, TRIALS // 2)
     for arm in ARMS:
         found, each = study.results(arm), disturbances(arm)
         early, late = found.eta(each, 0, TRIALS // 2), found.eta(each, TRIALS // 2)
@@ -316,7 +316,7 @@ def choice_rows(study: Study) -> Iterable[list[object]]:
             members = np.flatnonzero(groups == group)
             by_eta = members[np.lexsort([depth[members], -early[members]])[0]]
             by_depth = members[depth[members].argmin()]
-            rows.append([late[by_eta], late[members].mean(), late[by_depth], judge[by_eta]])
+            rows.append([late[by_eta], late[members].mean(), late[by_depth], by_path[by_eta]])
         table = np.array(rows)
         yield [
             study.target,

@@ -1,7 +1,7 @@
 """Verdicts of `paper` where the paper's text is read otherwise: `python -m benchmarks.physics.readings`.
 
-Poses are successes in `paper`, drawn as in `benchmarks.physics`. Each is judged with one thing changed at a
-time: shakes along z and about x of the object, whose axes are the world's; a translation with the force to
+Poses are successes in `paper`, drawn as in `benchmarks.physics`. Each is evaluated with one thing changed at
+a time: shakes along z and about x of the object, whose axes are the world's; a translation with the force to
 reach both of its targets, which makes it faster too; a second shake after a lost first one; and a friction of
 the pair of 0.5. Of each reading the table says which share is held, and which has the same fitness. The last
 columns are of `paper` itself: successes whose fingers touch without a force, and those whose hand stands in
@@ -43,7 +43,7 @@ class UnsweptWorld(BulletShakenWorld):
         """Skip the measurement."""
 
 
-def judged(
+def evaluated(
     scene: Scene,
     poses: Sequence[HandPose],
     protocol: EvaluationProtocol = PAPER,
@@ -80,18 +80,18 @@ def successes(scene: Scene, n: int, seed: int) -> tuple[list[HandPose], list[Epi
     """The first poses that are a success in `paper`, with their results."""
     with closing(BulletShakenWorld(scene)) as world:
         episode = ShakenEpisode(world, PAPER)
-        judged = ((pose, episode.run(TrialSetup(pose))) for pose in poses_of(scene, seed))
-        found = islice(((pose, result) for pose, result in judged if result.outcome.is_success), n)
+        evaluated = ((pose, episode.run(TrialSetup(pose))) for pose in poses_of(scene, seed))
+        found = islice(((pose, result) for pose, result in evaluated if result.outcome.is_success), n)
         poses, results = zip(*found, strict=True)
     return list(poses), list(results)
 
 
 def readings(scene: Scene, poses: Sequence[HandPose]) -> Iterator[tuple[str, list[EpisodeResult]]]:
     """Each reading's results of the same poses."""
-    yield "object's axes", [judged(along_object(scene, pose), [pose])[0] for pose in poses]
-    yield "both targets", judged(with_strength(scene, STRONG), poses)
-    yield "both shakes", judged(scene, poses, replace(PAPER, ends_when_lost=False))
-    yield "pair 0.5", judged(scene, poses, grip=PAIR)
+    yield "object's axes", [evaluated(along_object(scene, pose), [pose])[0] for pose in poses]
+    yield "both targets", evaluated(with_strength(scene, STRONG), poses)
+    yield "both shakes", evaluated(scene, poses, replace(PAPER, ends_when_lost=False))
+    yield "pair 0.5", evaluated(scene, poses, grip=PAIR)
 
 
 def share(found: Sequence[bool]) -> str:

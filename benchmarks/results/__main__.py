@@ -7,7 +7,7 @@ import typer
 from benchmarks.results.assets import FILES, NAME, make_asset
 from benchmarks.results.measure import HEX, codes_here
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
-from benchmarks.results.work import Store, carry_on
+from benchmarks.results.work import Store, run_missing
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
@@ -44,14 +44,14 @@ def run(
     runs: Runs = RUNS,
     workers: options.Workers = None,
 ) -> None:
-    """Carry out missing runs, the cheapest scene first, and judge drawn grasps of the benchmark's.
+    """Carry out missing runs, the cheapest scene first, and evaluate drawn grasps of the benchmark's.
 
     If stopped, the same command goes on.
     """
     store = _store(table, home, accept)
     asked = chosen(store.known, campaigns or (), cell or ())
     with lifetime("qdgrasp results") as stop:
-        failures = carry_on(store, asked, runs, LocalJobConfig(workers=workers or options.cores()), stop)
+        failures = run_missing(store, asked, runs, LocalJobConfig(workers=workers or options.cores()), stop)
     typer.echo(f"{len(store.missing(asked))} of {len(asked.wanted)} runs are missing.")
     if stop.is_set:
         typer.echo("Stopped; the same command goes on.", err=True)

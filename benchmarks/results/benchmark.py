@@ -95,14 +95,14 @@ NEW = SceneGroup("new hands and objects", lambda arm: arm.key.object in OBJECTS 
 
 
 @dataclass(frozen=True)
-class Contest:
+class GroupComparison:
     """The default against one other method over scenes that both have runs on."""
 
     group: SceneGroup
     scenes: tuple[MethodComparison, ...]
 
     @property
-    def rival(self) -> str:
+    def other_method(self) -> str:
         """The other method."""
         return self.scenes[0].theirs.method
 
@@ -119,9 +119,9 @@ class Contest:
         return ratio_interval(upper, [theirs for _, theirs in pairs])
 
     @property
-    def judged(self) -> "Contest":
+    def with_drawn_grasps(self) -> "GroupComparison":
         """It over the scenes where grasps of all runs of both were drawn and evaluated again."""
-        return Contest(
+        return GroupComparison(
             self.group,
             tuple(
                 one
@@ -136,12 +136,12 @@ class Contest:
         return over_scenes(ratio_interval, self.scenes, BOTH_CELLS)
 
 
-def contests(group: SceneGroup, known: Sequence[Arm]) -> list[Contest]:
+def compare_group(group: SceneGroup, known: Sequence[Arm]) -> list[GroupComparison]:
     """The default against every other method on the scenes of a group, by method."""
-    rivals: dict[str, list[MethodComparison]] = {}
+    others: dict[str, list[MethodComparison]] = {}
     for one in chain(*compare_methods(group.arms(known)).values()):
-        rivals.setdefault(one.theirs.method, []).append(one)
-    return [Contest(group, tuple(found)) for found in rivals.values()]
+        others.setdefault(one.theirs.method, []).append(one)
+    return [GroupComparison(group, tuple(found)) for found in others.values()]
 
 
 BEST_OTHER = "best other of each scene"
@@ -156,8 +156,8 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
     for one in chain(*compare_methods(group.arms(known)).values()):
         scenes.setdefault(one.ours.key.scene, []).append(one)
     after = (
-        [[one.pair(ROBUST_CELLS) for one in rivals] for rivals in scenes.values()],
-        [[timed[1] for one in rivals if (timed := one.equal_cpu())] for rivals in scenes.values()],
+        [[one.pair(ROBUST_CELLS) for one in others] for others in scenes.values()],
+        [[timed[1] for one in others if (timed := one.equal_cpu())] for others in scenes.values()],
     )
 
     def share(pair: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
@@ -174,7 +174,7 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
 
 def benchmark_part(known: Sequence[Arm]) -> str:
     """The part of the page, from the arms of the benchmark's campaigns."""
-    found = [contest for group in (*GROUPS, NEW) for contest in contests(group, known)]
+    found = [comparison for group in (*GROUPS, NEW) for comparison in compare_group(group, known)]
     if not found:
         return "## Grasps that hold\n\nNo runs of the benchmark are in yet.\n"
     of_all = [one for one in found if one.group is not NEW]
@@ -182,9 +182,9 @@ def benchmark_part(known: Sequence[Arm]) -> str:
     return "\n".join(["## Grasps that hold\n", *chain(*parts)])
 
 
-def _losses(found: Sequence[Contest], known: Sequence[Arm]) -> Iterator[str]:
+def _losses(found: Sequence[GroupComparison], known: Sequence[Arm]) -> Iterator[str]:
     """Scenes on which the default is behind, before anything else is said; and how many scenes are in."""
-    scenes = [one for contest in found for one in contest.scenes]
+    scenes = [one for comparison in found for one in comparison.scenes]
     after = {
         "equal evaluations": [(one, one.pair(ROBUST_CELLS)) for one in scenes],
         "equal CPU": [(one, timed[1]) for one in scenes if (timed := one.equal_cpu()) is not None],
@@ -227,7 +227,7 @@ def _behind(
             )  # fmt: skip
 
 
-def _summary(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[str]:
+def _summary(known: Sequence[Arm], found: Sequence[GroupComparison]) -> Iterator[str]:
     yield (
         f"Protocol `{PROTOCOL}`. *Cells that hold*: distinct 1 cm cells with a grasp that survived every "
         "push, the figure that the default method searches for; no run can have more than its counted "
@@ -251,7 +251,7 @@ def _summary(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[str]:
     yield f"![Cells with a grasp that holds over evaluations and over CPU seconds]({FIGURE}.png)\n"
 
 
-def _summary_lines(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[tuple[str, ...]]:
+def _summary_lines(known: Sequence[Arm], found: Sequence[GroupComparison]) -> Iterator[tuple[str, ...]]:
     judged = list(
         zip(
             found,
@@ -267,9 +267,14 @@ def _summary_lines(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[t
             yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), *[""] * 4)
             evaluations, cpu = map(ratio_words, against_best(group, known))
             yield (group.words, BEST_OTHER, *_sums(ours)[:2], *[""] * 7, evaluations, "", cpu, "")
-        for contest, *verdicts in here:
+        for comparison, *verdicts in here:
             ratios = (words for one in verdicts for words in (ratio_words(one.found), one.p_words))
-            yield group.words, contest.rival, *_sums([one.theirs for one in contest.scenes]), *ratios
+            yield (
+                group.words,
+                comparison.other_method,
+                *_sums([one.theirs for one in comparison.scenes]),
+                *ratios,
+            )
 
 
 def _sums(arms: Sequence[Arm]) -> tuple[str, ...]:
@@ -292,9 +297,9 @@ DRAWN_COLUMNS = (
 )  # fmt: skip
 
 
-def _drawn_part(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[str]:
+def _drawn_part(known: Sequence[Arm], found: Sequence[GroupComparison]) -> Iterator[str]:
     """Drawn grasps that were evaluated again; nothing without one."""
-    some = [one for contest in found if (one := contest.judged).scenes]
+    some = [one for comparison in found if (one := comparison.with_drawn_grasps).scenes]
     if not some:
         return
     yield "### In the other engine, and with small errors\n"
@@ -312,9 +317,11 @@ def _drawn_part(known: Sequence[Arm], found: Sequence[Contest]) -> Iterator[str]
         ours = [arm for arm in group.arms(known) if arm.is_default and len(arm.values("drawn_in_bullet"))]
         if here:
             lines.append((group.words, f"**`{DEFAULT}`**", *_drawn_sums(ours), "", ""))
-        for contest, verdict in here:
-            sums = _drawn_sums([one.theirs for one in contest.scenes])
-            lines.append((group.words, contest.rival, *sums, ratio_words(verdict.found), verdict.p_words))
+        for comparison, verdict in here:
+            sums = _drawn_sums([one.theirs for one in comparison.scenes])
+            lines.append(
+                (group.words, comparison.other_method, *sums, ratio_words(verdict.found), verdict.p_words)
+            )
     yield markdown_table(DRAWN_COLUMNS, lines)
 
 
@@ -354,7 +361,7 @@ AXES: Mapping[str, Mapping[str, int]] = {"evaluations": MILESTONES, "CPU seconds
 
 def draw(known: Sequence[Arm]) -> FigureGrid | None:
     """A row of panels for each group: over evaluations, and over CPU seconds; None without a run."""
-    groups = [group for group in GROUPS if contests(group, known)]
+    groups = [group for group in GROUPS if compare_group(group, known)]
     if not groups:
         return None
     methods: dict[str, MethodVariant] = {
@@ -365,7 +372,7 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
     for row, group in enumerate(groups):
         for column, (words, milestones) in enumerate(AXES.items()):
             axes = grid.axes(row, column)
-            _dress(axes, list(milestones.values()))
+            _style_axes(axes, list(milestones.values()))
             panel_heading(axes, group.words, f"share of the default's cells that hold, over {words}")
             for method, at, shares in _curves(group, known, milestones, words == "evaluations"):
                 style = styles[methods[method]]
@@ -386,7 +393,7 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
     return grid
 
 
-def _dress(axes: Axes, ticks: Sequence[int]) -> None:
+def _style_axes(axes: Axes, ticks: Sequence[int]) -> None:
     plain_axes(axes)
     axes.set_xscale("log")
     axes.set_xticks(ticks)

@@ -37,8 +37,8 @@ def drawn(rows: Rows, seed: int, number: int = DRAWN) -> Rows:
     return held[np.sort(places)]
 
 
-def judged(path: Path) -> Figures:
-    """Judge drawn grasps of a finished run of `physical`: their number, shares held in Bullet, and eta."""
+def drawn_figures(path: Path) -> Figures:
+    """Evaluate drawn grasps of a finished run of `physical`: their number, shares held in Bullet, and eta."""
     folder = RunFolder(path)
     spec = folder.spec
     with folder.journal() as journal:

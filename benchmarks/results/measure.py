@@ -37,7 +37,7 @@ Budgets = Callable[[Key], set[int]]
 """The budgets with which rows are wanted of a run, whatever its own is."""
 
 
-def harvest(path: Path, budgets: Budgets, targets: ReferenceLookup) -> Iterator[Row]:
+def finished_rows(path: Path, budgets: Budgets, targets: ReferenceLookup) -> Iterator[Row]:
     """The rows of the runs in a campaign's folder, in a folder of run folders, or in a run's own."""
     for folder in search_run_folders(path):
         asked = key(folder.spec)

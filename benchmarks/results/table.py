@@ -312,7 +312,7 @@ def merged(table: Table, rows: Iterable[Row], current: Collection[str]) -> dict[
 
 
 @contextmanager
-def held(file: Path) -> Iterator[None]:
+def locked(file: Path) -> Iterator[None]:
     """Lock a table against changes by other processes; see `job_folder.hold_lock`."""
     with atomic_files.writing(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)

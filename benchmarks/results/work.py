@@ -12,8 +12,8 @@ from benchmarks.results import table as tables
 from benchmarks.results.assets import asset_name, has_own_mass, make_asset
 from benchmarks.results.benchmark import FIGURE, draw
 from benchmarks.results.comparison import arms
-from benchmarks.results.drawn_grasps import judged
-from benchmarks.results.measure import Figures, harvest, rounded
+from benchmarks.results.drawn_grasps import drawn_figures
+from benchmarks.results.measure import Figures, finished_rows, rounded
 from benchmarks.results.page import page
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
@@ -50,7 +50,7 @@ class Added(msgspec.Struct, frozen=True):
     """Rows that are new, or have changed."""
     kept: int
     """Rows that were left out, as the table has them of today's code."""
-    bare: tuple[str, ...]
+    without_set: tuple[str, ...]
     """Scenes of which no reference set is known on this machine."""
     whole: int
     """Rows in the table."""
@@ -59,8 +59,12 @@ class Added(msgspec.Struct, frozen=True):
     def words(self) -> str:
         """Summary for a reader."""
         kept = f"; {self.kept} of other code were left out" if self.kept else ""
-        bare = f" No S_G on this machine of {', '.join(self.bare)}: no coverage." if self.bare else ""
-        return f"{self.new} new rows, {self.whole} in all{kept}.{bare}"
+        no_set = (
+            f" No S_G on this machine of {', '.join(self.without_set)}: no coverage."
+            if self.without_set
+            else ""
+        )
+        return f"{self.new} new rows, {self.whole} in all{kept}.{no_set}"
 
 
 class Store:
@@ -103,27 +107,34 @@ class Store:
         Parameters
         ----------
         again
-            Whether runs that the table has of today's code are looked at, too.
+            Whether runs that the table has of today's code are read again, too.
         """
         here = {} if again else self.table
-        found = [row for path in directories for row in harvest(path, self._budgets(here), ReferenceLookup())]
-        with tables.held(self.file):
+        found = [
+            row for path in directories for row in finished_rows(path, self._budgets(here), ReferenceLookup())
+        ]
+        with tables.locked(self.file):
             before = self.table
             after = tables.merged(before, found, self._current)
-            if is_more := after != before or not self.file.exists():
+            if has_changed := after != before or not self.file.exists():
                 tables.write(self.file, after)
             in_sets = {**self.known.benchmark.wanted, **self.known.part(CLAIMS).wanted}
             rows = {one: after[one] for one in in_sets if one in after and after[one].code in self._current}
-            if reference_sets.gather(self.sets, folders_by_key(directories), rows, self._current) or is_more:
+            if (
+                reference_sets.gather(self.sets, folders_by_key(directories), rows, self._current)
+                or has_changed
+            ):
                 self.write_page()
         return Added(
             new=sum(before.get(key) != row for key, row in after.items()),
             kept=sum(after[row.key] != row for row in found),
-            bare=tuple(sorted({f"{row.gripper} on {row.object}" for row in found if row.set_size is None})),
+            without_set=tuple(
+                sorted({f"{row.gripper} on {row.object}" for row in found if row.set_size is None})
+            ),
             whole=len(after),
         )
 
-    def unjudged(self, asked: Programme) -> set[Key]:
+    def without_drawn(self, asked: Programme) -> set[Key]:
         """The runs of a programme with a row of today's code that lacks drawn grasps."""
         table = self.table
         rows = [table[one] for one in asked.wanted if one in table]
@@ -131,7 +142,7 @@ class Store:
 
     def put(self, key: Key, figures: Figures) -> None:
         """Change figures of a row."""
-        with tables.held(self.file):
+        with tables.locked(self.file):
             table = self.table
             table[key] = structs.replace(table[key], **rounded(figures))
             tables.write(self.file, table)
@@ -167,10 +178,10 @@ SEARCHING = ("metrics/cells", "metrics/run_stats", "scheduler/pipeline")
 """Modules of the coordinator, beside the searches, that affect which genomes are asked."""
 
 
-def carry_on(
-    store: Store, asked: Programme, runs: Path, team: LocalJobConfig, stop: Stop
+def run_missing(
+    store: Store, asked: Programme, runs: Path, config: LocalJobConfig, stop: Stop
 ) -> list[QdgraspError]:
-    """Carry out missing runs, stage by stage, add the finished runs of each, and judge drawn grasps of them.
+    """Carry out missing runs, stage by stage, add the finished runs of each, and evaluate their drawn grasps.
 
     Parameters
     ----------
@@ -184,18 +195,18 @@ def carry_on(
         Why some of the runs could not be carried out; the others were.
     """
     asked = located(asked, runs)
-    lacks = lacking(store.missing(asked))
-    failures: list[QdgraspError] = list(lacks.values())
+    missing = missing_assets(store.missing(asked))
+    failures: list[QdgraspError] = list(missing.values())
     tried = {
         key
         for key, one in asked.wanted.items()
-        if not lacks.keys().isdisjoint((one.spec.gripper, one.spec.object))
+        if not missing.keys().isdisjoint((one.spec.gripper, one.spec.object))
     }
-    unjudged: dict[Key, QdgraspError] = {}
+    without_drawn: dict[Key, QdgraspError] = {}
     while not stop.is_set:
-        place = workplace(runs)
-        _gather(store, place)
-        unjudged |= judge(store, asked, place, team.workers, stop)
+        place = code_folder(runs)
+        _add_finished(store, place)
+        without_drawn |= evaluate_drawn(store, asked, place, config.workers, stop)
         left = [one for one in store.missing(asked) if one.key not in tried]
         if not left or stop.is_set:
             break
@@ -203,14 +214,16 @@ def carry_on(
         stage = next(stages(ordered(left, costs), costs))
         tried |= {one.key for one in stage}
         try:
-            work(place, stage, team, stop)
+            run_stage(place, stage, config, stop)
         except QdgraspError as error:
             failures.append(error)
-        _gather(store, place)
-    return [*failures, *unjudged.values()]
+        _add_finished(store, place)
+    return [*failures, *without_drawn.values()]
 
 
-def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Stop) -> dict[Key, QdgraspError]:
+def evaluate_drawn(
+    store: Store, asked: Programme, place: Path, processes: int, stop: Stop
+) -> dict[Key, QdgraspError]:
     """Evaluate drawn grasps of the benchmark's finished runs again, where the table lacks that.
 
     A stop loses those of one run a process.
@@ -226,14 +239,14 @@ def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Sto
         Why drawn grasps of some runs could not be evaluated; those of the others were.
     """
     failures: dict[Key, QdgraspError] = {}
-    unjudged = store.unjudged(asked.benchmark)
-    if stop.is_set or not unjudged or not JobFolder.is_job(place):
+    without_drawn = store.without_drawn(asked.benchmark)
+    if stop.is_set or not without_drawn or not JobFolder.is_job(place):
         return failures
     folders = folders_by_key([place])
-    left = {folders[one].path: one for one in sorted(unjudged & folders.keys())}
+    left = {folders[one].path: one for one in sorted(without_drawn & folders.keys())}
     if not left:
         return failures
-    for path, found in side_by_side(_judged, left, processes):
+    for path, found in side_by_side(_drawn_or_error, left, processes):
         if isinstance(found, QdgraspError):
             failures[left[path]] = found
         else:
@@ -244,14 +257,14 @@ def judge(store: Store, asked: Programme, place: Path, processes: int, stop: Sto
     return failures
 
 
-def _judged(path: Path) -> Figures | QdgraspError:
+def _drawn_or_error(path: Path) -> Figures | QdgraspError:
     try:
-        return judged(path)
+        return drawn_figures(path)
     except QdgraspError as error:
         return error
 
 
-def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
+def missing_assets(runs: Collection[Wanted]) -> dict[str, InputError]:
     """The hands and objects of runs that are not on this machine, each with its message.
 
     Those of the benchmark are made first.
@@ -270,8 +283,8 @@ def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
     return found
 
 
-def _gather(store: Store, place: Path) -> None:
-    """Add the new rows of a workplace."""
+def _add_finished(store: Store, place: Path) -> None:
+    """Add the new rows of the runs in a folder."""
     if JobFolder.is_job(place):
         store.add([place], again=False)
 
@@ -281,7 +294,7 @@ def folders_by_key(directories: Iterable[Path]) -> dict[Key, RunFolder]:
     return {key(folder.spec): folder for path in directories for folder in search_run_folders(path)}
 
 
-def workplace(home: Path) -> Path:
+def code_folder(home: Path) -> Path:
     """The folder below `home` for the runs of this code, of evaluation and search."""
     said = json.dumps(platform(), sort_keys=True).encode()
     digest = hashlib.sha256(said + _search_digest())
@@ -295,7 +308,7 @@ def _search_digest() -> bytes:
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).digest()
 
 
-def work(place: Path, stage: Sequence[Wanted], team: LocalJobConfig, stop: Stop) -> None:
+def run_stage(place: Path, stage: Sequence[Wanted], config: LocalJobConfig, stop: Stop) -> None:
     """Carry out a stage, and the unfinished runs of an earlier one.
 
     Raises
@@ -305,15 +318,15 @@ def work(place: Path, stage: Sequence[Wanted], team: LocalJobConfig, stop: Stop)
     EndedEarly
         The coordinator died; the next stage goes on.
     """
-    asked = grown(place, stage)
+    asked = extended_campaign(place, stage)
     extent = begin_campaign(place, asked)
     if extent.runs_done == extent.runs:
         return
     with progress_display("results", asked.evaluations) as shown:
-        run_job(JobFolder(place), team, shown, stop)
+        run_job(JobFolder(place), config, shown, stop)
 
 
-def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
+def extended_campaign(place: Path, stage: Iterable[Wanted]) -> Campaign:
     """The campaign in a folder with a stage more; a run that is there already gets the greater budget."""
     known = read_campaign(place / CAMPAIGN, is_begun=True).runs if (place / CAMPAIGN).is_file() else {}
     runs: dict[str, RunSpec] = dict(known)

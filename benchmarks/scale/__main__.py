@@ -20,7 +20,7 @@ from rich.console import Console
 from qdgrasp_protocol.process import configure_logging
 
 PARTS: dict[str, Callable[[float], Iterator[ScaleFigure]]] = {
-    "asleep": throughput.measure_asleep,
+    "asleep": throughput.measure_sleeping_workers,
     "dispatch": throughput.measure_dispatch,
     "recorded": throughput.measure_recorded,
     "searches": throughput.measure_searching,

@@ -26,12 +26,12 @@ from typing import Any
 import tomli_w
 from benchmarks.measure import machine
 from benchmarks.scale.rig import (
-    Clockwork,
-    Crowd,
+    CallTimer,
     ScaleFigure,
-    StandIn,
-    crowds,
+    StandInGroup,
+    StandInWorker,
     resident,
+    start_stand_ins,
     table,
 )
 from rich.console import Console
@@ -50,12 +50,12 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 JOB = "campaign"
 GRIPPER = "panda"
 OBJECTS = tuple(name for name in object_names() if not name.startswith("ycb_"))
-LOOKS = (0.1, 0.5, 1.0)
-"""Shares of the runs at whose end memory is looked at."""
-LEFT = 8
+MEMORY_SHARES = (0.1, 0.5, 1.0)
+"""Shares of the runs at whose end memory is read."""
+UNFINISHED = 8
 """Runs that a restart finds unfinished."""
 INTERVAL = 0.05
-"""Seconds between two looks at the processes."""
+"""Seconds between two readings of the processes."""
 UNCHECKED = ("--checked", "0")
 """Options of a job whose workers are stand-ins, whose results never agree."""
 NAMES = ("coordinator", "recorder")
@@ -63,7 +63,7 @@ NAMES = ("coordinator", "recorder")
 
 
 @dataclass(frozen=True)
-class Size:
+class CampaignSize:
     """A campaign and its workers."""
 
     runs: int
@@ -75,34 +75,34 @@ class Size:
 
     def source(self) -> dict[str, Any]:
         """The content of the campaign's file; at least so many runs as are asked for."""
-        objects = list(OBJECTS[: max(1, min(len(OBJECTS), self.runs // LEFT))])
+        objects = list(OBJECTS[: max(1, min(len(OBJECTS), self.runs // UNFINISHED))])
         cross = {"gripper": GRIPPER, "object": objects, "method": self.method}
         seeds = list(range(ceil(self.runs / len(objects))))
         return {"defaults": {"evaluations": self.evaluations}, "cross": [cross | {"seed": seeds}]}
 
 
 @dataclass
-class Process:
-    """Memory and CPU time of a process at the last look."""
+class ProcessUsage:
+    """Memory and CPU time of a process when they were read last."""
 
     pid: int
     cpu: float = 0.0
     """CPU time [s]."""
     memory: list[int] = field(default_factory=list)
-    """Memory at the `LOOKS` that are over [bytes]."""
+    """Memory at the `MEMORY_SHARES` that are over [bytes]."""
 
-    def look(self) -> None:
+    def update(self) -> None:
         with suppress(OSError):  # it has ended
             user, system = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
             self.cpu = (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass
-class Course:
+class CommandMeasurement:
     """Measurements of a command that carries the campaign out."""
 
     began: float
-    processes: dict[str, Process]
+    processes: dict[str, ProcessUsage]
     first_lease: float = 0.0
     """Seconds from the command to the first batch at a worker."""
     first_end: float = 0.0
@@ -112,11 +112,11 @@ class Course:
     """Seconds to its end."""
 
 
-class FirstLease(StandIn):
+class FirstLease(StandInWorker):
     """A stand-in that reports its first batch."""
 
-    def __init__(self, crowd: Crowd) -> None:
-        super().__init__(0, crowd, Clockwork().later)
+    def __init__(self, group: StandInGroup) -> None:
+        super().__init__(0, group, CallTimer().later)
         self.at: Future[float] = Future()
 
     def _take(self, sample: Sample) -> None:
@@ -125,59 +125,64 @@ class FirstLease(StandIn):
         super()._take(sample)
 
 
-def carry_out(command: list[str], folder: Path, size: Size, runs: int) -> Course:
-    """Carry out a campaign of so many runs with stand-ins, and watch its processes."""
+def carry_out(command: list[str], folder: Path, size: CampaignSize, runs: int) -> CommandMeasurement:
+    """Carry out a campaign of so many runs with stand-ins, and measure its processes."""
     spec = full_spec({"gripper": GRIPPER, "object": OBJECTS[0], "method": size.method})
     shape = row_shape(prepare_scene(spec).scene, prior_of(spec))
     (folder / "endpoint").unlink(missing_ok=True)
     started = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    course = Course(time.monotonic(), {"campaign": Process(started.pid)})
+    measured = CommandMeasurement(time.monotonic(), {"campaign": ProcessUsage(started.pid)})
     try:
         while not (folder / "endpoint").is_file():
-            _look(course, started)
+            _update_usage(measured, started)
             time.sleep(INTERVAL)
         endpoint = (folder / "endpoint").read_text().strip()
-        crowd = Crowd(endpoint, JOB, size.workers, row_seconds=size.row_seconds, shape=shape, variety=4)
-        first = FirstLease(crowd)
-        with crowds([crowd]) as crew, _status(endpoint) as latest:
+        group = StandInGroup(
+            endpoint, JOB, size.workers, row_seconds=size.row_seconds, shape=shape, variety=4
+        )
+        first = FirstLease(group)
+        with start_stand_ins([group]) as stand_ins, _status(endpoint) as latest:
             first.join()
-            crew.join()
-            _watch(course, started, latest, runs)
-        course.first_lease = first.at.result(1.0) - course.began
+            stand_ins.join()
+            _follow(measured, started, latest, runs)
+        measured.first_lease = first.at.result(1.0) - measured.began
     finally:
         if started.poll() is None:
             started.terminate()
         words = started.communicate()[1].decode()
-    course.seconds = time.monotonic() - course.began
+    measured.seconds = time.monotonic() - measured.began
     if started.returncode:
         raise SystemExit(f"the campaign ended with exit code {started.returncode}: {words[-2000:]}")
     first.close()
-    return course
+    return measured
 
 
-def _watch(
-    course: Course, started: "subprocess.Popen[bytes]", latest: Callable[[], JobStatus | None], runs: int
+def _follow(
+    measured: CommandMeasurement,
+    started: "subprocess.Popen[bytes]",
+    latest: Callable[[], JobStatus | None],
+    runs: int,
 ) -> None:
-    """Look at the processes until the command ends."""
+    """Read the usage of the processes until the command ends."""
     before = None
-    looks = list(LOOKS)
+    shares = list(MEMORY_SHARES)
     while started.poll() is None:
-        _look(course, started)
+        _update_usage(measured, started)
         if status := latest():
-            now = time.monotonic() - course.began
+            now = time.monotonic() - measured.began
             before = status.runs_done if before is None else before
-            if not course.first_end and status.runs_done > before:
-                course.first_end = now
-            if looks and status.runs_done >= looks[0] * runs:
-                looks.pop(0)
-                for process in course.processes.values():
+            if not measured.first_end and status.runs_done > before:
+                measured.first_end = now
+            if shares and status.runs_done >= shares[0] * runs:
+                shares.pop(0)
+                for process in measured.processes.values():
                     process.memory.append(resident(process.pid))
-            if status.runs_done >= runs and not course.last_end:
-                course.last_end = now
+            if status.runs_done >= runs and not measured.last_end:
+                measured.last_end = now
         time.sleep(INTERVAL)
 
 
-def _look(course: Course, started: "subprocess.Popen[bytes]") -> None:
+def _update_usage(measured: CommandMeasurement, started: "subprocess.Popen[bytes]") -> None:
     if started.poll() not in (None, 0):
         return
     with suppress(OSError):
@@ -186,9 +191,9 @@ def _look(course: Course, started: "subprocess.Popen[bytes]") -> None:
                 words = Path(f"/proc/{child}/cmdline").read_text()
                 for name in NAMES:
                     if name in words.split("\0", 4)[0] or f".{name}_process" in words:
-                        course.processes.setdefault(name, Process(int(child)))
-    for process in course.processes.values():
-        process.look()
+                        measured.processes.setdefault(name, ProcessUsage(int(child)))
+    for process in measured.processes.values():
+        process.update()
 
 
 @contextmanager
@@ -206,8 +211,8 @@ def _status(endpoint: str) -> Iterator[Callable[[], JobStatus | None]]:
         yield lambda: seen[0] if seen else None
 
 
-def measure(size: Size, home: Path) -> Iterator[ScaleFigure]:
-    """Carry a campaign out in a folder below `home`, go on with it, and look at its folder."""
+def measure(size: CampaignSize, home: Path) -> Iterator[ScaleFigure]:
+    """Carry a campaign out in a folder below `home`, go on with it, and measure its folder."""
     file, folder = home / "campaign.toml", home / JOB
     source = size.source()
     (cross,) = source["cross"]
@@ -216,19 +221,19 @@ def measure(size: Size, home: Path) -> Iterator[ScaleFigure]:
     command = [str(Path(sys.executable).parent / "qdgrasp"), "campaign"]
     rows = runs * size.evaluations
     stand_ins = ["--workers", "0", *UNCHECKED]
-    course = carry_out([*command, str(file), "--out", str(folder), *stand_ins], folder, size, runs)
+    measured = carry_out([*command, str(file), "--out", str(folder), *stand_ins], folder, size, runs)
     yield ScaleFigure("runs", runs, "", remark=f"{size.evaluations} evaluations each, {size.method}")
-    yield ScaleFigure("from the command to the first batch", course.first_lease, "s")
-    busy = course.last_end - course.first_end
+    yield ScaleFigure("from the command to the first batch", measured.first_lease, "s")
+    busy = measured.last_end - measured.first_end
     rate = runs / busy if busy > 0 else 0.0
     yield ScaleFigure("runs a second, opened to finished", rate, "/s")
-    yield ScaleFigure("from the last run's end to the command's", course.seconds - course.last_end, "s")
-    yield from _of_processes(course, runs, rows, size)
+    yield ScaleFigure("from the last run's end to the command's", measured.seconds - measured.last_end, "s")
+    yield from _of_processes(measured, runs, rows, size)
     yield from _of_folder(folder, runs, command[0])
-    for path in sorted((folder / "runs").iterdir())[-LEFT:]:
+    for path in sorted((folder / "runs").iterdir())[-UNFINISHED:]:
         shutil.rmtree(path)
     again = carry_out([*command, str(folder), *stand_ins], folder, size, runs)
-    yield ScaleFigure(f"restart with {LEFT} runs left, to the first batch", again.first_lease, "s")
+    yield ScaleFigure(f"restart with {UNFINISHED} runs left, to the first batch", again.first_lease, "s")
     cpu = sum(process.cpu for process in again.processes.values())
     yield ScaleFigure("CPU of that restart, with those runs", cpu, "s")
     began = time.monotonic()
@@ -236,16 +241,18 @@ def measure(size: Size, home: Path) -> Iterator[ScaleFigure]:
     yield ScaleFigure("delete the folder", time.monotonic() - began, "s")
 
 
-def _of_processes(course: Course, runs: int, rows: int, size: Size) -> Iterator[ScaleFigure]:
-    for name, process in course.processes.items():
+def _of_processes(
+    measured: CommandMeasurement, runs: int, rows: int, size: CampaignSize
+) -> Iterator[ScaleFigure]:
+    for name, process in measured.processes.items():
         remark = f"{1e6 * process.cpu / rows:.0f} us an evaluation, {process.cpu:.1f} s in all"
         yield ScaleFigure(f"CPU of a run, {name}", 1000 * process.cpu / runs, "ms", remark=remark)
         memory = " ".join(f"{number / 1e6:.0f}" for number in process.memory)
-        looks = ", ".join(f"{share:.0%}" for share in LOOKS)
+        shares = ", ".join(f"{share:.0%}" for share in MEMORY_SHARES)
         yield ScaleFigure(
-            f"memory at the end, {name}", process.memory[-1] / 1e6, "MB", remark=f"{memory} MB at {looks}"
+            f"memory at the end, {name}", process.memory[-1] / 1e6, "MB", remark=f"{memory} MB at {shares}"
         )
-    head = sum(process.cpu for process in course.processes.values())
+    head = sum(process.cpu for process in measured.processes.values())
     share = 100 * head / (head + rows * size.row_seconds)
     remark = f"where an evaluation takes a worker {1000 * size.row_seconds:g} ms"
     yield ScaleFigure("CPU of the head, of all", share, "%", most=10.0, remark=remark)
@@ -281,7 +288,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="a JSON file for the figures")
     asked = parser.parse_args()
     configure_logging("scale", level=logging.WARNING)
-    size = Size(asked.runs, asked.evaluations, asked.method, asked.workers, asked.row_seconds)
+    size = CampaignSize(asked.runs, asked.evaluations, asked.method, asked.workers, asked.row_seconds)
     with tempfile.TemporaryDirectory(dir=asked.home, prefix="scale-") as home:
         found = list(measure(size, Path(home)))
     Console(stderr=True, width=150).print(table("campaign", found))

@@ -43,7 +43,7 @@ SLOW = 10.0
 GENOMES = 16_700
 """Genomes of a run of 10 000 evaluations."""
 AT_ONCE = 256
-"""Messages that it takes between two looks at what may be leased."""
+"""Messages that it takes between two rounds of leases."""
 LEASE = 4.0
 """Seconds after which a frozen worker's token vanishes."""
 REPLACED, FROZEN = 5.0, 20.0
@@ -137,17 +137,17 @@ class FleetSimulation:
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self._inbox: deque[Callable[[], None]] = deque()
-        self._is_at_work = False
+        self._is_busy = False
         self._wakes_at = inf
         self._useful: list[tuple[float, float, int]] = []
-        """Of settled batches: the moment, the time that they took, and their rows."""
+        """Of settled batches: the time of settling, the time that they took, and their rows."""
         self._leased: list[tuple[float, int]] = []
         self._workers = WorkerRegistry()
         self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
         self._task = task
         self._opened = itertools.count()
         self._pipelines: dict[str, Pipeline] = {}
-        self._told: set[str] = set()
+        self._askable: set[str] = set()
         """Runs that may have genomes to ask."""
         for _ in range(task.runs):
             share = 1.0 if task.runs == 1 else self._chance.random()
@@ -155,9 +155,9 @@ class FleetSimulation:
         self._rows = 0
         self._simulated: dict[str, SimulatedWorker] = {}
         for _ in range(profile.workers):
-            self._at(self._begin(), self._hire)
+            self._at(self._first_join(), self._start_worker)
 
-    def play(self, seconds: float, most: int, since: float = 0.5) -> Figures:
+    def run(self, seconds: float, most: int, since: float = 0.5) -> Figures:
         """Figures of the second half of so many seconds, or of so many settled batches if sooner.
 
         It ends with the last run. `since` is the share of the time that does not count.
@@ -171,13 +171,13 @@ class FleetSimulation:
         name, task = f"run-{next(self._opened)}", self._task
         search = TimedSearch(task.population, self)
         self._pipelines[name] = Pipeline(search, SHAPE, max(1, genomes), "count", task.flight)
-        self._told.add(name)
+        self._askable.add(name)
 
     def _end_run(self, name: str) -> None:
         """Let a run go, and open another one when the worker that has least to do has built its shape."""
         del self._pipelines[name]
         self._dispatcher.withdraw(name)
-        self._told.discard(name)
+        self._askable.discard(name)
         if self._task.runs > 1:
             worker = min(self._simulated.values(), key=lambda each: each.free_at)
             worker.free_at = max(worker.free_at, self.now) + self._task.build
@@ -207,13 +207,13 @@ class FleetSimulation:
 
     def _arrive(self, call: Callable[[], None]) -> None:
         self._inbox.append(call)
-        if not self._is_at_work:
-            self._is_at_work = True
-            self._at(self.now, self._turn)
+        if not self._is_busy:
+            self._is_busy = True
+            self._at(self.now, self._handle_messages)
 
     # The coordinator.
 
-    def _turn(self) -> None:
+    def _handle_messages(self) -> None:
         """Process the messages, and act on them as the service does."""
         n, before = min(len(self._inbox), AT_ONCE), self._rows
         for _ in range(n):
@@ -229,30 +229,30 @@ class FleetSimulation:
         for lease in self._dispatcher.leases(self.now):
             self._at(self.now + LATENCY, lambda lease=lease: self._take(lease))  # type: ignore[misc]
         self._leased.append((self.now, self._dispatcher.counters["leased"] - len(self._useful)))
-        self._is_at_work = bool(self._inbox)
+        self._is_busy = bool(self._inbox)
         if self._inbox:
-            self._at(self.now, self._turn)
+            self._at(self.now, self._handle_messages)
         else:
-            self._wake(min(self.now + MOST_WAIT, max(self.now, self._workers.next_deadline()) + 0.01))
+            self._wake_by(min(self.now + MOST_WAIT, max(self.now, self._workers.next_deadline()) + 0.01))
 
-    def _wake(self, time: float) -> None:
+    def _wake_by(self, time: float) -> None:
         """Have the coordinator do its next step at this time at the latest."""
         if time < self._wakes_at:
             self._wakes_at = time
-            self._at(time, self._look)
+            self._at(time, self._wake_up)
 
-    def _look(self) -> None:
+    def _wake_up(self) -> None:
         self._wakes_at = inf
-        if not self._is_at_work:
-            self._is_at_work = True
+        if not self._is_busy:
+            self._is_busy = True
             self._step()
 
     def _ask(self) -> None:
         """Queue the genomes that may be asked; the cost of rows is known from the first one on."""
         waiting = self._dispatcher._queue._runs
         is_first = not waiting
-        told, self._told = self._told, set()
-        for run in sorted(told):
+        askable, self._askable = self._askable, set()
+        for run in sorted(askable):
             while (asked := self._pipelines[run].ask()) is not None:
                 self._dispatcher.submit(RunRef(run, "scene", "prior"), asked)
         for rows in waiting.values() if is_first else ():
@@ -278,13 +278,13 @@ class FleetSimulation:
         if (pipeline := self._pipelines.get(run)) is None:
             return
         pipeline.settle(rows, seconds)
-        self._told.add(run)
+        self._askable.add(run)
         if pipeline.finished is not None:
             self._end_run(run)
 
     # The workers.
 
-    def _hire(self) -> None:
+    def _start_worker(self) -> None:
         wid = f"{next(self._count):032x}"
         speed = float(np.exp(self._chance.normal(0, self._profile.spread)))
         worker = self._simulated[wid] = SimulatedWorker(wid, speed)
@@ -292,7 +292,7 @@ class FleetSimulation:
         self._at(self.now + self._time(self._profile.life), lambda: self._die(worker))
         self._at(self.now + self._time(self._profile.freeze), lambda: self._freeze(worker))
 
-    def _begin(self) -> float:
+    def _first_join(self) -> float:
         """Time at which a first worker joins [s]: at once, or when its freeze ends."""
         is_frozen = self._chance.random() < FROZEN / (FROZEN + self._profile.freeze)
         return float(self._chance.uniform(0, FROZEN)) if is_frozen else 0.0
@@ -334,7 +334,7 @@ class FleetSimulation:
         worker.is_over = True
         del self._simulated[worker.wid]
         self._send(lambda: self._lose_token(worker))
-        self._at(self.now + REPLACED, self._hire)
+        self._at(self.now + REPLACED, self._start_worker)
 
     def _lose_token(self, worker: SimulatedWorker) -> None:
         self._workers.on_token(worker.wid, False, self.now)
@@ -346,10 +346,10 @@ class FleetSimulation:
         worker.pending = {batch: due + FROZEN for batch, due in worker.pending.items()}
         worker.free_at = max(worker.free_at, self.now) + FROZEN
         self._at(self.now + LEASE, lambda: self._send(lambda: self._lose_token(worker)))
-        self._at(self.now + FROZEN, lambda: self._thaw(worker))
+        self._at(self.now + FROZEN, lambda: self._unfreeze(worker))
         self._at(self.now + FROZEN + self._time(self._profile.freeze), lambda: self._freeze(worker))
 
-    def _thaw(self, worker: SimulatedWorker) -> None:
+    def _unfreeze(self, worker: SimulatedWorker) -> None:
         if not worker.is_over:
             worker.number += 1
             self._join(worker)

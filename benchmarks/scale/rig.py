@@ -80,7 +80,7 @@ REACH = 0.15
 """Hands are anywhere in a cube of twice that [m]."""
 VARIETY = 64
 """Different results for batches of one length."""
-_MARKS = {"run": "@" * 31, "generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
+_PLACEHOLDERS = {"run": "@" * 31, "generation": 2**62 + 1, "batch": b"\xa5" * 16, "attempt": 2**62 + 3}
 """Placeholders in a result for a batch's own values."""
 
 
@@ -95,7 +95,7 @@ def rows(n: int, random: np.random.Generator, shape: RowShape = SHAPE) -> Rows:
     return found
 
 
-class Answers:
+class PreparedResults:
     """The prepared results of one worker to batches of one length.
 
     Parameters
@@ -122,10 +122,10 @@ class Answers:
     ) -> None:
         random = np.random.default_rng((number, n))
         self._pieces: Iterator[list[bytes]] = cycle(
-            [_cut(_result(wid, epoch, rows(n, random, shape), seconds, shape, key)) for _ in range(variety)]
+            [_split(_result(wid, epoch, rows(n, random, shape), seconds, shape, key)) for _ in range(variety)]
         )
 
-    def to(self, run: str, generation: int, batch: bytes, attempt: int) -> bytes:
+    def next_for(self, run: str, generation: int, batch: bytes, attempt: int) -> bytes:
         """The next result, for a batch."""
         pieces = next(self._pieces)
         own = (msgpack.packb(run), msgpack.packb(generation), batch, msgpack.packb(attempt), b"")
@@ -144,16 +144,16 @@ def _result(wid: str, epoch: int, found: Rows, seconds: float, shape: RowShape, 
             contact_slots=shape.contact_slots,
             columns=deflated(pack(found, RESULT)),
             cpu_seconds=seconds,
-            **_MARKS,
+            **_PLACEHOLDERS,
         )
     )
 
 
-def _cut(payload: bytes) -> list[bytes]:
+def _split(payload: bytes) -> list[bytes]:
     """The pieces of a result before, between and after its placeholders."""
     pieces = []
-    for mark in _MARKS.values():
-        packed = mark if isinstance(mark, bytes) else msgpack.packb(mark)
+    for placeholder in _PLACEHOLDERS.values():
+        packed = placeholder if isinstance(placeholder, bytes) else msgpack.packb(placeholder)
         before, found, payload = payload.partition(packed)
         assert found
         pieces.append(before)
@@ -161,15 +161,15 @@ def _cut(payload: bytes) -> list[bytes]:
 
 
 PLATFORM = {"stand-in": "1"}
-OPENING = 16
+SESSIONS_AT_ONCE = 16
 """Sessions that a process opens at once."""
 PATIENCE = 30.0
 """Seconds until the router must answer."""
 
 
 @dataclass(frozen=True)
-class Crowd:
-    """A number of stand-ins of a job."""
+class StandInGroup:
+    """A number of stand-ins for workers of a job."""
 
     endpoint: str
     job: str
@@ -185,8 +185,8 @@ class Crowd:
     variety: int = VARIETY
 
 
-class StandIn:
-    """One session that answers.
+class StandInWorker:
+    """A stand-in for one worker: a session that answers with prepared results.
 
     Parameters
     ----------
@@ -194,27 +194,29 @@ class StandIn:
         Calls a function at a time.
     """
 
-    def __init__(self, number: int, crowd: Crowd, later: Callable[[float, Callable[[], None]], None]) -> None:
+    def __init__(
+        self, number: int, group: StandInGroup, later: Callable[[float, Callable[[], None]], None]
+    ) -> None:
         self._number = number
         self._key = secrets.token_bytes(32)
         self.wid = worker_id(self._key)
-        self._crowd = crowd
+        self._group = group
         self._later = later
-        self._keys = Keys(crowd.job)
-        self._doors = ExitStack()
-        self._answers: dict[tuple[int, int], Answers] = {}
+        self._keys = Keys(group.job)
+        self._stack = ExitStack()
+        self._results: dict[tuple[int, int], PreparedResults] = {}
         self._free_at = 0.0
 
     def join(self) -> float:
         """Start and join; returns the time of the answer."""
-        self._bus = self._doors.enter_context(ZenohBus.connect(self._crowd.endpoint, PATIENCE, Stop()))
-        self._doors.enter_context(self._bus.subscribe(self._keys.work(self.wid), self._take))
-        self._doors.enter_context(self._bus.token(self._keys.worker_token(self.wid)))
+        self._bus = self._stack.enter_context(ZenohBus.connect(self._group.endpoint, PATIENCE, Stop()))
+        self._stack.enter_context(self._bus.subscribe(self._keys.work(self.wid), self._take))
+        self._stack.enter_context(self._bus.token(self._keys.worker_token(self.wid)))
         self._ask()
         return time.monotonic()
 
     def close(self) -> None:
-        self._doors.close()
+        self._stack.close()
 
     def _ask(self) -> None:
         request = Join(
@@ -222,7 +224,7 @@ class StandIn:
             wid=self.wid,
             key=self._key,
             number=1,
-            credit=self._crowd.credit,
+            credit=self._group.credit,
             held=[],
             host="here",
             pid=1,
@@ -241,9 +243,9 @@ class StandIn:
     def _take(self, sample: Sample) -> None:
         if sample.encoding != messages.encoding(Work):
             return
-        seconds = self._crowd.seconds
-        if self._crowd.sleeps:
-            seconds += self._crowd.row_seconds * int(msgpack.unpackb(sample.payload)["n"])
+        seconds = self._group.seconds
+        if self._group.sleeps:
+            seconds += self._group.row_seconds * int(msgpack.unpackb(sample.payload)["n"])
         if not seconds:
             self._answer(sample.payload)
             return
@@ -252,19 +254,19 @@ class StandIn:
 
     def _answer(self, payload: bytes) -> None:
         work = msgpack.unpackb(payload)
-        crowd, kind = self._crowd, (work["epoch"], work["n"])
-        if kind not in self._answers:
-            cost = crowd.seconds + crowd.row_seconds * work["n"]
-            place = (self._number, self.wid, *kind, cost, crowd.shape, crowd.variety)
-            self._answers[kind] = Answers(*place, key=self._key)
+        group, kind = self._group, (work["epoch"], work["n"])
+        if kind not in self._results:
+            cost = group.seconds + group.row_seconds * work["n"]
+            place = (self._number, self.wid, *kind, cost, group.shape, group.variety)
+            self._results[kind] = PreparedResults(*place, key=self._key)
         batch = (work["run"], work["generation"], work["batch"], work["attempt"])
-        answer = self._answers[kind].to(*batch)
+        answer = self._results[kind].next_for(*batch)
         with suppress(BusError):  # the session is closed: no process waits for it
             self._bus.put(self._keys.result(self.wid), answer, encoding=messages.encoding(Result))
 
 
-class Clockwork:
-    """Calls functions when their time has come, in a thread."""
+class CallTimer:
+    """Calls functions at given times, in a thread."""
 
     def __init__(self) -> None:
         self._due: list[tuple[float, int, Callable[[], None]]] = []
@@ -290,8 +292,8 @@ class Clockwork:
 
 
 @contextmanager
-def crowds(parts: list[Crowd]) -> Iterator["Ready"]:
-    """Processes, a crowd each, that wait to be told to join; they end with the block."""
+def start_stand_ins(parts: list[StandInGroup]) -> Iterator["StandInProcesses"]:
+    """Start a process for each group, which joins when asked to; they end with the block."""
     context = multiprocessing.get_context("spawn")
     with ExitStack() as stack:
         pipes = []
@@ -305,11 +307,11 @@ def crowds(parts: list[Crowd]) -> Iterator["Ready"]:
             pipes.append(here)
         for pipe in pipes:
             pipe.recv()
-        yield Ready(pipes)
+        yield StandInProcesses(pipes)
 
 
-class Ready:
-    """Processes of stand-ins that are there."""
+class StandInProcesses:
+    """Started processes of stand-ins."""
 
     def __init__(self, pipes: list[Connection]) -> None:
         self._pipes = pipes
@@ -328,16 +330,16 @@ class Ready:
         return max(pipe.recv() for pipe in self._pipes)
 
 
-def _serve(pipe: Connection, crowd: Crowd) -> None:
-    clockwork = Clockwork()
-    members = [StandIn(number, crowd, clockwork.later) for number in range(crowd.workers)]
+def _serve(pipe: Connection, group: StandInGroup) -> None:
+    timer = CallTimer()
+    workers = [StandInWorker(number, group, timer.later) for number in range(group.workers)]
     pipe.send(None)
     if pipe.recv() is None:
         return
-    with ThreadPoolExecutor(OPENING) as pool:
-        pipe.send(max(pool.map(StandIn.join, members)))
+    with ThreadPoolExecutor(SESSIONS_AT_ONCE) as pool:
+        pipe.send(max(pool.map(StandInWorker.join, workers)))
         pipe.recv()
-        list(pool.map(StandIn.close, members))
+        list(pool.map(StandInWorker.close, workers))
 
 
 JOB = "scale"
@@ -345,13 +347,13 @@ ENDLESS = 10**9
 SCENE = Bundle(b"", "0" * 64)
 
 
-def assignment(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int = 1) -> RunPlan:
+def make_run_plan(run: str, spec: RunSpec, search: SearchAlgorithm, in_flight: int = 1) -> RunPlan:
     """A run that goes on for ever."""
     pipeline = Pipeline(search, SHAPE, spec.evaluations, "count", Flight(in_flight))
     return RunPlan(run, spec, SCENE, "contact", SHAPE, pipeline)
 
 
-class Several(RunQueue):
+class GivenRuns(RunQueue):
     """A queue of given runs, which keep their state when they are put back."""
 
     def __init__(self, runs: list[RunPlan]) -> None:
@@ -389,13 +391,15 @@ class Window:
         return 1e6 * self.cpu_seconds / self.batches
 
 
-class Watch:
-    """Looks at a coordinator: has stand-ins join, lets it warm up, measures a window, and ends it."""
+class CoordinatorMeasurement:
+    """Measures a coordinator: has stand-ins join, lets it warm up, measures a window, and ends it."""
 
-    def __init__(self, crew: Ready, runs: list[RunPlan], warm_up: float, seconds: float) -> None:
-        self._crew = crew
+    def __init__(
+        self, stand_ins: StandInProcesses, runs: list[RunPlan], warm_up: float, seconds: float
+    ) -> None:
+        self._stand_ins = stand_ins
         self._runs = runs
-        self._steps = self._watch(warm_up, seconds)
+        self._steps = self._measure(warm_up, seconds)
         self.stop = Stop()
         self._windows: list[Window] = []
         self.join_seconds = 0.0
@@ -404,7 +408,7 @@ class Watch:
         self.at_end: Callable[[], object] = lambda: None
         """Called after the window."""
 
-    def look(self, now: float, service: CoordinatorService) -> None:
+    def step(self, now: float, service: CoordinatorService) -> None:
         self._service = service
         if next(self._steps, self) is self:
             self.stop.set(0)
@@ -414,14 +418,14 @@ class Watch:
         """The last window that was measured."""
         return self._windows[-1]
 
-    def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
+    def _measure(self, warm_up: float, seconds: float) -> Iterator[None]:
         while not self._service.scheduler.epoch:
             yield
         began = time.monotonic()
-        self._crew.join()
-        while not self._crew.have_joined:
+        self._stand_ins.join()
+        while not self._stand_ins.have_joined:
             yield
-        self.join_seconds = self._crew.last_join() - began
+        self.join_seconds = self._stand_ins.last_join() - began
         self.at_join()
         yield from self._wait(warm_up)
         before, began, cpu = self._count(), time.perf_counter(), time.process_time()
@@ -443,22 +447,22 @@ class Watch:
 def coordinate(
     endpoint: str,
     runs: list[RunPlan],
-    make_record: Callable[[ZenohBus], Callable[[RunPlan], RowSink]],
-    watch: Watch,
+    make_sinks: Callable[[ZenohBus], Callable[[RunPlan], RowSink]],
+    measurement: CoordinatorMeasurement,
     batch_size: int | None,
 ) -> None:
-    """Carry runs out until the watch has seen enough."""
+    """Carry runs out until the measurement is complete."""
     with ZenohBus.connect(endpoint, 10.0, Stop()) as bus:
         service = CoordinatorService(
             bus,
-            watch.stop,
+            measurement.stop,
             job=JOB,
-            queue=Several(runs),
-            make_sink=make_record(bus),
+            queue=GivenRuns(runs),
+            make_sink=make_sinks(bus),
             batch_size=batch_size,
             checked=0.0,  # results of stand-ins never agree
         )
-        service.run(lambda now: watch.look(now, service))
+        service.run(lambda now: measurement.step(now, service))
 
 
 @contextmanager

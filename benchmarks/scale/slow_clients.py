@@ -1,4 +1,4 @@
-"""Cost to a coordinator of subscribers that never read, and of twenty monitors, in pairs."""
+"""Cost to a coordinator of subscribers that never read, and of twenty monitors, in pairs of windows."""
 
 import multiprocessing
 import os
@@ -16,17 +16,17 @@ import numpy as np
 import zenoh
 from benchmarks.scale.rig import (
     JOB,
-    Crowd,
-    Ready,
+    CoordinatorMeasurement,
+    GivenRuns,
     ScaleFigure,
-    Several,
-    Watch,
-    assignment,
-    crowds,
+    StandInGroup,
+    StandInProcesses,
+    make_run_plan,
     resident,
     router,
+    start_stand_ins,
 )
-from benchmarks.scale.throughput import BATCH, IN_FLIGHT, POPULATION, WARM_UP, WORKERS, Prepared, spec
+from benchmarks.scale.throughput import BATCH, IN_FLIGHT, POPULATION, WARM_UP, WORKERS, ConstantSearch, spec
 from tests.common import own_endpoint
 
 from qdgrasp_coordinator.local.node_benchmark import PlatformSink
@@ -45,21 +45,21 @@ MOST_CPU, MOST_PUT, MOST_WAIT = 1.05, 1.5, 1.0
 RESAMPLES = 10_000
 
 
-class Timed(ZenohBus):
+class TimedBus(ZenohBus):
     """A session that notes how long each put takes [s], and how many of them are for monitors."""
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         began = time.perf_counter()
         super().put(key, payload, encoding=encoding, channel=channel)
-        self.took.append(time.perf_counter() - began)
-        self.shown.extend([key] if channel is Channel.MONITOR else [])
+        self.put_seconds.append(time.perf_counter() - began)
+        self.monitor_keys.extend([key] if channel is Channel.MONITOR else [])
 
-    took: list[float] = []  # noqa: RUF012 - one session, one list
-    shown: list[str] = []  # noqa: RUF012
+    put_seconds: list[float] = []  # noqa: RUF012 - one session, one list
+    monitor_keys: list[str] = []  # noqa: RUF012
 
 
 @dataclass(frozen=True)
-class Stretch:
+class WindowFigures:
     """The work of the coordinator in a time window."""
 
     per_batch: float
@@ -68,116 +68,119 @@ class Stretch:
     """99th percentile of its puts [us]."""
     longest: float
     """Longest of its puts [s]."""
-    shown: float
+    monitor_rate: float
     """Messages for monitors in a second."""
     memory: int
     """Memory of its process [bytes]."""
 
 
-class Company(Protocol):
+class Clients(Protocol):
     """Subscribers that are there in one window of each pair."""
 
-    def come(self) -> Iterator[None]:
-        """Yields until they are there."""
+    def connect(self) -> Iterator[None]:
+        """Connect them; yields until they are there."""
 
-    def leave(self) -> Iterator[None]:
-        """Yields until they are gone."""
+    def disconnect(self) -> Iterator[None]:
+        """Disconnect them; yields until they are gone."""
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two windows beside each other."""
+class WindowPair:
+    """Two windows, one after the other: without the clients and with them."""
 
-    alone: Stretch
-    beside: Stretch
+    without_clients: WindowFigures
+    with_clients: WindowFigures
 
 
-class Turns(Watch):
-    """Measures pairs of windows, with and without company."""
+class PairedMeasurement(CoordinatorMeasurement):
+    """Measures pairs of windows, with and without further clients."""
 
     def __init__(
-        self, crew: Ready, runs: list[RunPlan], pairs: int, seconds: float, company: Company
+        self, stand_ins: StandInProcesses, runs: list[RunPlan], pairs: int, seconds: float, clients: Clients
     ) -> None:
-        super().__init__(crew, runs, WARM_UP, seconds)
+        super().__init__(stand_ins, runs, WARM_UP, seconds)
         self._pairs = pairs
-        self._company = company
-        self.pairs: list[Pair] = []
+        self._clients = clients
+        self.pairs: list[WindowPair] = []
 
-    def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
+    def _measure(self, warm_up: float, seconds: float) -> Iterator[None]:
         while not self._service.scheduler.epoch:
             yield
-        self._crew.join()
-        while not self._crew.have_joined:
+        self._stand_ins.join()
+        while not self._stand_ins.have_joined:
             yield
-        self._crew.last_join()
+        self._stand_ins.last_join()
         yield from self._wait(warm_up)
         for pair in range(self._pairs):
-            found: dict[bool, Stretch] = {}
-            for is_beside in (False, True) if pair % 2 == 0 else (True, False):
-                found[is_beside] = yield from (self._beside(seconds) if is_beside else self._alone(seconds))
-            self.pairs.append(Pair(found[False], found[True]))
+            found: dict[bool, WindowFigures] = {}
+            for has_clients in (False, True) if pair % 2 == 0 else (True, False):
+                found[has_clients] = yield from (
+                    self._measure_with_clients(seconds) if has_clients else self._measure_window(seconds)
+                )
+            self.pairs.append(WindowPair(found[False], found[True]))
 
-    def _alone(self, seconds: float) -> Iterator[None]:
+    def _measure_window(self, seconds: float) -> Iterator[None]:
         yield from self._wait(PAUSE)
-        Timed.took.clear()
-        Timed.shown.clear()
+        TimedBus.put_seconds.clear()
+        TimedBus.monitor_keys.clear()
         cpu, batches = time.process_time(), self._count()[1]
         yield from self._wait(seconds)
         cpu, batches = time.process_time() - cpu, self._count()[1] - batches
-        took, shown = np.array(Timed.took), len(Timed.shown) / seconds
-        p99 = 1e6 * float(np.quantile(took, 0.99))
-        return Stretch(1e6 * cpu / batches, p99, float(took.max()), shown, resident())
+        put_seconds, rate = np.array(TimedBus.put_seconds), len(TimedBus.monitor_keys) / seconds
+        p99 = 1e6 * float(np.quantile(put_seconds, 0.99))
+        return WindowFigures(1e6 * cpu / batches, p99, float(put_seconds.max()), rate, resident())
 
-    def _beside(self, seconds: float) -> Iterator[None]:
-        yield from self._company.come()
-        found = yield from self._alone(seconds)
-        yield from self._company.leave()
+    def _measure_with_clients(self, seconds: float) -> Iterator[None]:
+        yield from self._clients.connect()
+        found = yield from self._measure_window(seconds)
+        yield from self._clients.disconnect()
         return found
 
 
-def take_turns(
-    session: Callable[[], AbstractContextManager[Timed]],
+def measure_window_pairs(
+    session: Callable[[], AbstractContextManager[TimedBus]],
     endpoint: str,
-    company: Company,
+    clients: Clients,
     pairs: int,
     seconds: float,
-) -> list[Pair]:
-    """Have a coordinator hand out prepared batches, alone and beside company.
+) -> list[WindowPair]:
+    """Have a coordinator hand out prepared batches, alone and with further clients.
 
     Parameters
     ----------
     session
         Opens the coordinator's: at a router, or as the router itself.
     """
-    runs = [assignment("run", spec("contact_rand", POPULATION), Prepared(POPULATION), IN_FLIGHT)]
-    with session() as bus, crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
-        turns = Turns(crew, runs, pairs, seconds, company)
+    runs = [make_run_plan("run", spec("contact_rand", POPULATION), ConstantSearch(POPULATION), IN_FLIGHT)]
+    with session() as bus, start_stand_ins([StandInGroup(endpoint, JOB, WORKERS)]) as stand_ins:
+        measurement = PairedMeasurement(stand_ins, runs, pairs, seconds, clients)
         service = CoordinatorService(
             bus,
-            turns.stop,
+            measurement.stop,
             job=JOB,
-            queue=Several(runs),
+            queue=GivenRuns(runs),
             make_sink=lambda run: PlatformSink(run.shape),
             batch_size=BATCH,
             checked=0.0,  # results of stand-ins never agree
         )
-        service.run(lambda now: turns.look(now, service))
-    return turns.pairs
+        service.run(lambda now: measurement.step(now, service))
+    return measurement.pairs
 
 
-def compared(pairs: list[Pair], who: str) -> Iterator[ScaleFigure]:
-    """The coordinator's figures beside company, over those alone."""
-    cpu = [pair.beside.per_batch / pair.alone.per_batch for pair in pairs]
-    put = [pair.beside.p99 / pair.alone.p99 for pair in pairs]
+def compared(pairs: list[WindowPair], who: str) -> Iterator[ScaleFigure]:
+    """The coordinator's figures with further clients, over those alone."""
+    cpu = [pair.with_clients.per_batch / pair.without_clients.per_batch for pair in pairs]
+    put = [pair.with_clients.p99 / pair.without_clients.p99 for pair in pairs]
     batch, usual = (
-        median(found) for found in zip(*((p.alone.per_batch, p.alone.p99) for p in pairs), strict=True)
+        median(found)
+        for found in zip(*((p.without_clients.per_batch, p.without_clients.p99) for p in pairs), strict=True)
     )
     remark = f"{_words(cpu)}; alone {batch:.0f} us"
     yield ScaleFigure(f"CPU of a batch beside {who}", median(cpu), "times", most=MOST_CPU, remark=remark)
     remark = f"{_words(put)}; alone {usual:.0f} us"
     yield ScaleFigure(f"p99 of a put beside {who}", median(put), "times", most=MOST_PUT, remark=remark)
     yield ScaleFigure(
-        f"longest put beside {who}", max(pair.beside.longest for pair in pairs), "s", most=MOST_WAIT
+        f"longest put beside {who}", max(pair.with_clients.longest for pair in pairs), "s", most=MOST_WAIT
     )
 
 
@@ -196,25 +199,27 @@ FLOOD, PIECE = 1000, 64 << 10
 """Number and bytes of messages that fill every buffer on the way to a subscriber."""
 
 
-class Stuck:
-    """A process that subscribes to everything, has been sent much, and does not read before it is told to."""
+class StuckSubscriber:
+    """A process that subscribes to everything, has been sent much, and reads only when it is asked to."""
 
     def __init__(self, endpoint: str) -> None:
         self._endpoint = endpoint
         self.lost: list[int] = []
         """Number of messages that it lost each time."""
 
-    def come(self) -> Iterator[None]:
+    def connect(self) -> Iterator[None]:
         context = multiprocessing.get_context("spawn")
         self._pipe, there = context.Pipe()
-        self._process = context.Process(target=_be_stuck, args=(there, self._endpoint), daemon=True)
+        self._process = context.Process(
+            target=_serve_stuck_subscriber, args=(there, self._endpoint), daemon=True
+        )
         self._process.start()
         there.close()
         while not self._pipe.poll():
             yield
         self._pipe.recv()
 
-    def leave(self) -> Iterator[None]:
+    def disconnect(self) -> Iterator[None]:
         self._pipe.send(None)
         while not self._pipe.poll():
             yield
@@ -228,7 +233,7 @@ def flood(bus: ZenohBus, key: str, messages: int) -> None:
         bus.put(key, bytes(PIECE), encoding="application/json", channel=Channel.MONITOR)
 
 
-def _be_stuck(pipe: Connection, endpoint: str) -> None:
+def _serve_stuck_subscriber(pipe: Connection, endpoint: str) -> None:
     key = Keys("other").stat("flood")
     chosen = session_settings("client", connect=parse_endpoints(endpoint), seconds=10.0)
     with (
@@ -249,17 +254,17 @@ def _be_stuck(pipe: Connection, endpoint: str) -> None:
 
 def measure_stuck_subscriber(seconds: float) -> Iterator[ScaleFigure]:
     with router() as (endpoint, _):
-        company = Stuck(endpoint)
-        pairs = take_turns(
-            lambda: Timed.connect(endpoint, 10.0, Stop()),
+        clients = StuckSubscriber(endpoint)
+        pairs = measure_window_pairs(
+            lambda: TimedBus.connect(endpoint, 10.0, Stop()),
             endpoint,
-            company,
+            clients,
             STUCK_PAIRS,
             min(seconds, STUCK_WINDOW),
         )
     yield from compared(pairs, "it")
     remark = f"of {FLOOD}: it is there, and stuck"
-    is_stuck = [0 < lost < FLOOD for lost in company.lost]
+    is_stuck = [0 < lost < FLOOD for lost in clients.lost]
     yield ScaleFigure("pairs in which it lost some", sum(is_stuck), "pairs", least=STUCK_PAIRS, remark=remark)
 
 
@@ -269,18 +274,18 @@ MONITOR_WINDOW = 1.5
 """Seconds at most: the router takes a client that is stopped for 4 s for dead."""
 SETTLING = 0.7
 """Seconds in which those who are not stopped read what was sent to fill the others."""
-BEHIND = 10
-"""Niceness of monitors, so that the job's own processes come first."""
-LOOK = 0.5
-"""Seconds between two looks."""
-MOST_MORE = 1.1
+MONITOR_NICENESS = 10
+"""Niceness of monitors, so that the job's own processes connect first."""
+READ_INTERVAL = 0.5
+"""Seconds between two readings of the feed."""
+MOST_MESSAGES = 1.1
 """Factor within which the messages of two windows differ by chance."""
 FLOOD = 300
 """Messages of 64 KiB that fill all buffers between the router and a stopped monitor."""
 
 
 class Monitors:
-    """Processes that watch any job that is there, when they are told to.
+    """Processes that follow any job that is there, when they are asked to.
 
     Parameters
     ----------
@@ -288,26 +293,26 @@ class Monitors:
         How many of them are stopped while they do.
     """
 
-    def __init__(self, crew: list[tuple[BaseProcess, Connection]], stopped: int) -> None:
-        self._pipes = [pipe for _, pipe in crew]
-        self._stopped = [process.pid for process, _ in crew[:stopped] if process.pid]
+    def __init__(self, processes: list[tuple[BaseProcess, Connection]], stopped: int) -> None:
+        self._pipes = [pipe for _, pipe in processes]
+        self._stopped = [process.pid for process, _ in processes[:stopped] if process.pid]
 
-    def come(self) -> Iterator[None]:
-        yield from self._tell("watch", self._pipes)
+    def connect(self) -> Iterator[None]:
+        yield from self._send_command("watch", self._pipes)
         for pid in self._stopped:
             os.kill(pid, signal.SIGSTOP)
-        yield from self._tell("flood", self._pipes[-1:])
+        yield from self._send_command("flood", self._pipes[-1:])
         until = time.monotonic() + SETTLING
         while time.monotonic() < until:
             yield
 
-    def leave(self) -> Iterator[None]:
+    def disconnect(self) -> Iterator[None]:
         for pid in self._stopped:
             os.kill(pid, signal.SIGCONT)
-        yield from self._tell("leave", self._pipes)
+        yield from self._send_command("leave", self._pipes)
 
-    def _tell(self, what: str, pipes: list[Connection]) -> Iterator[None]:
-        """Tell some of them, and yield until they have done it."""
+    def _send_command(self, what: str, pipes: list[Connection]) -> Iterator[None]:
+        """Send a command to some of them, and yield until they have carried it out."""
         for pipe in pipes:
             pipe.send(what)
         while not all(pipe.poll() for pipe in pipes):
@@ -319,70 +324,75 @@ class Monitors:
 @contextmanager
 def monitors(endpoint: str, count: int = MONITORS, stopped: int = MONITORS // 2) -> Iterator[Monitors]:
     """Processes of monitors; they end with the block."""
-    context, crew = multiprocessing.get_context("spawn"), []
+    context, processes = multiprocessing.get_context("spawn"), []
     for _ in range(count):
         here, there = context.Pipe()
-        process = context.Process(target=_be_monitor, args=(there, endpoint), daemon=True)
+        process = context.Process(target=_serve_monitor, args=(there, endpoint), daemon=True)
         process.start()
         there.close()
-        crew.append((process, here))
+        processes.append((process, here))
     try:
-        for _, pipe in crew:
+        for _, pipe in processes:
             pipe.recv()
-        yield Monitors(crew, stopped)
+        yield Monitors(processes, stopped)
     finally:
-        for process, pipe in crew:
+        for process, pipe in processes:
             pipe.close()
             process.join()
 
 
-def _be_monitor(pipe: Connection, endpoint: str) -> None:
-    os.nice(BEHIND)
+def _serve_monitor(pipe: Connection, endpoint: str) -> None:
+    os.nice(MONITOR_NICENESS)
     pipe.send("ready")
     try:
         while pipe.recv():
-            _watch(pipe, endpoint)
+            _follow_job(pipe, endpoint)
     except EOFError:
         return
 
 
-def _watch(pipe: Connection, endpoint: str) -> None:
+def _follow_job(pipe: Connection, endpoint: str) -> None:
     with ZenohBus.connect(endpoint, 10.0) as bus, Feed(bus) as feed:
         while not any(view.workers for view in feed.views()):
-            feed.wait(LOOK)
+            feed.wait(READ_INTERVAL)
         pipe.send("there")
-        while (told := _told(pipe, feed)) != "leave":
-            flood(bus, Keys(JOB).event(told), FLOOD)
+        while (command := _next_command(pipe, feed)) != "leave":
+            flood(bus, Keys(JOB).event(command), FLOOD)
             pipe.send("flooded")
     pipe.send("gone")
 
 
-def _told(pipe: Connection, feed: Feed) -> str:
+def _next_command(pipe: Connection, feed: Feed) -> str:
     """Read the feed now and then, until the next command comes."""
-    while not pipe.poll(LOOK):
+    while not pipe.poll(READ_INTERVAL):
         feed.views()
     return str(pipe.recv())
 
 
 def measure_monitors(seconds: float) -> Iterator[ScaleFigure]:
     with router() as (endpoint, _):
-        yield from _beside(
-            lambda: Timed.connect(endpoint, 10.0, Stop()), endpoint, seconds, "a router beside it"
+        yield from _measure_monitors(
+            lambda: TimedBus.connect(endpoint, 10.0, Stop()), endpoint, seconds, "a router beside it"
         )
     endpoint = own_endpoint()
-    yield from _beside(lambda: Timed.router(endpoint), endpoint, seconds, "the router within it")
+    yield from _measure_monitors(lambda: TimedBus.router(endpoint), endpoint, seconds, "the router within it")
 
 
-def _beside(
-    open_session: Callable[[], Timed], endpoint: str, seconds: float, where: str
+def _measure_monitors(
+    open_session: Callable[[], TimedBus], endpoint: str, seconds: float, where: str
 ) -> Iterator[ScaleFigure]:
-    with monitors(endpoint) as company:
-        pairs = take_turns(open_session, endpoint, company, MONITOR_PAIRS, min(seconds, MONITOR_WINDOW))
+    with monitors(endpoint) as clients:
+        pairs = measure_window_pairs(
+            open_session, endpoint, clients, MONITOR_PAIRS, min(seconds, MONITOR_WINDOW)
+        )
     yield from compared(pairs, f"{MONITORS} monitors, {where}")
-    beside, alone = mean(pair.beside.shown for pair in pairs), mean(pair.alone.shown for pair in pairs)
-    remark = f"alone {alone:.1f} /s"
+    monitored = mean(pair.with_clients.monitor_rate for pair in pairs)
+    usual = mean(pair.without_clients.monitor_rate for pair in pairs)
+    remark = f"alone {usual:.1f} /s"
     yield ScaleFigure(
-        f"messages for monitors, {where}", beside / alone, "times", most=MOST_MORE, remark=remark
+        f"messages for monitors, {where}", monitored / usual, "times", most=MOST_MESSAGES, remark=remark
     )
-    grown = median((pair.beside.memory - pair.alone.memory) / MONITORS / 1024 for pair in pairs)
+    grown = median(
+        (pair.with_clients.memory - pair.without_clients.memory) / MONITORS / 1024 for pair in pairs
+    )
     yield ScaleFigure(f"memory for a monitor, {where}", grown, "KiB", remark="of the coordinator's process")

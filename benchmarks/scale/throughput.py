@@ -16,14 +16,14 @@ from benchmarks.scale.rig import (
     ENDLESS,
     JOB,
     SHAPE,
-    Crowd,
+    CoordinatorMeasurement,
     ScaleFigure,
-    Watch,
-    assignment,
+    StandInGroup,
     coordinate,
-    crowds,
+    make_run_plan,
     resident,
     router,
+    start_stand_ins,
 )
 from tests.coordinator.search.synthetic_scene import plain
 
@@ -54,7 +54,7 @@ WARM_UP = 1.0
 """Seconds before anything is counted."""
 
 
-class Prepared:
+class ConstantSearch:
     """A search that asks the same genomes again and again, and learns nothing."""
 
     def __init__(self, population: int) -> None:
@@ -74,11 +74,11 @@ def spec(method: str, population: int, evaluations: int = ENDLESS) -> RunSpec:
 
 
 def measure_dispatch(seconds: float) -> Iterator[ScaleFigure]:
-    runs = [assignment("run", spec("contact_rand", POPULATION), Prepared(POPULATION), IN_FLIGHT)]
-    with router() as (endpoint, _), crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
-        watch = Watch(crew, runs, WARM_UP, seconds)
-        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
-    found = watch.window
+    runs = [make_run_plan("run", spec("contact_rand", POPULATION), ConstantSearch(POPULATION), IN_FLIGHT)]
+    with router() as (endpoint, _), start_stand_ins([StandInGroup(endpoint, JOB, WORKERS)]) as stand_ins:
+        measurement = CoordinatorMeasurement(stand_ins, runs, WARM_UP, seconds)
+        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), measurement, BATCH)
+    found = measurement.window
     remark = f"{found.per_batch:.0f} us of CPU a batch, threads of the bus included"
     yield ScaleFigure(
         "batches of 64 genomes a second", found.batches / found.seconds, "/s", 5_000, remark=remark
@@ -93,34 +93,34 @@ METHODS = {"contact_me_scs": (500, 4.0), "cma_mae": (540, 30.0), "contact_rand":
 """Genomes in a generation, and the most that one may cost [us]."""
 
 
-class Share:
+class CallSeconds:
     """CPU time of this thread within calls."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
-    def of(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call, with its time added to this share."""
+    def timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The call, with its time added to these seconds."""
 
-        def timed(*arguments: Any, **named: Any) -> Any:
+        def run(*arguments: Any, **named: Any) -> Any:
             began = time.thread_time()
             try:
                 return call(*arguments, **named)
             finally:
                 self.seconds += time.thread_time() - began
 
-        return timed
+        return run
 
 
-class Watched:
+class ProfiledSearch:
     """A search whose time is counted, and pyribs' own in it."""
 
     def __init__(self, search: SearchAlgorithm) -> None:
-        self.whole, self.ribs, self.rows = Share(), Share(), 0
+        self.whole, self.ribs, self.rows = CallSeconds(), CallSeconds(), 0
         for part, names in _parts_of_ribs(search):
             for name in names:
-                setattr(part, name, self.ribs.of(getattr(part, name)))
-        self._ask, self._tell = self.whole.of(search.ask), self.whole.of(search.tell)
+                setattr(part, name, self.ribs.timed(getattr(part, name)))
+        self._ask, self._tell = self.whole.timed(search.ask), self.whole.timed(search.tell)
 
     def ask(self, generation: int) -> Genomes:
         return self._ask(generation)  # type: ignore[no-any-return]
@@ -131,7 +131,7 @@ class Watched:
 
     @property
     def remark(self) -> str:
-        whole, ribs = (1e6 * share.seconds / self.rows for share in (self.whole, self.ribs))
+        whole, ribs = (1e6 * part.seconds / self.rows for part in (self.whole, self.ribs))
         return f"ask and tell {whole:.2f} us" + (f", of which pyribs {ribs:.2f} us" if ribs else "")
 
 
@@ -145,15 +145,15 @@ def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
 def measure_searching(seconds: float) -> Iterator[ScaleFigure]:
     for name, (population, most) in METHODS.items():
         asked = spec(name, population)
-        search = Watched(method(name).build(asked, plain(SHAPE.genes)))
-        runs = [assignment("run", asked, search)]
-        with router() as (endpoint, _), crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
-            watch = Watch(crew, runs, WARM_UP, seconds)
-            coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
+        search = ProfiledSearch(method(name).build(asked, plain(SHAPE.genes)))
+        runs = [make_run_plan("run", asked, search)]
+        with router() as (endpoint, _), start_stand_ins([StandInGroup(endpoint, JOB, WORKERS)]) as stand_ins:
+            measurement = CoordinatorMeasurement(stand_ins, runs, WARM_UP, seconds)
+            coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), measurement, BATCH)
         cells = runs[0].pipeline.tally.cells
         remark = f"population {population}, {cells:,} cells with a success at the end; {search.remark}"
         yield ScaleFigure(
-            f"CPU of a genome, {name}", watch.window.microseconds, "us", most=most, remark=remark
+            f"CPU of a genome, {name}", measurement.window.microseconds, "us", most=most, remark=remark
         )
 
 
@@ -170,19 +170,26 @@ SESSION_IN_FLIGHT = 4
 def measure_sessions(seconds: float) -> Iterator[ScaleFigure]:
     population = SESSIONS * SESSION_BATCH // RUNS
     asked = spec("contact_rand", population)
-    runs = [assignment(f"run-{run}", asked, Prepared(population), SESSION_IN_FLIGHT) for run in range(RUNS)]
+    runs = [
+        make_run_plan(f"run-{run}", asked, ConstantSearch(population), SESSION_IN_FLIGHT)
+        for run in range(RUNS)
+    ]
     with router() as (endpoint, pid):
-        parts = [Crowd(endpoint, JOB, SESSIONS // PROCESSES, seconds=SECONDS) for _ in range(PROCESSES)]
-        with crowds(parts) as crew:
-            watch = Watch(crew, runs, 2 * SECONDS, max(seconds, 5 * SECONDS))
+        parts = [
+            StandInGroup(endpoint, JOB, SESSIONS // PROCESSES, seconds=SECONDS) for _ in range(PROCESSES)
+        ]
+        with start_stand_ins(parts) as stand_ins:
+            measurement = CoordinatorMeasurement(stand_ins, runs, 2 * SECONDS, max(seconds, 5 * SECONDS))
             memory: list[tuple[int, int]] = []
-            watch.at_join = watch.at_end = lambda: memory.append((resident(), resident(pid)))
+            measurement.at_join = measurement.at_end = lambda: memory.append((resident(), resident(pid)))
             memory.append((resident(), resident(pid)))
-            coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, SESSION_BATCH)
-    found, (before, *_, after) = watch.window, memory
+            coordinate(
+                endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), measurement, SESSION_BATCH
+            )
+    found, (before, *_, after) = measurement.window, memory
     share = min(100.0, 100 * found.batches * SECONDS / found.seconds / SESSIONS)  # late results come too
     own, its = ((late - early) / SESSIONS / 1024 for early, late in zip(before, after, strict=True))
-    yield ScaleFigure("until 1000 sessions have joined", watch.join_seconds, "s", most=10.0)
+    yield ScaleFigure("until 1000 sessions have joined", measurement.join_seconds, "s", most=10.0)
     core = found.cpu_seconds / found.seconds
     remark = f"batches of {SECONDS:g} s; the coordinator takes {core:.0%} of a core"
     yield ScaleFigure("served, of the ideal rate", share, "%", 97.0, remark=remark)
@@ -193,22 +200,26 @@ def measure_sessions(seconds: float) -> Iterator[ScaleFigure]:
     yield ScaleFigure("memory of the router for a worker", its, "KiB")
 
 
-ASLEEP, ROW_SECONDS, IDLE_SECONDS = 40, 0.05, 10.0
+SLEEPING_WORKERS, ROW_SECONDS, IDLE_SECONDS = 40, 0.05, 10.0
 """Workers that sleep so long for a row [s], of one run of the default method; how long it goes on before."""
 
 
-def measure_asleep(seconds: float) -> Iterator[ScaleFigure]:
+def measure_sleeping_workers(seconds: float) -> Iterator[ScaleFigure]:
     """Utilisation of 40 workers whose rows take 50 ms, by one run of the default method."""
     scene = {"gripper": "panda", "object": "rubiks_cube", "evaluations": ENDLESS}
     asked = full_spec(RUN_DEFAULTS | scene)
     run = plan_run(asked, prepare_scene(asked))
     with router() as (endpoint, _):
-        crowd = Crowd(endpoint, JOB, ASLEEP, row_seconds=ROW_SECONDS, sleeps=True, shape=run.shape)
-        with crowds([crowd]) as crew:
-            watch = Watch(crew, [run], IDLE_SECONDS, max(seconds, 4 * IDLE_SECONDS))
-            coordinate(endpoint, [run], lambda _: lambda run: PlatformSink(run.shape), watch, None)
-    found = watch.window
-    share = 100 * found.rows * ROW_SECONDS / found.seconds / ASLEEP
+        group = StandInGroup(
+            endpoint, JOB, SLEEPING_WORKERS, row_seconds=ROW_SECONDS, sleeps=True, shape=run.shape
+        )
+        with start_stand_ins([group]) as stand_ins:
+            measurement = CoordinatorMeasurement(
+                stand_ins, [run], IDLE_SECONDS, max(seconds, 4 * IDLE_SECONDS)
+            )
+            coordinate(endpoint, [run], lambda _: lambda run: PlatformSink(run.shape), measurement, None)
+    found = measurement.window
+    share = 100 * found.rows * ROW_SECONDS / found.seconds / SLEEPING_WORKERS
     remark = f"rows of 50 ms, from {IDLE_SECONDS:g} s on; {found.per_batch:.0f} us of CPU a batch"
     yield ScaleFigure("40 workers asleep on one run, busy", share, "%", 90.0, remark=remark)
 
@@ -232,11 +243,18 @@ def measure_recorded(seconds: float) -> Iterator[ScaleFigure]:
 
 def _record(name: str, least: float | None, endpoint: str, out: Path) -> Iterator[ScaleFigure]:
     runs = [_run(name)]
-    with _recorder(endpoint, out) as recorder, crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
-        watch = Watch(crew, runs, 0.0, float("inf"))
+    with (
+        _recorder(endpoint, out) as recorder,
+        start_stand_ins([StandInGroup(endpoint, JOB, WORKERS)]) as stand_ins,
+    ):
+        measurement = CoordinatorMeasurement(stand_ins, runs, 0.0, float("inf"))
         began, cpu = time.perf_counter(), time.process_time()
         coordinate(
-            endpoint, runs, lambda bus: lambda run: RecorderClient(bus, JOB, run.shape), watch, RECORDED_BATCH
+            endpoint,
+            runs,
+            lambda bus: lambda run: RecorderClient(bus, JOB, run.shape),
+            measurement,
+            RECORDED_BATCH,
         )
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
         memory = resident(recorder.pid)
@@ -250,18 +268,18 @@ def _record(name: str, least: float | None, endpoint: str, out: Path) -> Iterato
 
 def _resume(name: str, endpoint: str, out: Path) -> Iterator[ScaleFigure]:
     with _recorder(endpoint, out), ZenohBus.connect(endpoint, 10.0, Stop()) as bus:
-        lane = ActiveRun(_run(name), RecorderClient(bus, JOB, SHAPE))
+        active_run = ActiveRun(_run(name), RecorderClient(bus, JOB, SHAPE))
         began, cpu = time.perf_counter(), time.process_time()
-        lane.open(0, lambda: time.sleep(0.05))
+        active_run.open(0, lambda: time.sleep(0.05))
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
-    assert lane.tally.rows == ROWS
+    assert active_run.tally.rows == ROWS
     remark = f"{name}: replayed through ask and tell; {cpu:.1f} CPU s of the coordinator"
     yield ScaleFigure("resume at a million rows", seconds, "s", remark=remark)
 
 
 def _run(name: str) -> RunPlan:
     asked = spec(name, RECORDED_POPULATION, ROWS)
-    return assignment("run", asked, method(name).build(asked, plain(SHAPE.genes)))
+    return make_run_plan("run", asked, method(name).build(asked, plain(SHAPE.genes)))
 
 
 @contextmanager
@@ -293,13 +311,13 @@ def measure_pairs(seconds: float) -> Iterator[ScaleFigure]:
 def _pair(seconds: float) -> dict[str, float]:
     """Ratio of the speed of two workers to that of one, by regime."""
     spec = full_spec({"gripper": "panda", "object": "mug", "method": BENCH_METHOD}, "scale")
-    course = SceneBenchmark(
+    benchmark = SceneBenchmark(
         spec, prepare_scene(spec), workers=PAIR_WORKERS, seconds=seconds, display=LineProgress("scale")
     )
     with ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        found = course.run(bus, endpoint, stack.enter_context(ProcessGroup(logs)), Stop())
+        found = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs)), Stop())
     assert found is not None
     return found.figures.scaling

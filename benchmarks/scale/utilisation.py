@@ -93,15 +93,15 @@ def measure(line: Line, workers: int) -> Point:
     """A point: the mean of runs from beginning to end, or, where runs go on, the second half of its time."""
     task, profile = line.task, WorkerProfile(workers // line.task.shards, **line.profile)
     if task.runs == 1 and task.genomes < MANY:
-        whole = [FleetSimulation(profile, task, seed).play(inf, MANY, since=0.0) for seed in range(RUNS)]
+        whole = [FleetSimulation(profile, task, seed).run(inf, MANY, since=0.0) for seed in range(RUNS)]
         figures = Figures(
-            **{one.name: fmean(getattr(run, one.name) for run in whole) for one in fields(Figures)}
+            **{one.name: fmean(getattr(one_run, one.name) for one_run in whole) for one in fields(Figures)}
         )
     else:
         fleet = FleetSimulation(profile, task, seed=workers)
         some = SETTLED_OF_ONE if task.runs == 1 else SETTLED + SETTLED_EACH * profile.workers
         freezes = "freeze" in line.profile
-        figures = fleet.play(FREEZING if freezes else inf, MANY if freezes else some)
+        figures = fleet.run(FREEZING if freezes else inf, MANY if freezes else some)
     return Point(line.panel.name, line.name, workers, figures)
 
 
@@ -150,20 +150,26 @@ TITLES = {
     "crews": "1 run of 1200, and 64 runs, where workers differ or freeze",
     "age": "From the ask of a generation to its tell, one run",
 }
-PLACES = {"one run": "lower left", "campaigns": "lower left", "crews": "lower left", "age": "upper right"}
+LEGEND_PLACES = {
+    "one run": "lower left",
+    "campaigns": "lower left",
+    "crews": "lower left",
+    "age": "upper right",
+}
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
 """Colours of Okabe and Ito."""
 
 
 def make(folder: Path) -> int:
-    """Measure all points that are not in the folder's table, and draw them."""
+    """Measure all points where the folder has no table of them, and draw them."""
     folder.mkdir(parents=True, exist_ok=True)
     table = folder / "curves.csv"
     if not table.exists():
-        found: list[Point] = []
+        found, part = [], table.with_suffix(".part")
         for point in points():
             found.append(point)
-            write(found, table)
+            write(found, part)
+        part.rename(table)
     draw(read(table)).savefig(folder / "curves.png", dpi=130)
     return 0
 
@@ -183,14 +189,14 @@ def _share(axes: Axes, panel: Panel, found: Sequence[Point]) -> None:
     _draw_lines(axes, panel, found, "utilisation", 100.0)
     axes.set_ylim(0, 103)
     axes.set_ylabel("share of the workers' time that counts [%]", color=FAINT)
-    _dress(axes, panel.name)
+    _style_axes(axes, panel.name)
 
 
 def _age(axes: Axes, found: Sequence[Point]) -> None:
     _draw_lines(axes, ONE, found, "age", 1.0)
     axes.set_yscale("log")
     axes.set_ylabel("seconds", color=FAINT)
-    _dress(axes, "age")
+    _style_axes(axes, "age")
 
 
 def _draw_lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, scale: float) -> None:
@@ -204,7 +210,7 @@ def _draw_lines(axes: Axes, panel: Panel, found: Sequence[Point], figure: str, s
         axes.plot(sizes, values, "--" if is_second else "-", color=colour, marker="o", ms=3.5, label=name)
 
 
-def _dress(axes: Axes, what: str) -> None:
+def _style_axes(axes: Axes, what: str) -> None:
     axes.set_xscale("log")
     axes.set_xlim(SIZES[0] * 0.85, SIZES[-1] * 1.18)
     axes.set_xticks(SIZES, [f"{size:,}".replace(",", " ") for size in SIZES])
@@ -215,7 +221,7 @@ def _dress(axes: Axes, what: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=FAINT, labelsize=8.5)
     if what != "age":  # same lines as in the panel beside it
-        axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
+        axes.legend(loc=LEGEND_PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
 
 
 if __name__ == "__main__":

@@ -2,31 +2,32 @@
 
 import json
 import math
+import shlex
 
 import numpy as np
 import pytest
 from benchmarks import ablation, figure, limits, single_run, warm_start
 from benchmarks.coordination import METHODS, Coordinator
-from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, Profile
-from benchmarks.measure import Figure, Ledger, Meter, Subject, in_turns, number, spread
+from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, StageProfile
+from benchmarks.measure import Figure, Meter, StageTimer, TimedWork, measure_in_turns, number, spread
 from benchmarks.scale.rig import (
     JOB,
     SHAPE,
     VARIETY,
-    Answers,
-    Crowd,
+    CoordinatorMeasurement,
+    GivenRuns,
+    PreparedResults,
     ScaleFigure,
-    Several,
-    Watch,
-    assignment,
+    StandInGroup,
     coordinate,
-    crowds,
+    make_run_plan,
     resident,
     router,
     rows,
+    start_stand_ins,
 )
-from benchmarks.scale.slow_clients import Timed, compared, monitors, take_turns
-from benchmarks.scale.throughput import BATCH, Prepared, Watched, spec
+from benchmarks.scale.slow_clients import TimedBus, compared, measure_window_pairs, monitors
+from benchmarks.scale.throughput import BATCH, ConstantSearch, ProfiledSearch, spec
 from benchmarks.side_by_side import side_by_side
 from tests.common import own_endpoint
 from tests.coordinator.recorded_runs import random_rows
@@ -50,7 +51,7 @@ VALUES = {"gripper": "panda", "evaluations": 60, "overlaps": "redraw", "protocol
 
 
 def measured(path, names):
-    return ablation.measure(["tennis_ball"], [0], names, False, ablation.Finished(path), **VALUES)
+    return ablation.measure(["tennis_ball"], [0], names, False, ablation.FinishedRuns(path), **VALUES)
 
 
 @pytest.mark.parametrize("name", ablation.VARIANTS)
@@ -65,21 +66,11 @@ def test_what_is_in_is_not_carried_out_again(tmp_path, monkeypatch):
     monkeypatch.setattr(single_run, "run", None)
     assert json.dumps(measured(tmp_path / "runs", ["aimed"])) == json.dumps(once)  # NaN equals itself in text
     with pytest.raises(TypeError):
-        measured(tmp_path / "runs", ["aimed", "no gate"])
+        measured(tmp_path / "runs", ["aimed", "no threshold"])
 
 
 def test_a_warm_start_is_measured_beside_a_search_from_nothing(monkeypatch, capsys):
-    words = [
-        "-",
-        "--sources",
-        "mug",
-        "--source-evaluations",
-        "60",
-        "--objects",
-        "tennis_ball",
-        "--evaluations",
-        "60",
-    ]
+    words = shlex.split("- --sources mug --source-evaluations 60 --objects tennis_ball --evaluations 60")
     monkeypatch.setattr("sys.argv", words)
     monkeypatch.setattr(warm_start, "MILESTONES", (30, 60, 1000))
     warm_start.main()
@@ -92,41 +83,41 @@ def test_a_warm_start_is_measured_beside_a_search_from_nothing(monkeypatch, caps
 
 
 @pytest.fixture(scope="module")
-def profile() -> Profile:
-    found = Profile()
-    with Evaluator(probe_scene()) as evaluator, found.watching(len(probes())):
+def profile() -> StageProfile:
+    found = StageProfile()
+    with Evaluator(probe_scene()) as evaluator, found.profiling(len(probes())):
         evaluator.evaluate("approach", probes(), np.zeros(len(probes()), np.uint16))
     return found
 
 
-def test_the_stages_of_an_evaluation_add_up_to_it(profile: Profile) -> None:
+def test_the_stages_of_an_evaluation_add_up_to_it(profile: StageProfile) -> None:
     stages = profile.stages(1000.0)
     assert sum(stages.values()) == pytest.approx(1000.0)
     assert {name.removesuffix(STEPS) for name in stages} <= set(ORDER)
     assert {"decode", "overlap filter", "place, overlap", "closing", "shake z", REST} <= set(stages)
 
 
-def test_the_steps_of_a_stage_are_told_from_the_rest_of_it(profile: Profile) -> None:
+def test_the_steps_of_a_stage_are_told_from_the_rest_of_it(profile: StageProfile) -> None:
     stages = profile.stages(1.0)
     assert stages[f"closing{STEPS}"] + stages[f"shake z{STEPS}"] <= profile.step_share < 1.0
     assert 0 < profile.steps_each < 509
 
 
-def test_nothing_is_watched_afterwards(profile: Profile) -> None:
+def test_nothing_is_profiled_afterwards(profile: StageProfile) -> None:
     assert not any(hasattr(getattr(owner, name), "__wrapped__") for owner, name, _ in STAGES)
 
 
 def test_of_what_is_within_something_else_the_inner_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 1.0, 4.0, 4.5, 7.0, 7.5])
     monkeypatch.setattr("benchmarks.measure.time.process_time", lambda: next(clock))
-    ledger = Ledger()
-    with ledger.within("outer"):
-        with ledger.within("inner"):
-            assert ledger.inmost == "inner"
-        with ledger.within("inner"):
+    timer = StageTimer()
+    with timer.within("outer"):
+        with timer.within("inner"):
+            assert timer.current == "inner"
+        with timer.within("inner"):
             pass
-    assert ledger.seconds == {"outer": 1.0 + 0.5 + 0.5, "inner": 3.0 + 2.5}
-    assert ledger.total == 7.5
+    assert timer.seconds == {"outer": 1.0 + 0.5 + 0.5, "inner": 3.0 + 2.5}
+    assert timer.total == 7.5
 
 
 class Steady:
@@ -144,7 +135,9 @@ class Steady:
 
 
 def test_what_is_compared_has_its_turns_and_its_ratios_are_those_of_each_round() -> None:
-    first, second = in_turns([Subject("one", Steady(10)), Subject("two", Steady(30))], 5.0, rounds=5)
+    first, second = measure_in_turns(
+        [TimedWork("one", Steady(10)), TimedWork("two", Steady(30))], 5.0, rounds=5
+    )
     assert first.rates == (40.0,) * 5
     assert second.ratios(first) == (3.0,) * 5
     assert (second.count, second.seconds) == (600, 5.0)
@@ -191,18 +184,18 @@ def test_the_figure_has_a_bar_for_each_regime_of_each_pair(tmp_path) -> None:
     assert [path.suffix for path in sheet.write(tmp_path / figure.NAME)] == [".png", ".svg"]
 
 
-def test_every_counted_evaluation_has_one_fate() -> None:
+def test_every_counted_evaluation_has_one_class_of_outcome() -> None:
     rows = random_rows(200, seed=3)
     known = np.unique(cells(rows["descriptor"][:, :3]), axis=0)[::2]
     reference = ReferenceSet("block", known, np.full(len(known), 2, np.uint8))
     told = list(limits.shares(rows, reference, evaluation_mask(rows, "count")))
     assert [share.until for share in told] == [40, 80, 120, 160, 200]
     for share in told:
-        fates = (share.unseated, share.lost, share.known, share.elsewhere, share.new)
-        assert sum(fates) == pytest.approx(100)
+        parts = (share.not_simulated, share.no_contact, share.known, share.elsewhere, share.new)
+        assert sum(parts) == pytest.approx(100)
     found = {tuple(cell) for cell in cells(successes(rows)["descriptor"][:, :3]).tolist()}
     left = [cell for cell in known.tolist() if tuple(cell) not in found]
-    assert limits.rest(rows, reference).cells == pytest.approx(100 * len(left) / len(known))
+    assert limits.unfound_cells(rows, reference).cells == pytest.approx(100 * len(left) / len(known))
     assert sum(share.new for share in told) * 40 / 100 == pytest.approx(len(known) - len(left))
 
 
@@ -210,9 +203,9 @@ WID = "0" * 32
 
 
 def test_a_prepared_result_answers_the_batch_that_it_is_filled_in_for() -> None:
-    answers = Answers(3, WID, epoch=2, n=5, seconds=0.5, key=bytes(32))
+    answers = PreparedResults(3, WID, epoch=2, n=5, seconds=0.5, key=bytes(32))
     results = [
-        messages.decode(answers.to(f"run-{number}", number, bytes([number]) * 16, number + 1), Result)
+        messages.decode(answers.next_for(f"run-{number}", number, bytes([number]) * 16, number + 1), Result)
         for number in range(VARIETY)
     ]
     assert [(each.run, each.generation, each.batch[0], each.attempt) for each in results] == [
@@ -230,14 +223,17 @@ def test_prepared_rows_are_of_every_kind_that_random_poses_are_of() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.01])
-def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None:
-    runs = [assignment("run", spec("contact_rand", 4 * BATCH), Prepared(4 * BATCH), 2)]
-    with router() as (endpoint, pid), crowds([Crowd(endpoint, JOB, 2, seconds=seconds)]) as crew:
-        watch = Watch(crew, runs, 0.0, 1.0)
+def test_a_coordinator_is_measured_while_stand_ins_answer(seconds: float) -> None:
+    runs = [make_run_plan("run", spec("contact_rand", 4 * BATCH), ConstantSearch(4 * BATCH), 2)]
+    with (
+        router() as (endpoint, pid),
+        start_stand_ins([StandInGroup(endpoint, JOB, 2, seconds=seconds)]) as stand_ins,
+    ):
+        measurement = CoordinatorMeasurement(stand_ins, runs, 0.0, 1.0)
         memory: list[int] = []
-        watch.at_join = lambda: memory.append(resident(pid))
-        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), watch, BATCH)
-    found = watch.window
+        measurement.at_join = lambda: memory.append(resident(pid))
+        coordinate(endpoint, runs, lambda _: lambda run: PlatformSink(run.shape), measurement, BATCH)
+    found = measurement.window
     assert found.batches > 0
     assert found.rows <= runs[0].pipeline.tally.rows
     assert found.cpu_seconds > 0
@@ -246,17 +242,17 @@ def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None
 
 def test_a_coordinator_is_compared_with_itself_beside_monitors() -> None:
     endpoint = own_endpoint()
-    with monitors(endpoint, 2, stopped=1) as company:
-        (pair,) = take_turns(lambda: Timed.router(endpoint), endpoint, company, 1, 1.5)
-    assert pair.alone.per_batch > 0
-    assert pair.beside.shown > 0
+    with monitors(endpoint, 2, stopped=1) as clients:
+        (pair,) = measure_window_pairs(lambda: TimedBus.router(endpoint), endpoint, clients, 1, 1.5)
+    assert pair.without_clients.per_batch > 0
+    assert pair.with_clients.monitor_rate > 0
     figures = list(compared([pair], "them"))
-    assert figures[0].value == pair.beside.per_batch / pair.alone.per_batch
+    assert figures[0].value == pair.with_clients.per_batch / pair.without_clients.per_batch
 
 
 def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:
     asked = spec("cma_mae", 60)
-    search = Watched(method(asked.method).build(asked, plain(SHAPE.genes)))
+    search = ProfiledSearch(method(asked.method).build(asked, plain(SHAPE.genes)))
     for generation in range(3):
         told = rows(60, np.random.default_rng(generation))
         told["genome"] = search.ask(generation)
@@ -267,11 +263,13 @@ def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:
 
 def test_a_run_that_is_put_back_is_the_next_one() -> None:
     asked = spec("contact_rand", 20)
-    built = [assignment(name, asked, method(asked.method).build(asked, plain(SHAPE.genes))) for name in "ab"]
-    programme = Several(built)
-    assert programme.next() is built[0]
-    programme.put_back("a")
-    assert [programme.next() for _ in range(3)] == [*built, None]
+    built = [
+        make_run_plan(name, asked, method(asked.method).build(asked, plain(SHAPE.genes))) for name in "ab"
+    ]
+    queue = GivenRuns(built)
+    assert queue.next() is built[0]
+    queue.put_back("a")
+    assert [queue.next() for _ in range(3)] == [*built, None]
 
 
 @pytest.mark.parametrize(

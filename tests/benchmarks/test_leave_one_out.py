@@ -19,9 +19,9 @@ from benchmarks.leave_one_out.runs import (
     TUNING_SEEDS,
     Key,
     Row,
-    carry_on,
     held_out_runs,
     read,
+    run_missing,
     tuning_runs,
 )
 from benchmarks.results.programme import TUNING
@@ -134,11 +134,11 @@ class TestTable:
     def test_a_run_that_is_in_is_not_carried_out_again(self, tmp_path: Path, carried: list[Key]) -> None:
         file = tmp_path / "table.csv"
         with pytest.raises(KeyboardInterrupt):
-            carry_on(file, self.asked, {"c0de"})
+            run_missing(file, self.asked, {"c0de"})
         assert carried == self.asked[:3]
         assert list(read(file)) == sorted(carried)
         carried.clear()
-        carry_on(file, self.asked, {"c0de"})
+        run_missing(file, self.asked, {"c0de"})
         assert carried == self.asked[3:]
         assert file.read_text().splitlines() == [
             ",".join(COLUMNS),
@@ -147,11 +147,11 @@ class TestTable:
 
     def test_a_run_of_other_code_is_done_again_unless_that_is_accepted(self, tmp_path, carried) -> None:
         file = tmp_path / "table.csv"
-        carry_on(file, self.asked[:2], {"c0de"})
+        run_missing(file, self.asked[:2], {"c0de"})
         carried.clear()
-        carry_on(file, self.asked[:2], {"new", "c0de"})
+        run_missing(file, self.asked[:2], {"new", "c0de"})
         assert carried == []
-        carry_on(file, self.asked[:2], {"new"})
+        run_missing(file, self.asked[:2], {"new"})
         assert carried == self.asked[:2]
 
     @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import single_run
 from benchmarks.results import drawn_grasps, work
 from benchmarks.results.assets import NAME
-from benchmarks.results.measure import code_of, harvest
+from benchmarks.results.measure import code_of, finished_rows
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
 from benchmarks.results.paper_claims import SIGMA_GRID
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
@@ -65,7 +65,7 @@ def record_run(
 
 
 def rows_of(path: Path, *budgets: int) -> list[Row]:
-    return list(harvest(path, lambda asked: {asked.budget, *budgets}, ReferenceLookup()))
+    return list(finished_rows(path, lambda asked: {asked.budget, *budgets}, ReferenceLookup()))
 
 
 class TestHarvest:
@@ -134,17 +134,17 @@ class TestDrawnGrasps:
         assert not (drawn_grasps.drawn(rows, seed=4, number=40) == found).all()
 
     def test_drawn_grasps_are_judged_in_bullet_and_by_trials(self, run: RunFolder) -> None:
-        found = drawn_grasps.judged(run.path)
+        found = drawn_grasps.drawn_figures(run.path)
         assert found["drawn"] == rows_of(run.path)[0].robust_cells
         assert 0.5 < found["drawn_in_bullet"] <= 1
         assert 0.3 < found["drawn_eta"] <= 1
-        assert found == drawn_grasps.judged(run.path)
+        assert found == drawn_grasps.drawn_figures(run.path)
 
     def test_a_run_in_which_nothing_holds_has_no_share(self, tmp_path: Path) -> None:
         rows = ROWS.copy()
         rows["outcome"] = np.minimum(rows["outcome"], Outcome.SHAKEN)
         record(tmp_path / "run", rows, protocol="physical", engine="mujoco")
-        assert drawn_grasps.judged(tmp_path / "run") == {
+        assert drawn_grasps.drawn_figures(tmp_path / "run") == {
             "drawn": 0,
             "drawn_in_bullet": None,
             "drawn_eta": None,
@@ -155,26 +155,26 @@ class TestDrawnGrasps:
         (before,) = rows_of(run.path)
         store = Store(tmp_path / "runs.csv", Programme({"grasp-bench-1": (one,)}), {before.code})
         store.add([run.path])
-        work.judge(store, store.known, run.path, 1, Stop())
+        work.evaluate_drawn(store, store.known, run.path, 1, Stop())
         (after,) = store.table.values()
         assert after.drawn == before.robust_cells
         assert replace(after, drawn=None, drawn_in_bullet=None, drawn_eta=None) == before
-        monkeypatch.setattr(work, "judged", lambda path: pytest.fail(str(path)))
-        work.judge(store, store.known, run.path, 1, Stop())
+        monkeypatch.setattr(work, "drawn_figures", lambda path: pytest.fail(str(path)))
+        work.evaluate_drawn(store, store.known, run.path, 1, Stop())
 
     def test_only_rows_of_todays_code_whose_runs_are_here_are_judged(self, run, tmp_path, monkeypatch):
         def fail(path: Path) -> None:
             raise InputError(f"{path} is gone")
 
-        monkeypatch.setattr(work, "judged", fail)
+        monkeypatch.setattr(work, "drawn_figures", fail)
         one = Wanted("run", run.spec)
         known = Programme({"grasp-bench-1": (one,)})
         store = Store(tmp_path / "runs.csv", known, {rows_of(run.path)[0].code})
         store.add([run.path])
-        assert work.judge(store, known, tmp_path / "none", 1, Stop()) == {}
-        assert work.judge(Store(store.file, known, {"other"}), known, run.path, 1, Stop()) == {}
-        assert work.judge(store, Programme({"methods": (one,)}), run.path, 1, Stop()) == {}
-        failures = work.judge(store, known, run.path, 1, Stop())
+        assert work.evaluate_drawn(store, known, tmp_path / "none", 1, Stop()) == {}
+        assert work.evaluate_drawn(Store(store.file, known, {"other"}), known, run.path, 1, Stop()) == {}
+        assert work.evaluate_drawn(store, Programme({"methods": (one,)}), run.path, 1, Stop()) == {}
+        failures = work.evaluate_drawn(store, known, run.path, 1, Stop())
         assert [str(error) for error in failures.values()] == [f"{run.path} is gone"]
 
 
@@ -342,7 +342,7 @@ def wanted_runs(seed: int, evaluations: int = 1000) -> Wanted:
 
 class TestGrowing:
     def budgets(self, place: Path, *stage: Wanted) -> list[tuple[str, int]]:
-        asked = work.grown(place, stage)
+        asked = work.extended_campaign(place, stage)
         begin_campaign(place, asked)
         return [(name, spec.evaluations) for name, spec in asked.runs.items()]
 
@@ -364,7 +364,7 @@ class TestCarryingOn:
 
     @pytest.fixture
     def store(self, tmp_path, monkeypatch) -> Store:
-        monkeypatch.setattr(work, "workplace", lambda runs: runs / "here")
+        monkeypatch.setattr(work, "code_folder", lambda runs: runs / "here")
         return Store(tmp_path / "runs.csv", self.known, {TODAY})
 
     def test_each_run_is_tried_once_and_a_failure_stops_no_other(self, store, tmp_path, monkeypatch) -> None:
@@ -374,26 +374,26 @@ class TestCarryingOn:
             tried.extend(stage)
             raise InputError("no such mesh")
 
-        monkeypatch.setattr(work, "work", fail)
-        failures = work.carry_on(store, self.known, tmp_path, TEAM, Stop())
+        monkeypatch.setattr(work, "run_stage", fail)
+        failures = work.run_missing(store, self.known, tmp_path, TEAM, Stop())
         assert sorted(one.key for one in tried) == sorted(self.known.wanted)
         assert len(failures) == len(list(stages(tried, Costs([]))))
 
     def test_what_is_not_on_this_machine_is_told_of_and_left_out(self, store, tmp_path, monkeypatch) -> None:
         tried: list[Wanted] = []
-        monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
+        monkeypatch.setattr(work, "run_stage", lambda _place, stage, *_: tried.extend(stage))
         absent = Wanted("absent", RunSpec(gripper="claw", object="mug"))
         both = Programme({"some": (wanted_runs(0), absent)})
-        failures = work.carry_on(Store(store.file, both, {TODAY}), both, tmp_path, TEAM, Stop())
+        failures = work.run_missing(Store(store.file, both, {TODAY}), both, tmp_path, TEAM, Stop())
         assert [str(error)[:22] for error in failures] == ["Unknown gripper 'claw'"]
         assert tried == [wanted_runs(0)]
 
     def test_what_the_benchmark_makes_is_made_once_it_is_asked_for(self, store, tmp_path, monkeypatch):
         tried: list[Wanted] = []
-        monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
+        monkeypatch.setattr(work, "run_stage", lambda _place, stage, *_: tried.extend(stage))
         asked = Wanted("panda-plate-s0", RunSpec(gripper="panda", object=f"{NAME}/plate.stl", mass=0.065))
         one = Programme({"some": (asked,)})
-        assert work.carry_on(Store(store.file, one, {TODAY}), one, tmp_path, TEAM, Stop()) == []
+        assert work.run_missing(Store(store.file, one, {TODAY}), one, tmp_path, TEAM, Stop()) == []
         assert [(run.key, run.spec.object) for run in tried] == [
             (asked.key, str(tmp_path / NAME / "plate.stl"))
         ]
@@ -406,17 +406,17 @@ class TestCarryingOn:
             stages_done.append(1)
             stop.set(signal.SIGINT)
 
-        monkeypatch.setattr(work, "work", stopped)
-        assert work.carry_on(store, self.known, tmp_path, TEAM, stop) == []
+        monkeypatch.setattr(work, "run_stage", stopped)
+        assert work.run_missing(store, self.known, tmp_path, TEAM, stop) == []
         assert len(stages_done) == 1
 
 
 def test_the_place_of_runs_depends_on_what_evaluates_and_on_what_searches(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(work, "platform", lambda: {"code": "a"})
-    before = work.workplace(tmp_path)
-    assert work.workplace(tmp_path) == before
+    before = work.code_folder(tmp_path)
+    assert work.code_folder(tmp_path) == before
     monkeypatch.setattr(work, "platform", lambda: {"code": "b"})
-    assert work.workplace(tmp_path) != before
+    assert work.code_folder(tmp_path) != before
     monkeypatch.setattr(work, "platform", lambda: {"code": "a"})
     monkeypatch.setattr(work, "_search_digest", lambda: b"another")
-    assert work.workplace(tmp_path) != before
+    assert work.code_folder(tmp_path) != before

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.chaos.plan import bad_workers, blows, course
+from tests.chaos.plan import bad_workers, faults, run_kind
 from tests.chaos.play import agreeing_rows, disturb, undisturbed_digest
 
 LONG, SHORT = 20_000, 5_000
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--together", type=int, default=3, help="seeds at a time (default: 3)")
     parser.add_argument("--minutes", type=float, default=30.0, help="that one run may take (default: 30)")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
-    parser.add_argument("--plan", type=int, metavar="N", help="only show the first N blows of the seed")
+    parser.add_argument("--plan", type=int, metavar="N", help="only show the first N faults of the seed")
     asked = parser.parse_args(arguments)
     if asked.plan is not None:
         return show_plan(asked.seed or 0, asked.workers, asked.plan)
@@ -50,25 +50,25 @@ def carry_out_all(arguments: list[str], together: int) -> list[int]:
         command = [sys.executable, "-m", "tests.chaos", *arguments, "--seed", str(seed)]
         return subprocess.run(command, check=False).returncode == 0
 
-    longest_first = sorted(SEEDS, key=lambda seed: course(seed).protocol != "robust")
+    longest_first = sorted(SEEDS, key=lambda seed: run_kind(seed).protocol != "robust")
     with ThreadPoolExecutor(together) as pool:
         fared = zip(longest_first, pool.map(is_well, longest_first), strict=True)
         return sorted(seed for seed, well in fared if not well)
 
 
 def show_plan(seed: int, workers: int, number: int) -> int:
-    """Print the first blows of a seed."""
+    """Print the first faults of a seed."""
     at = 0.0
-    for _, blow in zip(range(number), blows(seed, workers), strict=False):
-        at += blow.after
-        say(f"{at:7.1f} s  {blow}")
+    for _, fault in zip(range(number), faults(seed, workers), strict=False):
+        at += fault.after
+        say(f"{at:7.1f} s  {fault}")
     return 0
 
 
 def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     """Carry the run of a seed out, undisturbed and disturbed; whether both gave the same."""
     evaluations = asked.evaluations or (LONG if seed == SEEDS[0] else SHORT)
-    kind = course(seed)
+    kind = run_kind(seed)
     spec = kind.spec(seed, evaluations)
     out = asked.out.resolve()
     say(f"seed {seed}: {evaluations} evaluations, {kind.method}, protocol {kind.protocol}")
@@ -76,24 +76,24 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     say(f"seed {seed}: undisturbed digest {expected}")
     home = out / f"seed-{seed}"
     shutil.rmtree(home, ignore_errors=True)
-    plan = blows(seed, asked.workers)
+    plan = faults(seed, asked.workers)
     terms = {
         "workers": asked.workers,
-        "pace": kind.pace,
+        "row_seconds": kind.row_seconds,
         "limit": 60 * asked.minutes,
         "bad": bad_workers(seed, asked.bad),
     }
-    story = disturb(home, spec, plan, **terms, say=Log(seed, home))
-    is_same = story.digest == expected
-    verdict = "the same" if is_same else "that of a part" if story.is_given_up else "ANOTHER ONE"
-    say(f"seed {seed}: {story.words}; ended by themselves: {dict(story.ended) or 'none'}")
-    say(f"seed {seed}: disturbed digest {story.digest or 'none'}: {verdict}")
-    if is_same and not story.troubles:
+    report = disturb(home, spec, plan, **terms, say=Log(seed, home))
+    is_same = report.digest == expected
+    verdict = "the same" if is_same else "that of a part" if report.is_given_up else "ANOTHER ONE"
+    say(f"seed {seed}: {report.words}; ended by themselves: {dict(report.ended) or 'none'}")
+    say(f"seed {seed}: disturbed digest {report.digest or 'none'}: {verdict}")
+    if is_same and not report.troubles:
         return True
-    if story.digest:
+    if report.digest:
         rows, alike = agreeing_rows(home / "run", spec, out / "undisturbed")
         say(f"{rows} rows are recorded; the undisturbed run begins with {alike} of them")
-    say(f"seed {seed} FAILED: {'; '.join(story.troubles) or 'the digests differ'}; everything is in {home}")
+    say(f"seed {seed} FAILED: {'; '.join(report.troubles) or 'the digests differ'}; everything is in {home}")
     say(f"again: python -m tests.chaos --seed {seed} --evaluations {evaluations} --workers {asked.workers}")
     return False
 

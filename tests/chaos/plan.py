@@ -1,7 +1,7 @@
-"""The plan of a seed: the run that is disturbed, and which processes are struck when.
+"""The plan of a seed: the run that is disturbed, and which processes are killed or stopped when.
 
 Both are functions of the seed alone. Time cannot be repeated: the progress of each process when
-it is struck differs from one machine to the next.
+that happens differs from one machine to the next.
 """
 
 import random
@@ -16,46 +16,46 @@ from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_protocol.spec import RunSpec
 
 HEAD = ("recorder", "coordinator", "router")
-GAPS = (1.0, 3.0)  # seconds from one blow to the next
-DEAD = (0.1, 1.0)  # seconds until a killed process is started again
-STILL = (5.5, 7.0)
+INTERVALS = (1.0, 3.0)  # seconds from one fault to the next
+RESTART_SECONDS = (0.1, 1.0)  # seconds until a killed process is started again
+STOP_SECONDS = (5.5, 7.0)
 """Seconds that a process is stopped for: links end after 4 s without a sign of life, leases one later."""
-PACE = 0.005  # seconds that a cheap evaluation takes at least
+ROW_SECONDS = 0.005  # seconds that a cheap evaluation takes at least
 SCENE = {"gripper": "panda", "object": "tennis_ball"}
 
 
-class Deed(StrEnum):
-    """A kind of blow to a process."""
+class FaultKind(StrEnum):
+    """A signal that a process gets."""
 
     KILL = "SIGKILL"
     STOP = "SIGSTOP"
 
 
 @dataclass(frozen=True)
-class Blow:
-    """A blow to one process."""
+class Fault:
+    """A signal to one process."""
 
     after: float
-    """Seconds since the blow before, or since the first row was recorded."""
-    victim: str
-    deed: Deed
+    """Seconds since the fault before, or since the first row was recorded."""
+    process: str
+    kind: FaultKind
     seconds: float
     """Seconds until it is started again, or goes on."""
 
     def __str__(self) -> str:
-        then = "started again" if self.deed is Deed.KILL else "SIGCONT"
-        return f"{self.deed} {self.victim}, {then} after {self.seconds:.1f} s"
+        then = "started again" if self.kind is FaultKind.KILL else "SIGCONT"
+        return f"{self.kind} {self.process}, {then} after {self.seconds:.1f} s"
 
 
 @dataclass(frozen=True)
-class Course:
+class RunKind:
     """A kind of run to disturb."""
 
     method: str
     protocol: str
     population: int | None
     """None: the method's."""
-    pace: float
+    row_seconds: float
     """Seconds that an evaluation takes at least, so that there is time to disturb it."""
 
     def spec(self, seed: int, evaluations: int) -> RunSpec:
@@ -65,19 +65,19 @@ class Course:
         return full_spec(values | {"seed": seed, "evaluations": evaluations})
 
 
-COURSES = (
-    Course("contact_rand", "paper", 200, PACE),
-    Course("aimed", "paper", None, 0.0),
-    Course("contact_me_scs", "paper", 200, PACE),
-    Course("contact_cma_mae", "paper", None, PACE),
-    Course("contact_rand", "robust", 200, PACE),
+RUN_KINDS = (
+    RunKind("contact_rand", "paper", 200, ROW_SECONDS),
+    RunKind("aimed", "paper", None, 0.0),
+    RunKind("contact_me_scs", "paper", 200, ROW_SECONDS),
+    RunKind("contact_cma_mae", "paper", None, ROW_SECONDS),
+    RunKind("contact_rand", "robust", 200, ROW_SECONDS),
 )
 """Kinds of runs; seeds in a row see every kind."""
 
 
-def course(seed: int) -> Course:
+def run_kind(seed: int) -> RunKind:
     """The kind of run that a seed disturbs."""
-    return COURSES[seed % len(COURSES)]
+    return RUN_KINDS[seed % len(RUN_KINDS)]
 
 
 def bad_workers(seed: int, number: int) -> list[str]:
@@ -85,31 +85,31 @@ def bad_workers(seed: int, number: int) -> list[str]:
     return random.Random(seed).sample(sorted(BAD), number)  # noqa: S311
 
 
-def blows(seed: int, workers: int, gaps: tuple[float, float] = GAPS) -> Iterator[Blow]:
-    """The blows in their order, without end.
+def faults(seed: int, workers: int, intervals: tuple[float, float] = INTERVALS) -> Iterator[Fault]:
+    """The faults in their order, without end.
 
     First each kind of process is killed and one process is stopped; then, round by round, every process is
     killed once and stopped once, in any order.
     """
     chance = random.Random(seed)  # noqa: S311 - dice, not secrets
     for number in count():
-        for victim, deed in _round(chance, workers, is_first=number == 0):
-            seconds = DEAD if deed is Deed.KILL else STILL
-            yield Blow(chance.uniform(*gaps), victim, deed, chance.uniform(*seconds))
+        for process, kind in _round(chance, workers, is_first=number == 0):
+            seconds = RESTART_SECONDS if kind is FaultKind.KILL else STOP_SECONDS
+            yield Fault(chance.uniform(*intervals), process, kind, chance.uniform(*seconds))
 
 
-def opening(workers: int) -> int:
-    """Number of blows in the first round."""
+def first_round(workers: int) -> int:
+    """Number of faults in the first round."""
     return len(_round(random.Random(0), workers, is_first=True))  # noqa: S311
 
 
-def _round(chance: random.Random, workers: int, *, is_first: bool) -> list[tuple[str, Deed]]:
-    team = [f"worker-{number}" for number in range(workers)]
-    everybody = [*team, *HEAD]
+def _round(chance: random.Random, workers: int, *, is_first: bool) -> list[tuple[str, FaultKind]]:
+    names = [f"worker-{number}" for number in range(workers)]
+    processes = [*names, *HEAD]
     if is_first:
-        dealt = [(victim, Deed.KILL) for victim in (chance.choice(team), *HEAD)]
-        dealt.append((chance.choice(everybody), Deed.STOP))
+        drawn = [(process, FaultKind.KILL) for process in (chance.choice(names), *HEAD)]
+        drawn.append((chance.choice(processes), FaultKind.STOP))
     else:
-        dealt = [(victim, deed) for victim in everybody for deed in Deed]
-    chance.shuffle(dealt)
-    return dealt
+        drawn = [(process, kind) for process in processes for kind in FaultKind]
+    chance.shuffle(drawn)
+    return drawn

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from tests.chaos.plan import HEAD
-from tests.chaos.simulator import PACE
+from tests.chaos.simulator import ROW_SECONDS_VARIABLE
 from tests.common import PATIENCE, own_endpoint
 from tests.system.commands import COORDINATOR, RECORDER, ROUTER, rows_recorded
 
@@ -121,7 +121,7 @@ JOB = "chaos"
 class JobProcesses:
     """A router, a coordinator, a recorder and workers of one run; a context manager that ends them all.
 
-    The run is in `home/run`, their output in `home/logs`. An evaluation takes `pace` seconds at least; the
+    The run is in `home/run`, their output in `home/logs`. A row takes `row_seconds` seconds at least; the
     options are those of the workers, the environment is that of all.
     """
 
@@ -131,14 +131,15 @@ class JobProcesses:
         spec: RunSpec,
         *,
         workers: int,
-        pace: float = 0.0,
+        row_seconds: float = 0.0,
         options: Sequence[object] = (),
         **environment: str,
     ) -> None:
         self.home = home
         self.run = home / "run"
         self.endpoint = own_endpoint()
-        self._environment = {PACE: str(pace), "QDGRASP_CACHE": str(home / "cache"), **environment}
+        cache = {"QDGRASP_CACHE": str(home / "cache")}
+        self._environment = {ROW_SECONDS_VARIABLE: str(row_seconds), **cache, **environment}
         RunFolder.create(self.run, spec, prepare_scene(spec).bundle, job=JOB)
         there = ["--connect", self.endpoint]
         self._members: dict[str, Process] = {}

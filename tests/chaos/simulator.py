@@ -1,7 +1,7 @@
-"""A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes.
+"""A simulator that takes its time: CHAOS_ROW_SECONDS seconds for each row, besides what the evaluation takes.
 
-Where CHAOS_BAD names a kind of bad worker, it is one. Where CHAOS_DEEDS names a folder it also fails in every
-way, once in each and never twice on the same row. The way is decided by the genome, and noted in that folder.
+Where CHAOS_BAD names a kind of bad worker, it is one. Where CHAOS_FAILURES names a folder it also fails in
+every way, once in each and never twice on the same row. The genome decides the way, which is noted there.
 """
 
 import hashlib
@@ -17,8 +17,8 @@ from qdgrasp_protocol.rows import RowShape
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation, Evaluator
 from qdgrasp_worker.runtime.simulator_main import load_scene, main
 
-PACE = "CHAOS_PACE"
-DEEDS = "CHAOS_DEEDS"
+ROW_SECONDS_VARIABLE = "CHAOS_ROW_SECONDS"
+FAILURES_VARIABLE = "CHAOS_FAILURES"
 ONE_IN = 4
 """One row in so many may fail."""
 
@@ -41,7 +41,7 @@ def be_killed() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-WAYS: dict[str, Callable[[], None]] = {
+FAILURES: dict[str, Callable[[], None]] = {
     "abort": os.abort,
     "hang": hang,
     "take-all-memory": take_all_memory,
@@ -54,15 +54,15 @@ class Slow:
 
     at_once, weight = ROWS_AT_ONCE, 1
 
-    def __init__(self, evaluator: Evaluator, pace: float) -> None:
+    def __init__(self, evaluator: Evaluator, row_seconds: float) -> None:
         self._evaluator = evaluator
-        self._pace = pace
+        self._row_seconds = row_seconds
 
     def shape(self, prior: str) -> RowShape:
         return self._evaluator.shape(prior)
 
     def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
-        time.sleep(self._pace * len(genomes))
+        time.sleep(self._row_seconds * len(genomes))
         return self._evaluator.evaluate(prior, genomes, trials)
 
     def close(self) -> None:
@@ -83,12 +83,12 @@ def fail_once(genome: bytes) -> None:
     mark = hashlib.sha256(genome).digest()
     if mark[0] % ONE_IN:
         return
-    name = list(WAYS)[mark[1] % len(WAYS)]
+    name = list(FAILURES)[mark[1] % len(FAILURES)]
     try:
-        (Path(os.environ[DEEDS]) / name).touch(exist_ok=False)
+        (Path(os.environ[FAILURES_VARIABLE]) / name).touch(exist_ok=False)
     except FileExistsError:
         return
-    WAYS[name]()
+    FAILURES[name]()
 
 
 class Lying(Slow):
@@ -128,5 +128,5 @@ BAD = {"lying": Lying, "sick": Sick, "straggling": Straggling, "silent": Silent}
 
 
 if __name__ == "__main__":
-    kind = BAD.get(os.environ.get("CHAOS_BAD", ""), Failing if DEEDS in os.environ else Slow)
-    main(load=lambda bundle: kind(load_scene(bundle), float(os.environ[PACE])))
+    kind = BAD.get(os.environ.get("CHAOS_BAD", ""), Failing if FAILURES_VARIABLE in os.environ else Slow)
+    main(load=lambda bundle: kind(load_scene(bundle), float(os.environ[ROW_SECONDS_VARIABLE])))

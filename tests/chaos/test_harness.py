@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 from tests.chaos import play, processes
 from tests.chaos.plan import (
-    COURSES,
-    DEAD,
-    GAPS,
     HEAD,
-    STILL,
-    Course,
-    Deed,
+    INTERVALS,
+    RESTART_SECONDS,
+    RUN_KINDS,
+    STOP_SECONDS,
+    FaultKind,
+    RunKind,
     bad_workers,
-    blows,
-    course,
-    opening,
+    faults,
+    first_round,
+    run_kind,
 )
 from tests.chaos.play import disturb, undisturbed_digest
 from tests.chaos.processes import ROOT, Process
@@ -33,11 +33,11 @@ from qdgrasp_protocol.session import BASE_SETTINGS
 from qdgrasp_protocol.spec import RunSpec
 
 WORKERS = 4
-EVERYBODY = {*HEAD, *(f"worker-{number}" for number in range(WORKERS))}
+ALL = {*HEAD, *(f"worker-{number}" for number in range(WORKERS))}
 
 
 def first(seed: int, number: int) -> list:
-    return list(islice(blows(seed, WORKERS), number))
+    return list(islice(faults(seed, WORKERS), number))
 
 
 def test_a_plan_is_a_function_of_its_seed() -> None:
@@ -46,29 +46,29 @@ def test_a_plan_is_a_function_of_its_seed() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_first_blows_kill_each_kind_and_stop_somebody(seed: int) -> None:
-    begun = first(seed, opening(WORKERS))
-    killed = {blow.victim.partition("-")[0] for blow in begun if blow.deed is Deed.KILL}
+def test_the_first_faults_kill_each_kind_and_stop_one(seed: int) -> None:
+    begun = first(seed, first_round(WORKERS))
+    killed = {fault.process.partition("-")[0] for fault in begun if fault.kind is FaultKind.KILL}
     assert killed == {"worker", *HEAD}
-    assert [blow.deed for blow in begun].count(Deed.STOP) == 1
+    assert [fault.kind for fault in begun].count(FaultKind.STOP) == 1
 
 
-def test_then_every_round_kills_and_stops_everybody() -> None:
-    after = first(3, opening(WORKERS) + 2 * len(EVERYBODY))[opening(WORKERS) :]
-    assert {(blow.victim, blow.deed) for blow in after} == {(who, deed) for who in EVERYBODY for deed in Deed}
+def test_then_every_round_kills_and_stops_all() -> None:
+    after = first(3, first_round(WORKERS) + 2 * len(ALL))[first_round(WORKERS) :]
+    assert {(one.process, one.kind) for one in after} == {(who, kind) for who in ALL for kind in FaultKind}
 
 
-def test_blows_come_at_the_pace_that_is_promised_and_stop_for_longer_than_a_lease() -> None:
-    for blow in first(1, 500):
-        assert GAPS[0] <= blow.after <= GAPS[1]
-        low, high = DEAD if blow.deed is Deed.KILL else STILL
-        assert low <= blow.seconds <= high
-    assert STILL[0] > BASE_SETTINGS["transport/link/tx/lease"] / 1000 + TOKEN_GRACE
+def test_faults_come_at_their_intervals_and_stop_for_longer_than_a_lease() -> None:
+    for fault in first(1, 500):
+        assert INTERVALS[0] <= fault.after <= INTERVALS[1]
+        low, high = RESTART_SECONDS if fault.kind is FaultKind.KILL else STOP_SECONDS
+        assert low <= fault.seconds <= high
+    assert STOP_SECONDS[0] > BASE_SETTINGS["transport/link/tx/lease"] / 1000 + TOKEN_GRACE
 
 
 def test_ten_seeds_disturb_every_kind_of_run() -> None:
-    assert {course(seed) for seed in range(10)} == set(COURSES)
-    assert course(4).spec(4, 50).protocol == "robust"
+    assert {run_kind(seed) for seed in range(10)} == set(RUN_KINDS)
+    assert run_kind(4).spec(4, 50).protocol == "robust"
 
 
 SERVER = ("http.server", ["0", "--bind", "127.0.0.1"])
@@ -166,20 +166,22 @@ def test_the_built_in_hands_and_objects_are_among_these_files() -> None:
 SEED = 4
 EVALUATIONS = 300
 CHAOS_WORKERS = 4
-SHORT_GAPS = (0.8, 1.6)
-PACE = CHAOS_WORKERS * opening(CHAOS_WORKERS) * SHORT_GAPS[1] / EVALUATIONS
-"""So slow that the run is not over before the first round of blows is."""
-COURSE = Course("contact_rand", "paper", 60, PACE)
+SHORT_INTERVALS = (0.8, 1.6)
+ROW_SECONDS = CHAOS_WORKERS * first_round(CHAOS_WORKERS) * SHORT_INTERVALS[1] / EVALUATIONS
+"""So slow that the run is not over before the first round of faults is."""
+RUN_KIND = RunKind("contact_rand", "paper", 60, ROW_SECONDS)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_disturbed_run_gives_what_an_undisturbed_one_gives(tmp_path: Path, undisturbed: Path) -> None:
-    spec = COURSE.spec(SEED, EVALUATIONS)
+    spec = RUN_KIND.spec(SEED, EVALUATIONS)
     expected = undisturbed_digest(spec, undisturbed)
-    plan = islice(blows(SEED, CHAOS_WORKERS, SHORT_GAPS), opening(CHAOS_WORKERS))
-    story = disturb(tmp_path / "run", spec, plan, workers=CHAOS_WORKERS, pace=PACE, limit=300, say=print)
-    assert story.troubles == []
-    assert {(kind, Deed.KILL) for kind in ("worker", *HEAD)} <= set(story.struck)
-    assert any(deed is Deed.STOP for _, deed in story.struck)
-    assert story.digest == expected
+    plan = islice(faults(SEED, CHAOS_WORKERS, SHORT_INTERVALS), first_round(CHAOS_WORKERS))
+    report = disturb(
+        tmp_path / "run", spec, plan, workers=CHAOS_WORKERS, row_seconds=ROW_SECONDS, limit=300, say=print
+    )
+    assert report.troubles == []
+    assert {(kind, FaultKind.KILL) for kind in ("worker", *HEAD)} <= set(report.injected)
+    assert any(kind is FaultKind.STOP for _, kind in report.injected)
+    assert report.digest == expected

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.chaos.plan import Course
+from tests.chaos.plan import RunKind
 from tests.chaos.play import LOSS, ROUND_TRIP, cutting, undisturbed_digest
 from tests.chaos.processes import JobProcesses
-from tests.chaos.simulator import BAD, DEEDS, WAYS
+from tests.chaos.simulator import BAD, FAILURES, FAILURES_VARIABLE
 from tests.common import HOST, wait_for
 from tests.fakes.slow_link import slow_link
 from tests.system.commands import digest_of
@@ -18,8 +18,8 @@ from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import TookOver
 
-COURSE = Course("contact_rand", "paper", 60, 0.05)
-SPEC = COURSE.spec(seed=4, evaluations=300)
+RUN_KIND = RunKind("contact_rand", "paper", 60, 0.05)
+SPEC = RUN_KIND.spec(seed=4, evaluations=300)
 """The run of test_chaos too, which is carried out undisturbed for both."""
 EARLY = 60  # rows that are recorded when it happens
 
@@ -32,23 +32,23 @@ def expected(undisturbed: Path) -> str:
 
 
 @pytest.fixture
-def household(tmp_path: Path) -> Iterator[JobProcesses]:
+def job(tmp_path: Path) -> Iterator[JobProcesses]:
     """A job in progress, with some rows recorded."""
-    with JobProcesses(tmp_path, SPEC, workers=4, pace=COURSE.pace) as household:
-        household.start()
-        wait_for(lambda: household.rows >= EARLY, "the first rows")
-        assert household["coordinator"].is_there
-        yield household
+    with JobProcesses(tmp_path, SPEC, workers=4, row_seconds=RUN_KIND.row_seconds) as job:
+        job.start()
+        wait_for(lambda: job.rows >= EARLY, "the first rows")
+        assert job["coordinator"].is_there
+        yield job
 
 
-def ends_well(household: JobProcesses, coordinator: str = "coordinator") -> str:
+def ends_well(job: JobProcesses, coordinator: str = "coordinator") -> str:
     """Wait until a job is over; gives its digest."""
-    process = household[coordinator]
+    process = job[coordinator]
     wait_for(lambda: process.exit_code is not None, "the end")
     assert process.exit_code == 0, process.words
-    assert household.end() == []
-    assert not [member.name for member in household if "Traceback" in member.words]
-    return digest_of(household.run)
+    assert job.end() == []
+    assert not [member.name for member in job if "Traceback" in member.words]
+    return digest_of(job.run)
 
 
 def cut(wal: Path) -> None:
@@ -65,38 +65,38 @@ def garble(wal: Path) -> None:
 
 
 @pytest.mark.parametrize("tear", [cut, garble])
-def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(household, expected, tear) -> None:
-    recorder = household["recorder"]
+def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(job, expected, tear) -> None:
+    recorder = job["recorder"]
     recorder.send(signal.SIGKILL)
-    before = household.rows
-    tear(household.run / f"{JOURNAL}-wal")
-    assert household.rows < before
+    before = job.rows
+    tear(job.run / f"{JOURNAL}-wal")
+    assert job.rows < before
     recorder.start()
-    assert ends_well(household) == expected
+    assert ends_well(job) == expected
 
 
-def test_a_disk_that_is_full_for_a_while_is_waited_for(household: JobProcesses, expected: str) -> None:
-    recorder = household["recorder"]
-    largest = max(file.stat().st_size for file in household.run.glob(f"{JOURNAL}*"))
+def test_a_disk_that_is_full_for_a_while_is_waited_for(job: JobProcesses, expected: str) -> None:
+    recorder = job["recorder"]
+    largest = max(file.stat().st_size for file in job.run.glob(f"{JOURNAL}*"))
     _, most = resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (largest, most))
     wait_for(lambda: "the disk is full" in recorder.words, "a full disk")
-    rows = household.rows
+    rows = job.rows
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (most, most))
     wait_for(lambda: "there is room again" in recorder.words, "room")
     assert rows < SPEC.evaluations
-    assert ends_well(household) == expected
+    assert ends_well(job) == expected
 
 
-def test_the_head_and_half_of_the_workers_are_killed_at_once(household: JobProcesses, expected: str) -> None:
+def test_the_head_and_half_of_the_workers_are_killed_at_once(job: JobProcesses, expected: str) -> None:
     for name in ("coordinator", "recorder", "worker-0", "worker-1"):
-        household[name].send(signal.SIGKILL)
-    household.start()
-    assert ends_well(household) == expected
+        job[name].send(signal.SIGKILL)
+    job.start()
+    assert ends_well(job) == expected
 
 
-def test_a_coordinator_that_stood_still_gives_way_to_its_successor(household, expected) -> None:
-    first, second = household["coordinator"], household.another("coordinator")
+def test_a_coordinator_that_stood_still_gives_way_to_its_successor(job, expected) -> None:
+    first, second = job["coordinator"], job.another("coordinator")
     first.send(signal.SIGSTOP)
     second.start()
     wait_for(lambda: "worker joined" in second.words, "workers at the second coordinator")
@@ -104,49 +104,49 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(household, ex
     wait_for(lambda: first.exit_code is not None, "the end of the first coordinator")
     assert first.exit_code == TookOver.exit_code, first.words
     assert "took over (epoch 2)" in first.last_words
-    assert ends_well(household, "coordinator-2") == expected
-    assert RunFolder.open(household.run).job.epoch == 2
+    assert ends_well(job, "coordinator-2") == expected
+    assert RunFolder.open(job.run).job.epoch == 2
 
 
-def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(household, expected) -> None:
-    first, second = household["recorder"], household.another("recorder")
+def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(job, expected) -> None:
+    first, second = job["recorder"], job.another("recorder")
     first.send(signal.SIGSTOP)
     second.start()
     wait_for(lambda: second.exit_code is not None, "the second recorder's refusal")
     assert second.exit_code == 2
     assert f"is in use by process {first.pid}" in second.last_words
     first.send(signal.SIGCONT)
-    assert ends_well(household) == expected
+    assert ends_well(job) == expected
 
 
 def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(tmp_path, expected) -> None:
-    deeds = tmp_path / "deeds"
-    deeds.mkdir()
-    environment = {DEEDS: str(deeds)}
+    failures = tmp_path / "failures"
+    failures.mkdir()
+    environment = {FAILURES_VARIABLE: str(failures)}
     limits = ("--row-seconds", 1, "--memory", 400)
-    with JobProcesses(tmp_path, SPEC, workers=2, options=limits, **environment) as household:
-        household.start()
-        assert ends_well(household) == expected
-    assert {deed.name for deed in deeds.iterdir()} == set(WAYS)
+    with JobProcesses(tmp_path, SPEC, workers=2, options=limits, **environment) as job:
+        job.start()
+        assert ends_well(job) == expected
+    assert {failure.name for failure in failures.iterdir()} == set(FAILURES)
 
 
 @pytest.mark.timeout(600)
-def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(household, expected) -> None:
-    port = int(household.endpoint.rpartition(":")[2])
+def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(job, expected) -> None:
+    port = int(job.endpoint.rpartition(":")[2])
     with slow_link(port, ROUND_TRIP, LOSS) as link, cutting(link):
-        late = [household.add_worker(f"{kind}-0", household.endpoint, CHAOS_BAD=kind) for kind in BAD]
-        late.append(household.add_worker("far-0", f"tcp/{HOST}:{link.port}"))
-        good = [household["worker-0"], household["worker-1"]]
+        late = [job.add_worker(f"{kind}-0", job.endpoint, CHAOS_BAD=kind) for kind in BAD]
+        late.append(job.add_worker("far-0", f"tcp/{HOST}:{link.port}"))
+        good = [job["worker-0"], job["worker-1"]]
         for member in good:
             member.send(signal.SIGSTOP)  # so that the run does not end before the others are there
         for member in late:
             member.start()
-        coordinator, joined = household["coordinator"], len(good) + len(late)
+        coordinator, joined = job["coordinator"], len(good) + len(late)
         wait_for(lambda: coordinator.words.count("worker joined") >= joined, "all to join", 60.0)
         for member in good:
             member.send(signal.SIGCONT)
         wait_for(lambda: coordinator.exit_code is not None, "the end", 300.0)
     assert coordinator.exit_code == 0, coordinator.words
-    household.end()
-    assert digest_of(household.run) == expected
+    job.end()
+    assert digest_of(job.run) == expected
     assert "a worker is excluded" in coordinator.words

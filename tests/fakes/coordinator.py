@@ -42,7 +42,7 @@ class LeasingCoordinator:
         self.faults = 0  # So many joins end in an error of the coordinator's own
         self.garbled = 0  # So many chunks of the scene are not what they should be
         self._keys = Keys(job)
-        self._tray: deque[Work] = deque()
+        self._queue: deque[Work] = deque()
         self._leased: dict[bytes, Work] = {}
         self._changed = threading.Condition(threading.RLock())
         self._stack = ExitStack()
@@ -51,11 +51,11 @@ class LeasingCoordinator:
     def __enter__(self) -> Self:
         enter = self._stack.enter_context
         enter(self.bus)
-        enter(self.bus.answer(self._keys.join, self._admit))
-        enter(self.bus.answer(self._keys.asset(), self._hand_out))
+        enter(self.bus.answer(self._keys.join, self._on_join))
+        enter(self.bus.answer(self._keys.asset(), self._answer_chunk))
         enter(self.bus.subscribe(self._keys.result(), self._take))
-        enter(self.bus.subscribe(self._keys.stat("worker/*"), self._see))
-        enter(self.bus.watch(self._keys.worker_token(), self._notice))
+        enter(self.bus.subscribe(self._keys.stat("worker/*"), self._on_heartbeat))
+        enter(self.bus.watch(self._keys.worker_token(), self._on_token))
         enter(self.bus.token(self._keys.coordinator_token(self.epoch)))
         return self
 
@@ -65,7 +65,7 @@ class LeasingCoordinator:
     def give(self, *works: Work) -> None:
         """Have batches leased, now or when there is credit."""
         with self._changed:
-            self._tray += [msgspec.structs.replace(work, scene=self.digest) for work in works]
+            self._queue += [msgspec.structs.replace(work, scene=self.digest) for work in works]
             self._lease()
 
     def control(self, *drop: Work, drain: bool = False) -> None:
@@ -85,7 +85,7 @@ class LeasingCoordinator:
         """The first byte of each batch that was answered, in that order."""
         return [result.batch[0] for result in self.results]
 
-    def _admit(self, query: Query) -> bytes:
+    def _on_join(self, query: Query) -> bytes:
         if self.refusal:
             raise Refused(self.refusal)
         if self.faults:
@@ -95,7 +95,7 @@ class LeasingCoordinator:
             join = messages.decode(query.payload, Join)
             self.joins.append(join)
             given_up = [self._leased.pop(batch) for batch in list(self._leased) if batch not in join.held]
-            self._tray.extendleft(reversed(given_up))
+            self._queue.extendleft(reversed(given_up))
             self._changed.notify_all()
             # as on a real bus, these may arrive before the answer to the join does
             if self.drains:
@@ -103,7 +103,7 @@ class LeasingCoordinator:
             self._lease()
         return messages.encode(Joined(epoch=self.epoch, drop=[]))
 
-    def _hand_out(self, query: Query) -> bytes:
+    def _answer_chunk(self, query: Query) -> bytes:
         with self._changed:
             self.fetched += 1
             self._changed.notify_all()
@@ -122,18 +122,19 @@ class LeasingCoordinator:
             self._changed.notify_all()
 
     def _lease(self) -> None:
-        while not self.drains and self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
-            work = msgspec.structs.replace(self._tray.popleft(), epoch=self.epoch, join=self.joins[-1].number)
+        while not self.drains and self.joins and self._queue and len(self._leased) < self.joins[-1].credit:
+            number = self.joins[-1].number
+            work = msgspec.structs.replace(self._queue.popleft(), epoch=self.epoch, join=number)
             self._leased[work.batch] = work
             put(self.bus, self._keys.work(self.joins[-1].wid), work)
 
-    def _see(self, sample: Sample) -> None:
+    def _on_heartbeat(self, sample: Sample) -> None:
         with self._changed:
             self.sign = msgspec.json.decode(sample.payload, type=Heartbeat)
             self.signs += self.sign.progressed
             self._changed.notify_all()
 
-    def _notice(self, key: str, alive: bool) -> None:
+    def _on_token(self, key: str, alive: bool) -> None:
         with self._changed:
             (self.workers.add if alive else self.workers.discard)(key.rsplit("/", 1)[-1])
             self._changed.notify_all()

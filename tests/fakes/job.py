@@ -38,7 +38,7 @@ SPEC = RunSpec(gripper="hand", object="thing")
 PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}
 
 
-def assignment(name: str, plan: Plan) -> RunPlan:
+def make_run_plan(name: str, plan: Plan) -> RunPlan:
     """The run of a plan at its very beginning."""
     bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
     return RunPlan(name, SPEC, bundle, "none", SHAPE, plan.pipeline())
@@ -64,7 +64,7 @@ class FakeRunQueue(RunQueue):
         plan = self._plans[name]
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
-        made = assignment(name, plan)
+        made = make_run_plan(name, plan)
         self.pipelines.append(weakref.ref(made.pipeline))
         return made
 
@@ -163,11 +163,11 @@ class Job:
         }
         self.service = CoordinatorService(self.bus, self.stop, batch_size=2, **how)
 
-    def _record(self, assignment: RunPlan) -> RowSink:
+    def _record(self, plan: RunPlan) -> RowSink:
         if self._recorded:
             return RecorderClient(self.bus, JOB, SHAPE)
-        kind = self._kinds.get(assignment.run, MemorySink)
-        return self.records.setdefault(assignment.run, kind(SHAPE))
+        kind = self._kinds.get(plan.run, MemorySink)
+        return self.records.setdefault(plan.run, kind(SHAPE))
 
     def carry_out(self, workers: int = 2) -> None:
         with ExitStack() as stack:

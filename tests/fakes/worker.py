@@ -45,9 +45,9 @@ class FakeWorker:
         thread = threading.Thread(target=self._run)
         with ExitStack() as stack:
             stack.enter_context(self._bus.subscribe(self._keys.work(self._wid), self._inbox.put))
-            stack.enter_context(self._bus.subscribe(self._keys.ctl(self._wid), self._heed))
+            stack.enter_context(self._bus.subscribe(self._keys.ctl(self._wid), self._take_control))
             stack.enter_context(self._bus.token(self._keys.worker_token(self._wid)))
-            stack.enter_context(self._bus.watch(self._keys.coordinator_token(), self._met))
+            stack.enter_context(self._bus.watch(self._keys.coordinator_token(), self._on_coordinator))
             thread.start()
             try:
                 yield self
@@ -55,11 +55,11 @@ class FakeWorker:
                 self._inbox.put(None)
                 thread.join()
 
-    def _met(self, _key: str, alive: bool) -> None:
+    def _on_coordinator(self, _key: str, alive: bool) -> None:
         if alive:
             threading.Thread(target=self._join).start()
 
-    def _heed(self, sample: Sample) -> None:
+    def _take_control(self, sample: Sample) -> None:
         self.controls.append(messages.decode(sample.payload, Control))
 
     def _join(self) -> None:

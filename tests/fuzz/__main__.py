@@ -16,18 +16,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the changes (default: 0)")
     asked = parser.parse_args()
     began = time.monotonic()
-    lap = run(asked.messages, asked.seed)
+    result = run(asked.messages, asked.seed)
     sys.stdout.write(
-        f"{lap.messages} messages of seed {asked.seed} in {time.monotonic() - began:.0f} s: "
-        f"{lap.taken.total()} were good still, {lap.refused.total()} refused {dict(lap.refused)}, "
-        f"{len(lap.escaped)} errors that are not ours; the slowest took {1e3 * lap.slowest:.0f} ms, "
-        f"memory grew by {lap.growth >> 10} KiB after the first tenth.\n"
+        f"{result.messages} messages of seed {asked.seed} in {time.monotonic() - began:.0f} s: "
+        f"{result.taken.total()} were good still, {result.refused.total()} refused {dict(result.refused)}, "
+        f"{len(result.escaped)} errors that are not ours; the slowest took {1e3 * result.slowest:.0f} ms, "
+        f"memory grew by {result.growth >> 10} KiB after the first tenth.\n"
     )
-    for kind, payload, trace in lap.escaped[:SHOWN]:
+    for kind, payload, trace in result.escaped[:SHOWN]:
         path = CORPUS / f"{kind}-{hashlib.sha256(payload).hexdigest()[:12]}.bin"
         path.write_bytes(payload)
         sys.stderr.write(f"\n{path}\n{trace}\n")
-    sys.exit(bool(lap.escaped))
+    sys.exit(bool(result.escaped))
 
 
 if __name__ == "__main__":

@@ -122,12 +122,12 @@ class Mutator:
 CORPUS = Path(__file__).parent / "corpus"
 """Bytes that were interesting once: by their file's name, KIND-WHAT.bin."""
 SLOW = 2.0  # seconds that no message may take
-ASTRAY = 0.1
+OTHER_CONSUMER_SHARE = 0.1
 """The share of messages that are given to a consumer of another kind."""
 
 
 @dataclass
-class Lap:
+class FuzzResult:
     """Results of giving messages to consumers."""
 
     taken: Counter[str] = field(default_factory=Counter)  # those that were good still, by kind
@@ -164,21 +164,21 @@ def corpus() -> dict[str, list[bytes]]:
     return found
 
 
-def run(messages: int, seed: int) -> Lap:
+def run(messages: int, seed: int) -> FuzzResult:
     """Give so many changed messages away."""
     known, start = corpus(), seeds()
     whole = [*start.values(), *(payload for payloads in known.values() for payload in payloads)]
-    mutator, lap, early = Mutator(seed, whole), Lap(), 0
+    mutator, result, early = Mutator(seed, whole), FuzzResult(), 0
     kinds = list(CONSUMERS)
     for number in range(messages):
         kind = mutator.choose(kinds)
         begun = mutator.choose([start[kind]] * 3 + [mutator.choose(known[kind])])
         payload = mutator(begun)
-        lap.give(kind if number % round(1 / ASTRAY) else mutator.choose(kinds), payload)
+        result.give(kind if number % round(1 / OTHER_CONSUMER_SHARE) else mutator.choose(kinds), payload)
         if number == messages // 10:
             early = memory()
-    lap.growth = memory() - early
-    return lap
+    result.growth = memory() - early
+    return result
 
 
 def memory() -> int:

@@ -6,8 +6,8 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from tests.fakes.messages import put
-from tests.simulation.network import Asked, Network, World
-from tests.simulation.process import Busy, Life, Listen, Process
+from tests.simulation.network import Network, Question, World
+from tests.simulation.process import Busy, Listen, Process, Steps
 from tests.simulation.worker import BUILDING_CODE, JOB, KEYS
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
@@ -188,7 +188,7 @@ class Coordinator(Process):
         self.was_replaced = False
         super().__init__(world, network, name)
 
-    def life(self) -> Life:
+    def steps(self) -> Steps:
         """Carry all runs out, or end when another coordinator took over."""
         self.network.subscribe(self.session, KEYS.recorded)
         self.network.watch(self.session, KEYS.recorder_token())
@@ -204,16 +204,16 @@ class Coordinator(Process):
 
     def hear(self, event: object) -> None:
         """Hand requests to join over, and answer scene queries, as the subscriptions do."""
-        if isinstance(event, Asked) and event.query.key != KEYS.join:
+        if isinstance(event, Question) and event.query.key != KEYS.join:
             event.reply(self._scene(event.query.key))
         else:
-            super().hear(self._request(event) if isinstance(event, Asked) else event)
+            super().hear(self._request(event) if isinstance(event, Question) else event)
 
     def _scene(self, key: str) -> bytes | Exception:
         digests = {run.ref.scene for run in self.scheduler.runs}
         return b"a scene" if last_chunk(key) in digests else Refused("no run in progress has the scene")
 
-    def _request(self, asked: Asked) -> JoinRequest:
+    def _request(self, asked: Question) -> JoinRequest:
         def answered(answer: "Future[bytes]") -> None:
             error = answer.exception()
             asked.reply(error if isinstance(error, Exception) else answer.result())

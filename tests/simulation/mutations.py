@@ -175,15 +175,15 @@ def _take_in_silence(recorder: Recorder, message: Recordable, now: float) -> Non
 
 
 def _forget_sent(due: Real, outbox: Outbox, now: float) -> list[JournalSlice]:
-    stretches: list[JournalSlice] = due(outbox, now)
-    if stretches:
+    slices: list[JournalSlice] = due(outbox, now)
+    if slices:
         outbox._forget(outbox._end)
-    return stretches
+    return slices
 
 
-def _number_batches(outbox: Outbox, stretch: JournalSlice) -> None:
-    if len(stretch):
-        outbox._kept.append(replace(stretch, first=outbox._end))
+def _number_batches(outbox: Outbox, part: JournalSlice) -> None:
+    if len(part):
+        outbox._kept.append(replace(part, first=outbox._end))
         outbox._end += 1
 
 

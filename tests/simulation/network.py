@@ -29,7 +29,7 @@ class World:
         """Events, a line each; None: they are not noted."""
         self.touched: list[object] = []
         """Processes whose state the present event may have changed."""
-        self.look: Callable[[], None] = lambda: None
+        self.check: Callable[[], None] = lambda: None
         """Called after every event that touched something: it checks what must always hold."""
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -51,7 +51,7 @@ class World:
             call()
             self.events += 1
             if self.touched:
-                self.look()
+                self.check()
                 self.touched.clear()
                 goes_on = not is_over()
 
@@ -88,7 +88,7 @@ LEASE = 4.0
 
 
 @dataclass(frozen=True)
-class Terms:
+class LinkQuality:
     """Quality of the links; probabilities are per message and link."""
 
     delay: float = 0.01
@@ -102,7 +102,7 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Question:
     """A question that reached the process that answers it."""
 
     query: Query
@@ -145,9 +145,9 @@ def any_of(key: str) -> str:
 class Network:
     """One router, and the sessions on it."""
 
-    def __init__(self, world: World, terms: Terms) -> None:
+    def __init__(self, world: World, quality: LinkQuality) -> None:
         self._world = world
-        self.terms = terms
+        self.quality = quality
         self.is_up = True
         """True if the router runs."""
         self.sessions: list[Session] = []
@@ -229,12 +229,12 @@ class Network:
     def ask_now(self, session: Session, key: str, payload: bytes) -> bytes:
         """Put a question and have its answer at once, or `NoReply`; nothing else is done meanwhile."""
         answers: list[bytes | Exception] = []
-        chance, loss = self._world.chance, self.terms.loss
+        chance, loss = self._world.chance, self.quality.loss
         if not session.is_up or self._world.now < session.cut_until or chance.random() < loss:
             raise NoReply("there is no link")
         for other in self._reached(self._answerers, key)[:1]:
             if self._world.now >= other.cut_until:
-                other.host.hear(Asked(Query(key, "", payload), answers.append))
+                other.host.hear(Question(Query(key, "", payload), answers.append))
         if not answers or chance.random() < loss:
             raise NoReply("there is no answer")
         if isinstance(answers[0], Exception):
@@ -254,7 +254,7 @@ class Network:
         def answered(answer: bytes | Exception) -> None:
             self._travel(other, "up", Channel.DATA, lambda: back(answer))
 
-        self._travel(other, "down", Channel.DATA, lambda: other.host.hear(Asked(query, answered)))
+        self._travel(other, "down", Channel.DATA, lambda: other.host.hear(Question(query, answered)))
 
     def _route(self, sample: Sample, channel: Channel) -> None:
         for session in self._reached(self._subscribers, sample.key):
@@ -266,19 +266,19 @@ class Network:
 
     def _travel(self, session: Session, way: str, channel: Channel, call: Callable[[], None]) -> None:
         """Let a message go one way of a link: in order, late, twice or never."""
-        chance, terms = self._world.chance, self.terms
-        if not session.is_up or (terms.loss and chance.random() < terms.loss):
+        chance, quality = self._world.chance, self.quality
+        if not session.is_up or (quality.loss and chance.random() < quality.loss):
             return
         self._arrive(session, way, channel, call)
-        if terms.repeat and chance.random() < terms.repeat:
+        if quality.repeat and chance.random() < quality.repeat:
             self._arrive(session, way, channel, call)
 
     def _arrive(self, session: Session, way: str, channel: Channel, call: Callable[[], None]) -> None:
         world = self._world
-        stalls = self.terms.stall and world.chance.random() < self.terms.stall
-        delay = world.chance.uniform(0, 15) if stalls else world.exponential(self.terms.delay)
+        stalls = self.quality.stall and world.chance.random() < self.quality.stall
+        delay = world.chance.uniform(0, 15) if stalls else world.exponential(self.quality.delay)
         time = max(world.now + delay, session.cut_until)
-        if self.terms.in_order:
+        if self.quality.in_order:
             time = max(time, session.arrivals[way, channel])
             session.arrivals[way, channel] = time
         self._at(session, time, call)
@@ -314,7 +314,7 @@ class Network:
             session.host.hear(TokenChange(key, alive))
 
         time = max(
-            self._world.now + self._world.exponential(self.terms.delay),
+            self._world.now + self._world.exponential(self.quality.delay),
             session.cut_until,
             session.arrivals["tokens", Channel.CONTROL],
         )

@@ -4,7 +4,7 @@ import random
 from dataclasses import dataclass, field, replace
 
 from tests.coordinator.scheduler.search_plans import Plan
-from tests.simulation.network import Terms
+from tests.simulation.network import LinkQuality
 
 FAULTS = {
     "a worker is killed": 0.3,
@@ -57,10 +57,10 @@ class History:
     row_seconds: float
     spread: float
     """The slowest worker takes so many times as long as the fastest."""
-    terms: Terms
+    quality: LinkQuality
     latency: float
     """The mean time of a commit [s]."""
-    hiccup: float
+    failure_rate: float
     """The probability that a simulator fails on a row that is no poison, at most twice a row."""
     is_embedded: bool
     """The router is in the coordinator's process."""
@@ -96,9 +96,9 @@ def draw(number: int) -> History:
         batch_size=chance.choice([None, 1, 2, 3, 5]),
         row_seconds=chance.choice([0.05, 0.2, 0.5]),
         spread=chance.choice([1, 2, 10]),
-        terms=_terms(chance),
+        quality=_quality(chance),
         latency=chance.choice([0.01, 0.01, 0.1, 1.0]),
-        hiccup=chance.choice([0.0, 0.0, 0.1]),
+        failure_rate=chance.choice([0.0, 0.0, 0.1]),
         is_embedded=chance.random() < 0.5,
         faults=_faults(chance),
         has_shapes=chance.random() < 0.5,
@@ -134,10 +134,10 @@ def with_bad_workers(number: int) -> History:
         history,
         workers=max(2, history.workers),
         runs=tuple(replace(run, evaluations=120, successes=None, no_new_cell=None) for run in history.runs),
-        terms=Terms(delay=history.terms.delay),
+        quality=LinkQuality(delay=history.quality.delay),
         faults={name: rate for name, rate in history.faults.items() if name in HARMLESS},
         has_shapes=False,
-        hiccup=0.0,
+        failure_rate=0.0,
         checked=chance.choice([0.01, 0.1]),
         bad=tuple(chance.sample(sorted(BAD), chance.choice([1, 1, 2]))),
     )
@@ -165,10 +165,10 @@ def _grasp_goals(seed: int) -> dict[str, float]:
     return goals[seed // 7 % 2] if seed % 7 == 0 else {}
 
 
-def _terms(chance: random.Random) -> Terms:
+def _quality(chance: random.Random) -> LinkQuality:
     if chance.random() < 0.7:
-        return Terms(delay=chance.choice([0.001, 0.02, 0.2]))
-    return Terms(
+        return LinkQuality(delay=chance.choice([0.001, 0.02, 0.2]))
+    return LinkQuality(
         delay=chance.choice([0.001, 0.02, 0.2]),
         loss=chance.choice([0.0, 0.01, 0.05]),
         repeat=chance.choice([0.0, 0.1, 0.3]),
@@ -180,5 +180,5 @@ def _terms(chance: random.Random) -> Terms:
 def _faults(chance: random.Random) -> dict[str, float]:
     """Some of the faults, some of them often: each history has its own kind of trouble."""
     share = chance.choice([0.0, 0.1, 0.25, 0.5, 1.0])
-    haste = chance.choice([0.5, 1.0, 3.0])
-    return {name: haste * rate for name, rate in FAULTS.items() if chance.random() < share}
+    factor = chance.choice([0.5, 1.0, 3.0])
+    return {name: factor * rate for name, rate in FAULTS.items() if chance.random() < share}

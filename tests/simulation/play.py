@@ -22,7 +22,7 @@ from qdgrasp_coordinator.scheduler import batch_table, recorder_client
 
 
 class Faults:
-    """Lets things go wrong on a stage until it is calm."""
+    """Injects the faults of a simulation until it is calm."""
 
     def __init__(self, stage: Simulation) -> None:
         self._stage = stage
@@ -134,7 +134,7 @@ class Faults:
         self._stage.disk.restore(self._chance)
 
 
-SMALL = [
+SMALL_BOUNDS = [
     (recorder_client, "MESSAGE_ROWS", 4),
     (recorder_client, "MOST_UNCONFIRMED", 8),
     (recorder_client, "REPLAY_ROWS", 7),
@@ -169,7 +169,7 @@ def small_and_quiet() -> Iterator[None]:
     structlog.configure(wrapper_class=quiet, cache_logger_on_first_use=False)
     try:
         with ExitStack() as stack:
-            for module, name, value in SMALL:
+            for module, name, value in SMALL_BOUNDS:
                 stack.enter_context(patch.object(module, name, value))
             yield
     finally:
@@ -187,9 +187,9 @@ def play(history: History | int, *, trace: bool = False) -> Verdict:
 def _play(history: History, trace: bool) -> Verdict:
     random.seed(history.number)  # the jitter of workers
     stage = Simulation(history)
-    watch = SimulationChecker(stage)
+    checker = SimulationChecker(stage)
     world = stage.world
-    world.look = watch.look
+    world.check = checker.check
     world.trace = [] if trace else None
     verdict = Verdict(history)
     try:

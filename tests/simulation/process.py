@@ -28,7 +28,7 @@ class Busy:
 
 SHORT, MOST_SHORT = 1e-3, 20
 """Seconds that count as no wait, and the most such waits in a row with nothing to do."""
-Life = Generator[Listen | Busy, None, None]
+Steps = Generator[Listen | Busy, None, None]
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Process:
         self.is_frozen = False
         self.session = network.open(self)
         self.bus: Bus = SessionBus(self)  # type: ignore[assignment]
-        self._life = self.life()
+        self._step_iterator = self.steps()
         self._waits = 0  # waits are numbered: the end of an older one has no effect
         self._is_listening = False
         self._owed: int | None = None
@@ -80,7 +80,7 @@ class Process:
         """It is there, and not frozen."""
         return not (self.is_over or self.is_frozen)
 
-    def life(self) -> Life:
+    def steps(self) -> Steps:
         """Act from the start to the end."""
         raise NotImplementedError
 
@@ -131,8 +131,8 @@ class Process:
     def _be_over(self) -> None:
         self.note("dies")
         self.is_over = True
-        if not self._life.gi_running:
-            self._life.close()
+        if not self._step_iterator.gi_running:
+            self._step_iterator.close()
 
     def _let_go(self, connection: int) -> None:
         if self.is_frozen and not self.is_over and self.session.connection == connection:
@@ -169,7 +169,7 @@ class Process:
         self._is_listening = False
         self.world.touched.append(self)
         try:
-            request = next(self._life)
+            request = next(self._step_iterator)
         except StopIteration:
             self.end()
             return

@@ -6,8 +6,8 @@ from pathlib import Path
 from random import Random
 
 from tests.fakes.messages import put
-from tests.simulation.network import Asked, Network, World
-from tests.simulation.process import Busy, Life, Listen, Process
+from tests.simulation.network import Network, Question, World
+from tests.simulation.process import Busy, Listen, Process, Steps
 from tests.simulation.worker import JOB, KEYS
 
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
@@ -249,7 +249,7 @@ class SimulatedRecorder(Process):
         self.recorder: Recorder | None = None
         super().__init__(world, network, name)
 
-    def life(self) -> Life:
+    def steps(self) -> Steps:
         """Wait for the lock of the folder, then record."""
         while self._disk.holder is not None:
             yield Busy(1.0)
@@ -266,10 +266,10 @@ class SimulatedRecorder(Process):
 
     def hear(self, event: object) -> None:
         """Answer a query at once when its sender does not wait in between; see `Network.ask_now`."""
-        if isinstance(event, Asked) and self.recorder is not None and self.is_running:
+        if isinstance(event, Question) and self.recorder is not None and self.is_running:
             self.world.touched.append(self)
             event.reply(self._answer(event, self.recorder))
-        elif not isinstance(event, Asked):
+        elif not isinstance(event, Question):
             super().hear(event)
 
     def end(self, *, flushed: bool = True) -> None:
@@ -281,7 +281,7 @@ class SimulatedRecorder(Process):
             self._disk.holder = None
         super().end(flushed=flushed)
 
-    def _answer(self, asked: Asked, recorder: Recorder) -> bytes | Exception:
+    def _answer(self, asked: Question, recorder: Recorder) -> bytes | Exception:
         if self._before is not None:
             return NoReply("it is busy")
         try:
@@ -292,7 +292,7 @@ class SimulatedRecorder(Process):
             self.world.later(0.0, self.end)
             return NoReply("its disk is full")
 
-    def _step(self, recorder: Recorder) -> Life:
+    def _step(self, recorder: Recorder) -> Steps:
         """Process what came, commit what is due, and report it once it is on the disk."""
         for event in self.events():
             if isinstance(event, Sample):

@@ -14,7 +14,7 @@ from tests.simulation.network import Network, World
 from tests.simulation.plan import History
 from tests.simulation.process import Process
 from tests.simulation.recorder import MemoryDisk, SimulatedRecorder
-from tests.simulation.worker import CREDIT, Forger, Mishaps, Speed, Worker
+from tests.simulation.worker import CREDIT, Forger, RandomFailures, Speed, Worker
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder import run_writer
@@ -36,8 +36,8 @@ from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.runtime.job_registry import JobSession
 
-LOOK = 1.0
-"""The keeper looks so often [s]."""
+RESTART_INTERVAL = 1.0
+"""Seconds between two checks for processes that have ended."""
 P = TypeVar("P", bound=Process)
 
 
@@ -53,9 +53,9 @@ class Simulation:
     def __init__(self, history: History) -> None:
         self.history = history
         self.world = World(history.number)
-        self.network = Network(self.world, history.terms)
+        self.network = Network(self.world, history.quality)
         self.disk = MemoryDisk()
-        self.mishaps = Mishaps(self.world.chance, history.hiccup)
+        self.failures = RandomFailures(self.world.chance, history.failure_rate)
         self.processes: list[Process] = []
         self.task = history.runs[0].task
         """The search and evaluation, the same in all runs."""
@@ -74,8 +74,8 @@ class Simulation:
         self.is_calm = False
         """Nothing goes wrong any more."""
         self.calm_since = inf
-        self.watch: SimulationChecker
-        """Set by the watch itself."""
+        self.checker: SimulationChecker
+        """Set by the checker itself."""
         self._started = 0
         if history.is_embedded:
             self.network.go_down()
@@ -90,7 +90,7 @@ class Simulation:
             self.world.later(self.world.chance.uniform(0, 2), start)
         for kind in self.history.bad:
             self.world.later(self.world.chance.uniform(4, 8), lambda kind=kind: self._start_bad(kind))
-        self.world.later(2.0, self._keep)
+        self.world.later(2.0, self._restart_ended)
 
     # Progress.
 
@@ -112,9 +112,9 @@ class Simulation:
     @property
     def is_lossy(self) -> bool:
         """Messages are lost, repeated or overtaken even on links that hold."""
-        terms = self.history.terms
-        repeats = terms.repeat or "old messages are repeated" in self.history.faults
-        return bool(terms.loss or repeats or terms.stall or not terms.in_order)
+        quality = self.history.quality
+        repeats = quality.repeat or "old messages are repeated" in self.history.faults
+        return bool(quality.loss or repeats or quality.stall or not quality.in_order)
 
     # The processes that are there.
 
@@ -137,7 +137,7 @@ class Simulation:
         """Start a bad worker once two good ones have joined."""
         coordinator = self.some(Coordinator)
         if coordinator is None or len(coordinator.scheduler.workers) < 2:
-            self.world.later(LOOK, lambda: self._start_bad(kind))
+            self.world.later(RESTART_INTERVAL, lambda: self._start_bad(kind))
         else:
             self.start_worker(kind)
 
@@ -150,7 +150,7 @@ class Simulation:
         )
         builds = int(wid, 16) % 10 < 10 * history.builders
         self.processes.append(
-            Worker(self.world, self.network, wid, self.task, self.mishaps, speed, builds=builds, bad=bad)
+            Worker(self.world, self.network, wid, self.task, self.failures, speed, builds=builds, bad=bad)
         )
 
     def start_recorder(self) -> None:
@@ -162,8 +162,8 @@ class Simulation:
             name,
             self.disk,
             self.history.latency,
-            opened=self.watch.opened,
-            reports=self.watch.reported,
+            opened=self.checker.opened,
+            reports=self.checker.reported,
         )
         self.processes.append(recorder)
 
@@ -182,7 +182,7 @@ class Simulation:
             self._plan,
             self.history.batch_size,
             checked=self.history.checked,
-            on_epoch=self.watch.began,
+            on_epoch=self.checker.began,
             built=self.built,
         )
         coordinator.session.is_local = self.history.is_embedded
@@ -206,8 +206,8 @@ class Simulation:
 
     # Processes that have ended are started again.
 
-    def _keep(self) -> None:
-        """Look after the processes, as init systems and people do."""
+    def _restart_ended(self) -> None:
+        """Start processes that have ended again, as init systems and people do."""
         chance = self.world.chance
         if not self.of(SimulatedRecorder) and chance.random() < 0.5:
             self.start_recorder()
@@ -219,7 +219,7 @@ class Simulation:
         wanted = 1 if self.is_calm else self.history.workers
         if len(self.of(Worker)) < wanted and chance.random() < 0.4:
             self.start_worker()
-        self.world.later(LOOK, self._keep)
+        self.world.later(RESTART_INTERVAL, self._restart_ended)
 
 
 Key = tuple[str, int, int, int]
@@ -368,7 +368,7 @@ class DispatchChecker:
 
     # After every event.
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Check where all batches are."""
         workers = self._workers._workers
         places: list[Key] = []
@@ -403,7 +403,7 @@ class DispatchChecker:
                 batches == known, "nothing is lost", wid, "is leased", batches, "and known to hold", known
             )
 
-    def look_at_bounds(self) -> None:
+    def check_bounds(self) -> None:
         """Check credit, and how much is remembered."""
         for worker in self._workers:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
@@ -419,7 +419,7 @@ class DispatchChecker:
         open_runs = {run.name for run in self._host.scheduler.runs}
         require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")
 
-    def look_at_members(self, living: set[str]) -> None:
+    def check_workers(self, living: set[str]) -> None:
         """Check that only workers that are there are remembered."""
         living = living | {worker.wid for worker in self._workers if worker.is_excluded}  # have just left
         gone = set(self._workers._workers) - living
@@ -442,13 +442,13 @@ SETTLED_DOWN = 45.0
 
 
 class SimulationChecker:
-    """Watches a whole stage."""
+    """Checks a whole simulation after every event."""
 
     def __init__(self, stage: Simulation) -> None:
         self._stage = stage
         self._dispatches: dict[str, DispatchChecker] = {}
         self._checked: dict[str, int] = {}
-        """Stretches on the disk that were compared, by run."""
+        """Slices on the disk that were compared, by run."""
         self._pushed: dict[ActiveRun, int] = {}
         self._epochs: set[int] = set()
         self._listed: dict[str, tuple[int, set[bytes]]] = {}
@@ -457,7 +457,7 @@ class SimulationChecker:
         """Rows on the disk."""
         self._rows_at_progress = 0
         self._progress = 0.0
-        stage.watch = self
+        stage.checker = self
 
     def began(self, host: Coordinator) -> None:
         """Watch a dispatcher as its epoch begins."""
@@ -484,23 +484,23 @@ class SimulationChecker:
         durable = self._stage.disk.counts().get(report.run, 0)
         require(report.durable <= durable, "acknowledged when durable", report.durable, "of", durable)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Check everything that the last event touched."""
         for process in dict.fromkeys(self._stage.world.touched):
             match process:
                 case Coordinator():
                     self._stage.is_done |= process.is_done
                     if not process.is_over:
-                        self._look_at_coordinator(process)
+                        self._check_coordinator(process)
                 case SimulatedRecorder():
-                    self._look_at_disk()
+                    self._check_disk()
                     self._rows = sum(self._stage.disk.counts().values())
-                    self._look_at_recorder(process)
+                    self._check_recorder(process)
                 case Worker(is_over=False):
-                    self._look_at_worker(process)
-        self._look_at_progress()
+                    self._check_worker(process)
+        self._check_progress()
 
-    def _look_at_disk(self) -> None:
+    def _check_disk(self) -> None:
         size, disk = self._stage.task.shape.dtype.itemsize, self._stage.disk
         for run, file in disk.files.items():
             done = min(self._checked.get(run, 0), len(file.slices))
@@ -518,18 +518,18 @@ class SimulationChecker:
                     )
             self._checked[run] = len(file.slices)
 
-    def _look_at_coordinator(self, coordinator: Coordinator) -> None:
+    def _check_coordinator(self, coordinator: Coordinator) -> None:
         for run in coordinator.scheduler.runs:
-            self._look_at_run(run)
-        watch = self._dispatches.get(coordinator.name)
-        if watch is None:
+            self._check_run(run)
+        checker = self._dispatches.get(coordinator.name)
+        if checker is None:
             return
-        watch.look()
-        watch.look_at_bounds()
+        checker.check()
+        checker.check_bounds()
         if self._stage.calm_seconds > SETTLED_DOWN and coordinator.is_running:
-            watch.look_at_members({worker.wid for worker in self._stage.of(Worker)})
+            checker.check_workers({worker.wid for worker in self._stage.of(Worker)})
 
-    def _look_at_run(self, run: ActiveRun) -> None:
+    def _check_run(self, run: ActiveRun) -> None:
         """Check what the outbox keeps."""
         assert isinstance(run.sink, RecorderClient)
         box, plan = run.sink._outbox, self._stage.plans[run.name]
@@ -548,13 +548,13 @@ class SimulationChecker:
             require(
                 kept <= durable, "recorded before forgotten", f"{kept} is forgotten, {durable} are durable"
             )
-        _look_at_kept(box)
-        for stretch in box._kept if self._pushed.get(run) != box._end else ():
-            expected = self._stage.journals[run.name][stretch.first * size : stretch.stop * size]
-            require(stretch.rows.tobytes() == expected, "told in order", f"{run.name}: from {stretch.first}")
+        _check_kept(box)
+        for part in box._kept if self._pushed.get(run) != box._end else ():
+            expected = self._stage.journals[run.name][part.first * size : part.stop * size]
+            require(part.rows.tobytes() == expected, "told in order", f"{run.name}: from {part.first}")
         self._pushed[run] = box._end
 
-    def _look_at_recorder(self, recorder: SimulatedRecorder) -> None:
+    def _check_recorder(self, recorder: SimulatedRecorder) -> None:
         if recorder.recorder is not None:
             for writer in recorder.recorder.writers.values():
                 waiting = writer.expected - writer.durable
@@ -562,21 +562,21 @@ class SimulationChecker:
             reports = recorder.recorder._reports
             require(set(reports._due) <= set(self._stage.plans), "bounded memory", "reports")
 
-    def _look_at_worker(self, worker: Worker) -> None:
+    def _check_worker(self, worker: Worker) -> None:
         session = worker.session_of_job
         if session is None:
             return
-        self._look_at_fence(worker, session)
+        self._check_fence(worker, session)
         held = len(session.held)
         if held > CREDIT and not self._stage.is_lossy:
-            unknown = sum(watch.taken_back[worker.wid] for watch in self._dispatches.values())
+            unknown = sum(checker.taken_back[worker.wid] for checker in self._dispatches.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
         known = {task.work.batch for task in worker.supervisor.tasks} | set(session.held)
         under_way = worker.service._builder.build
         known |= {under_way.batch} if under_way else set()
         require(session._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
 
-    def _look_at_fence(self, worker: Worker, session: JobSession) -> None:
+    def _check_fence(self, worker: Worker, session: JobSession) -> None:
         number, listed = self._listed.get(worker.wid, (0, set()))
         if number != session.number:
             number, listed = self._listed[worker.wid] = (session.number, set(session.held))
@@ -585,7 +585,7 @@ class SimulationChecker:
             require(is_fenced, "fenced", worker.name, "holds work of join", work.join, "of", number)
             require(work.epoch == session.epoch, "fenced", worker.name, "holds work of epoch", work.epoch)
 
-    def _look_at_progress(self) -> None:
+    def _check_progress(self) -> None:
         stage, now = self._stage, self._stage.world.now
         if self._rows != self._rows_at_progress or not stage.is_calm:
             self._rows_at_progress, self._progress = self._rows, now
@@ -593,11 +593,11 @@ class SimulationChecker:
         require(now - self._progress < patience, "progress", f"{self._rows} rows since {self._progress:.1f}")
 
 
-def _look_at_kept(box: Outbox) -> None:
+def _check_kept(box: Outbox) -> None:
     """Check that the outbox keeps everything behind what is confirmed, without a gap."""
     stop = box._kept[0].first if box._kept else box._end
     require(stop <= box.confirmed or not box.unconfirmed, "recorded before forgotten", stop, box.confirmed)
-    for stretch in box._kept:
-        require(stretch.first == stop, "recorded before forgotten", "a gap at", stop)
-        stop = stretch.stop
+    for part in box._kept:
+        require(part.first == stop, "recorded before forgotten", "a gap at", stop)
+        stop = part.stop
     require(stop == box._end, "recorded before forgotten", "the end is missing:", stop, box._end)

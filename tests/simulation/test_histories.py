@@ -14,7 +14,7 @@ from tests.coordinator.search.synthetic_scene import plain
 from tests.fakes.messages import ANN, join_message
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.mutations import MUTATIONS, Mutation, noticed
-from tests.simulation.network import LEASE, Clock, Network, Session, Terms, World
+from tests.simulation.network import LEASE, Clock, LinkQuality, Network, Session, World
 from tests.simulation.plan import FAULTS, History, draw
 from tests.simulation.play import Verdict, play
 
@@ -100,17 +100,17 @@ QUIET = History(
     batch_size=2,
     row_seconds=0.2,
     spread=2,
-    terms=Terms(),
+    quality=LinkQuality(),
     latency=0.01,
-    hiccup=0.0,
+    failure_rate=0.0,
     is_embedded=False,
 )
 TROUBLE = {
-    "messages that are lost": {"terms": Terms(loss=0.05)},
-    "messages that are repeated": {"terms": Terms(repeat=0.3)},
-    "messages that overtake each other": {"terms": Terms(delay=0.3, in_order=False)},
-    "messages that come much too late": {"terms": Terms(stall=0.02, in_order=False)},
-    "simulators that end now and then": {"hiccup": 0.2},
+    "messages that are lost": {"quality": LinkQuality(loss=0.05)},
+    "messages that are repeated": {"quality": LinkQuality(repeat=0.3)},
+    "messages that overtake each other": {"quality": LinkQuality(delay=0.3, in_order=False)},
+    "messages that come much too late": {"quality": LinkQuality(stall=0.02, in_order=False)},
+    "simulators that end now and then": {"failure_rate": 0.2},
     "slow disks": {"latency": 2.0},
     "workers of which some are slow": {"spread": 30.0, "workers": 6},
     "three runs at once": {"runs": tuple(Plan(seed=seed, population=6, evaluations=20) for seed in range(3))},
@@ -294,9 +294,9 @@ class Listener:
 class Pair:
     """A sender and a receiver."""
 
-    def __init__(self, terms: Terms) -> None:
+    def __init__(self, quality: LinkQuality) -> None:
         self.world = World(1)
-        self.network = Network(self.world, terms)
+        self.network = Network(self.world, quality)
         self.ann, self.bob = Listener(self.world, "ann"), Listener(self.world, "bob")
         self.sender, self.hearer = self.network.open(self.ann), self.network.open(self.bob)
         self.network.subscribe(self.hearer, "a/b/*")
@@ -311,15 +311,15 @@ class Pair:
 
 
 def test_messages_of_a_link_arrive_in_their_order() -> None:
-    pair = Pair(Terms(delay=0.5))
+    pair = Pair(LinkQuality(delay=0.5))
     for number in range(100):
         pair.send(number)
     pair.run(100)
     assert pair.bob.numbers == list(range(100))
 
 
-def test_messages_may_overtake_each_other_where_the_terms_say_so() -> None:
-    pair = Pair(Terms(delay=0.5, in_order=False))
+def test_messages_may_overtake_each_other_where_allowed() -> None:
+    pair = Pair(LinkQuality(delay=0.5, in_order=False))
     for number in range(100):
         pair.send(number)
     pair.run(100)
@@ -327,10 +327,10 @@ def test_messages_may_overtake_each_other_where_the_terms_say_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("terms", "least", "most"), [(Terms(loss=0.1), 1, 399), (Terms(repeat=0.1), 401, 800)]
+    ("quality", "least", "most"), [(LinkQuality(loss=0.1), 1, 399), (LinkQuality(repeat=0.1), 401, 800)]
 )
-def test_messages_are_lost_and_repeated_as_the_terms_say(terms: Terms, least: int, most: int) -> None:
-    pair = Pair(terms)
+def test_messages_are_lost_and_repeated_as_given(quality: LinkQuality, least: int, most: int) -> None:
+    pair = Pair(quality)
     for number in range(400):
         pair.send(number)
     pair.run(100)
@@ -338,7 +338,7 @@ def test_messages_are_lost_and_repeated_as_the_terms_say(terms: Terms, least: in
 
 
 def test_a_link_that_is_cut_for_less_than_a_lease_only_delays() -> None:
-    pair = Pair(Terms())
+    pair = Pair(LinkQuality())
     pair.network.cut(pair.hearer, LEASE - 1)
     pair.send(1)
     pair.run(60)
@@ -348,7 +348,7 @@ def test_a_link_that_is_cut_for_less_than_a_lease_only_delays() -> None:
 
 
 def test_what_is_sent_over_a_link_that_breaks_is_lost_and_both_ends_notice() -> None:
-    pair = Pair(Terms())
+    pair = Pair(LinkQuality())
     pair.network.cut(pair.hearer, LEASE + 1)
     pair.send(1)
     pair.run(60)
@@ -359,7 +359,7 @@ def test_what_is_sent_over_a_link_that_breaks_is_lost_and_both_ends_notice() -> 
 
 
 def test_what_is_put_without_a_link_is_lost() -> None:
-    pair = Pair(Terms())
+    pair = Pair(LinkQuality())
     pair.network.drop(pair.sender)
     pair.send(1)
     pair.run(60)
@@ -367,7 +367,7 @@ def test_what_is_put_without_a_link_is_lost() -> None:
 
 
 def test_a_token_vanishes_with_its_session_and_comes_back_with_it() -> None:
-    pair = Pair(Terms())
+    pair = Pair(LinkQuality())
     pair.network.watch(pair.hearer, "live/*")
     pair.network.token(pair.sender, "live/ann")
     pair.run(5)
@@ -390,7 +390,7 @@ def test_clocks_differ_and_waiting_ends_when_they_show_it() -> None:
 
 
 def test_a_token_that_two_sessions_have_is_gone_with_the_second() -> None:
-    pair = Pair(Terms())
+    pair = Pair(LinkQuality())
     third = pair.network.open(Listener(pair.world, "eve"))
     pair.network.watch(pair.hearer, "live/*")
     for session in (pair.sender, third):

@@ -15,7 +15,7 @@ import numpy as np
 from tests.coordinator.scheduler.search_plans import Task
 from tests.fakes.messages import put
 from tests.simulation.network import Network, World
-from tests.simulation.process import Life, Listen, Process
+from tests.simulation.process import Listen, Process, Steps
 
 from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
@@ -56,14 +56,14 @@ START = 0.3
 
 
 @dataclass
-class Mishaps:
+class RandomFailures:
     """Rows on which simulators fail now and then, each at most twice: no poison."""
 
     chance: Random
     rate: float
     failed: Counter[bytes] = field(default_factory=Counter)
 
-    def strikes(self, row: np.void) -> bool:
+    def fails_row(self, row: np.void) -> bool:
         """True if a simulator fails on a row now."""
         key = row["genome"].tobytes() + row["trial"].tobytes()
         if self.failed[key] < 2 and self.chance.random() < self.rate:
@@ -71,7 +71,7 @@ class Mishaps:
             return True
         return False
 
-    def strikes_build(self, key: str) -> bool:
+    def fails_build(self, key: str) -> bool:
         """True if a build of a shape fails now."""
         if self.failed[key.encode()] < 2 and self.chance.random() < self.rate:
             self.failed[key.encode()] += 1
@@ -87,7 +87,7 @@ class Speed:
     rows_at_once: int
 
 
-class Formula:
+class FormulaSimulator:
     """A simulator process as a worker sees it; `hear` takes its news."""
 
     def __init__(
@@ -95,7 +95,7 @@ class Formula:
         host: "Process",
         task: Task,
         speed: Speed,
-        mishaps: Mishaps,
+        failures: RandomFailures,
         hear: Callable[[SimulatorEvent], None],
         bad: str = "",
     ) -> None:
@@ -103,7 +103,7 @@ class Formula:
         self._host = host
         self._task = task
         self._speed = speed
-        self._mishaps = mishaps
+        self._failures = failures
         self._hear = hear
         self._queue: deque[EvaluateRows] = deque()
         self._scenes: set[str] = set()
@@ -173,10 +173,10 @@ class Formula:
         if self._bad == "silent":
             seconds = n * SILENT_SECONDS
             for second in range(1, int(seconds)):
-                self._later(second, self._linger)
+                self._later(second, self._progress)
         self._later(seconds * (SLOWNESS if self._bad == "slow" else 1), lambda: self._finish(batch, start, n))
 
-    def _linger(self) -> None:
+    def _progress(self) -> None:
         self._steps += 1
 
     def _finish(self, batch: EvaluateRows, start: int, n: int) -> None:
@@ -197,7 +197,7 @@ class Formula:
 
     def _fails(self, row: np.void) -> bool:
         is_poison = bool(row["outcome"] == Outcome.ERROR)
-        return is_poison or self._bad == "sick" or self._mishaps.strikes(row)
+        return is_poison or self._bad == "sick" or self._failures.fails_row(row)
 
     def _part(self, found: Rows, failed: list[int]) -> PartialResult:
         found[failed] = np.zeros((), found.dtype)
@@ -232,7 +232,7 @@ CREDIT = 2
 
 
 @dataclass
-class SimulatedErrands:
+class SimulatedRequests:
     """Questions, each on its own way; what comes back goes to the inbox."""
 
     host: "Worker"
@@ -267,15 +267,15 @@ class SimulatedErrands:
 class SimulatedBuilder:
     """Builds shapes, each after a time; some fail, at most twice."""
 
-    def __init__(self, host: "Worker", mishaps: Mishaps) -> None:
+    def __init__(self, host: "Worker", failures: RandomFailures) -> None:
         self.build: Build | None = None
         self._host = host
-        self._mishaps = mishaps
+        self._failures = failures
 
     def start(self, job: str, build: Build) -> None:
         assert self.build is None
         self.build = build
-        fails = self._mishaps.strikes_build(build.task.key)
+        fails = self._failures.fails_build(build.task.key)
         ended = BuildEnded(job, build, b"" if fails else b"a shape", "it failed" if fails else "")
         self._host.world.later(
             self._host.world.exponential(BUILDING),
@@ -311,7 +311,7 @@ class Worker(Process):
         network: Network,
         wid: str,
         task: Task,
-        mishaps: Mishaps,
+        failures: RandomFailures,
         speed: Speed,
         *,
         builds: bool = False,
@@ -321,7 +321,7 @@ class Worker(Process):
         self._bad = bad
         self._builds = BUILDING_CODE if builds else ""
         self._task = task
-        self._mishaps = mishaps
+        self._failures = failures
         self._speed = speed
         self._stop = Stop()
         super().__init__(world, network, f"worker {int(wid, 16)}")
@@ -343,10 +343,10 @@ class Worker(Process):
         """Have the simulator killed, for its memory."""
         self.note("loses its simulator")
         simulator = self.supervisor._simulator
-        assert isinstance(simulator, Formula)
+        assert isinstance(simulator, FormulaSimulator)
         simulator.be_killed()
 
-    def life(self) -> Life:
+    def steps(self) -> Steps:
         """Serve until asked to stop."""
         for pattern in (KEYS.work(self.wid), KEYS.ctl(self.wid)):
             self.network.subscribe(self.session, pattern)
@@ -358,13 +358,13 @@ class Worker(Process):
                 self.service._take(_event(event), self.now)
             self.service._step(self.now)
 
-    def _start_simulator(self) -> Formula:
-        return Formula(self, self._task, self._speed, self._mishaps, self.hear, self._bad)
+    def _start_simulator(self) -> FormulaSimulator:
+        return FormulaSimulator(self, self._task, self._speed, self._failures, self.hear, self._bad)
 
     def _new_service(self) -> WorkerService:
         with (
-            patch.object(serving, "BackgroundRequests", lambda *_: SimulatedErrands(self)),
-            patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._mishaps)),
+            patch.object(serving, "BackgroundRequests", lambda *_: SimulatedRequests(self)),
+            patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._failures)),
             patch.object(serving, "worker_id", lambda _: self.wid),
         ):
             how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}
@@ -390,7 +390,7 @@ class Forger(Process):
         self._wid = worker_id(self._key)
         super().__init__(world, network, f"forger {int(wid, 16)}")
 
-    def life(self) -> Life:
+    def steps(self) -> Steps:
         """Overhear results, and forge."""
         self.network.subscribe(self.session, KEYS.result())
         while True:

@@ -132,13 +132,13 @@ def test_bench_measures_one_worker_and_all_and_leaves_nothing(qdgrasp):
     done = qdgrasp.succeed(*BENCH, "--workers", 2, "--json")
     (scene,) = done.json["scenes"]
     assert (scene["gripper"], scene["object"], scene["protocol"]) == ("panda", "tennis_ball", "paper")
-    assert [(pace["regime"], pace["workers"]) for pace in scene["paces"]] == [
+    assert [(rate["regime"], rate["workers"]) for rate in scene["rates"]] == [
         ("anywhere", 1),
         ("near grasps", 1),
         ("anywhere", 2),
         ("near grasps", 2),
     ]
-    anywhere, near = scene["paces"][:2]
+    anywhere, near = scene["rates"][:2]
     assert anywhere["per_cpu_second"] > near["per_cpu_second"]
     assert anywhere["success_share"] < 0.3 < near["success_share"]
     assert scene["memory_bytes"] > 50e6

@@ -130,8 +130,8 @@ class ClosingSearch:
     def left(self, choices: Mapping[int, Choice], resting: Mapping[str, float | Floats]) -> Floats:
         """Return the share of the open distances that is left on the way: (k,).
 
-        It is the mean of the least share and of the average in the first half of the way, in which a hand that
-        closes the wrong way round, behind itself, opens first.
+        It is the mean of the least share and of the average in the first half of the way, in which a hand
+        that closes the wrong way round, behind itself, opens first.
 
         `resting` has positions [rad or m], or k of them, of joints that do not close.
         """

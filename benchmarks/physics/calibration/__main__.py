@@ -39,7 +39,7 @@ def origin_of(design: Design) -> Origin:
     return Origin(design.words, code_digest()[:HEX], mujoco[:HEX])
 
 
-def carry_on(runs: list[tuple[RunKey, Design]], out: Path, file: Path) -> None:
+def measure_missing(runs: list[tuple[RunKey, Design]], out: Path, file: Path) -> None:
     """Measure the runs that the table does not have, one after the other."""
     for run, design in runs:
         origin = origin_of(design)
@@ -108,7 +108,7 @@ def main(words: list[str] | None = None) -> None:
             for seed in asked.seeds
             for hand, target in asked.scenes
         ]
-        carry_on(runs, asked.out, asked.table)
+        measure_missing(runs, asked.out, asked.table)
     except QdgraspError as error:
         given.error(str(error))
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.physics.calibration.table import GraspRow, Group, Origin, RunKey, grasp_row
-from benchmarks.physics.eta import Arrays, evaluated, kept_arrays
+from benchmarks.physics.eta import Arrays, cached_arrays, evaluated
 from benchmarks.results.measure import HEX
 from benchmarks.single_run import run as single_run
 from msgspec.structs import replace as changed
@@ -252,10 +252,10 @@ class Study:
             }
         )
 
-    def _kept(self, name: str, make: Callable[[], Arrays]) -> Arrays:
+    def _cached(self, name: str, make: Callable[[], Arrays]) -> Arrays:
         """Arrays of a file, made where there is none."""
         stem = f"{self.run.gripper}-{self.run.object}-s{self.run.seed}-{name}"
-        return kept_arrays(self._folder / f"{stem}.npz", make)
+        return cached_arrays(self._folder / f"{stem}.npz", make)
 
     @cached_property
     def scene(self) -> Scene:
@@ -270,7 +270,7 @@ class Study:
             rows = single_run(self.spec).rows
             return {"rows": rows[rows["outcome"] >= Outcome.DROPPED]}
 
-        return self._kept("run", make)["rows"]
+        return self._cached("run", make)["rows"]
 
     def genomes(self, places: Sequence[int]) -> Genomes:
         """Genomes of the prior `given` of successes."""
@@ -279,7 +279,7 @@ class Study:
     @cached_property
     def ranking(self) -> Arrays:
         """Places of the candidates, best first, with their eta and number of trials."""
-        return self._kept("ranking", self._rank)
+        return self._cached("ranking", self._rank)
 
     def _rank(self) -> Arrays:
         """Rank as `qdgrasp rerank` does; of equal etas the greater margin comes first."""
@@ -342,7 +342,7 @@ class Study:
             with Evaluator(build_scene(spec)) as evaluator:
                 return evaluated(evaluator, self.genomes(drawn), range(1, self._design.trials + 1))
 
-        fitness = self._kept("trials", make)["fitness"].reshape(len(drawn), self._design.trials)
+        fitness = self._cached("trials", make)["fitness"].reshape(len(drawn), self._design.trials)
         etas = fitness.mean(axis=1) / self.spec.disturbances
         known |= {place: (float(eta), self._design.trials) for place, eta in zip(drawn, etas, strict=True)}
         return [known[place] for _, _, place in self.chosen]
@@ -354,7 +354,7 @@ class Study:
             each = [poses[i] for i in range(len(poses))]
             return {"held": held_shares(self.spec, disturbance, each, self._design.arm)}
 
-        shares: list[float] = self._kept(disturbance.name, make)["held"].tolist()
+        shares: list[float] = self._cached(disturbance.name, make)["held"].tolist()
         return shares
 
     def measure(self, origin: Origin) -> list[GraspRow]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import msgspec
-from benchmarks.results.table import disk_text, held, written
+from benchmarks.results.table import disk_text, locked, written
 from msgspec import Struct
 
 from qdgrasp_coordinator.storage import atomic_files
@@ -154,7 +154,7 @@ def is_measured(rows: Iterable[GraspRow], run: RunKey, origin: Origin) -> bool:
 
 def add(file: Path, run: RunKey, found: Sequence[GraspRow]) -> list[GraspRow]:
     """Put the rows of a run into a file's table, and return all its rows."""
-    with held(file):
+    with locked(file):
         rows = replaced(read(file), run, found)
         with atomic_files.writing(file.parent):
             atomic_files.write(file, text(rows).encode())

@@ -281,11 +281,7 @@ def _meaning(options: DatasetOptions, figures: DatasetFigures) -> str:
     )
     least = " or ".join(map(str, sorted(filter(None, figures.least))))
     taken = options.choice | ({"min_fitness": least} if options.choice["min_fitness"] is None else {})
-    given = {
-        name: value
-        for name, value in taken.items()
-        if value is not None and (value != 0 or name not in ("min_fitness", "min_quality"))
-    }
+    given = {name: each for name, each in taken.items() if each is not None and (each or "min_" not in name)}
     limits = given.pop("limits", {})
     given |= {name: value for name, value in limits.items() if value is not None}
     chosen = ", ".join(f"{name} {value}" for name, value in given.items()) or "every success"

@@ -288,7 +288,7 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     """Time from the start of a worker's process to its first result."""
     memory_bytes: int
     """Peak memory of a worker and the processes it started."""
-    paces: list[RegimeRate]
+    rates: list[RegimeRate]
     scaling: dict[str, float]
     """By regime: evaluations per second of all workers over those of one."""
     run_seconds: dict[str, float]
@@ -297,16 +297,16 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     @property
     def lines(self) -> Iterator[str]:
         """The scene's part of the table."""
-        counts = sorted({pace.workers for pace in self.paces})
+        counts = sorted({rate.workers for rate in self.rates})
         heads = [counted(n, "worker") for n in counts]
         yield _line(f"{self.gripper} on {self.object}", *heads, "scaling" if len(counts) > 1 else "")
-        for regime in dict.fromkeys(pace.regime for pace in self.paces):
-            paces = [pace for pace in self.paces if pace.regime == regime]
+        for regime in dict.fromkeys(rate.regime for rate in self.rates):
+            rates = [rate for rate in self.rates if rate.regime == regime]
             scaling = [f"x {self.scaling[regime]:.2f}"] if regime in self.scaling else []
-            yield _line(f"  {regime}, a second", *(_number(pace.per_second) for pace in paces), *scaling)
-            yield _line("    a CPU second", *(_number(pace.per_cpu_second) for pace in paces))
-            yield _line("    of a core each", *(f"{pace.core_share:.0%}" for pace in paces))
-            yield _line("    successes", *(f"{pace.success_share:.1%}" for pace in paces))
+            yield _line(f"  {regime}, a second", *(_number(rate.per_second) for rate in rates), *scaling)
+            yield _line("    a CPU second", *(_number(rate.per_cpu_second) for rate in rates))
+            yield _line("    of a core each", *(f"{rate.core_share:.0%}" for rate in rates))
+            yield _line("    successes", *(f"{rate.success_share:.1%}" for rate in rates))
         yield f"  A worker starts in {self.start_seconds:.1f} s and takes {self.memory_bytes / 1e6:.0f} MB."
         yield f"  {self.run_time_words}"
 
@@ -352,16 +352,16 @@ def regime_rate(regime: PoseRegime, workers: int, work: Throughput) -> RegimeRat
     )
 
 
-def scaling(paces: Sequence[RegimeRate]) -> dict[str, float]:
+def scaling(rates: Sequence[RegimeRate]) -> dict[str, float]:
     """Return the speed of the most workers over that of one, by regime; empty with one worker."""
-    alone = {pace.regime: pace.per_second for pace in paces if pace.workers == 1}
-    return {pace.regime: pace.per_second / alone[pace.regime] for pace in paces if pace.workers > 1}
+    alone = {rate.regime: rate.per_second for rate in rates if rate.workers == 1}
+    return {rate.regime: rate.per_second / alone[rate.regime] for rate in rates if rate.workers > 1}
 
 
-def run_seconds(paces: Sequence[RegimeRate]) -> dict[str, float]:
+def run_seconds(rates: Sequence[RegimeRate]) -> dict[str, float]:
     """Return the time that a run takes the most workers if all poses are of a regime [s]."""
-    most = max(pace.workers for pace in paces)
-    return {pace.regime: RUN_EVALUATIONS / pace.per_second for pace in paces if pace.workers == most}
+    most = max(rate.workers for rate in rates)
+    return {rate.regime: RUN_EVALUATIONS / rate.per_second for rate in rates if rate.workers == most}
 
 
 def duration(seconds: float) -> str:

@@ -111,7 +111,7 @@ class SceneBenchmark:
             protocol=self._spec.protocol,
             start_seconds=self._start_seconds,
             memory_bytes=self._memory,
-            paces=self._rates,
+            rates=self._rates,
             scaling=scaling(self._rates),
             run_seconds=run_seconds(self._rates),
         )

@@ -143,12 +143,12 @@ def test_a_result_tells_how_its_rows_ended() -> None:
 
 
 def test_scaling_and_the_time_of_a_run_are_those_of_all_workers() -> None:
-    paces = [
+    rates = [
         regime_rate(PoseRegime.NEAR, workers, Throughput(workers, 100, rate, 100 / 30, 10, 60))
         for workers, rate in ((1, 30.0), (4, 90.0))
     ]
-    assert scaling(paces) == {"near grasps": pytest.approx(3.0)}
-    assert run_seconds(paces) == {"near grasps": pytest.approx(10_000 / 90)}
-    assert [pace.core_share for pace in paces] == [pytest.approx(1.0), pytest.approx(0.75)]
-    assert paces[0].success_share == pytest.approx(0.6)
-    assert scaling(paces[:1]) == {}
+    assert scaling(rates) == {"near grasps": pytest.approx(3.0)}
+    assert run_seconds(rates) == {"near grasps": pytest.approx(10_000 / 90)}
+    assert [rate.core_share for rate in rates] == [pytest.approx(1.0), pytest.approx(0.75)]
+    assert rates[0].success_share == pytest.approx(0.6)
+    assert scaling(rates[:1]) == {}

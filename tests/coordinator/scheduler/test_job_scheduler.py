@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from tests.coordinator.scheduler.leases import result
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
-from tests.fakes.job import FakeRunQueue, SlowSink, assignment, scheduler_of
+from tests.fakes.job import FakeRunQueue, SlowSink, make_run_plan, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
@@ -139,7 +139,7 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
     scheduler = scheduler_of(FakeRunQueue({"run-0": Plan()}), lambda _event: None)
     without = msgspec.structs.replace(join_message(ANN), platform={"mujoco": "4.0.1"})
     scheduler.workers.join(without, 0.0)
-    run = ActiveRun(assignment("run-0", Plan()), MemorySink(SHAPE))
+    run = ActiveRun(make_run_plan("run-0", Plan()), MemorySink(SHAPE))
     scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
     (worker,) = scheduler.workers
     assert worker.is_drained
@@ -151,7 +151,7 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
 @pytest.mark.parametrize("goes_back", [False, True])
 def test_checked_rows_count_unless_their_run_goes_back_to_what_is_recorded(goes_back: bool) -> None:
     scheduler = scheduler_of(FakeRunQueue({}), lambda _event: None)
-    run = ActiveRun(assignment("run-0", Plan(population=4)), sink := SlowSink(SHAPE))
+    run = ActiveRun(make_run_plan("run-0", Plan(population=4)), sink := SlowSink(SHAPE))
     scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
     for wid in (ANN, BOB):
         scheduler.handle(TokenChange(KEYS.worker_token(wid), True), 0.0)
@@ -174,7 +174,7 @@ def test_rows_of_an_excluded_worker_in_runs_that_ended_are_told_of(job, monkeypa
         job.joins(join_message(wid), 0.0)
     if has_settled:
         rows = SHAPE.empty(6)
-        run = ActiveRun(assignment("run-0", Plan()), MemorySink(SHAPE))
+        run = ActiveRun(make_run_plan("run-0", Plan()), MemorySink(SHAPE))
         run.pipeline.ask()
         job.scheduler._take_rows(run, ANN, SettleReply(Settlement.FRESH, rows), rows, 1.0)
     ann, bob = (worker.name for worker in job.scheduler.workers)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.common import PATIENCE
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
-from tests.fakes.job import FakeRunQueue, OpenedSink, assignment, runs_of
+from tests.fakes.job import FakeRunQueue, OpenedSink, make_run_plan, runs_of
 
 from qdgrasp_coordinator.scheduler import run_registry
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoaderEvent, NoRunLeft
@@ -34,7 +34,7 @@ class Recorded(OpenedSink):
 
 
 def opened(plan: Plan, rows: Rows, page: int) -> ActiveRun:
-    run = ActiveRun(assignment("run", plan), Recorded(rows, page))
+    run = ActiveRun(make_run_plan("run", plan), Recorded(rows, page))
     run.open(0, lambda: None)
     return run
 

@@ -100,7 +100,7 @@ class PageState:
     def state(self) -> bytes:
         """Return all jobs as they are now, as JSON in one line: what is sent twice a second."""
         jobs = [JobState.of(view) for view in self.views()]
-        link = {"linked": self._feed.is_linked, "strangers": self._feed.foreign_jobs}
+        link = {"linked": self._feed.is_linked, "foreign_jobs": self._feed.foreign_jobs}
         return msgspec.json.encode({"at": time.time(), **link, "jobs": jobs})
 
     def curves(self, job: str) -> bytes:

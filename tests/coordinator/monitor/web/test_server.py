@@ -327,18 +327,18 @@ def test_nothing_can_be_written(feed: FakeFeed, method: str) -> None:
 
 
 def test_without_the_token_nothing_is_seen_but_how_the_door_looks(feed: FakeFeed) -> None:
-    strangers = client(feed, LOCKED)
-    assert {strangers.get(page).status_code for page in PATHS} == {401}
-    assert strangers.get("/static/style.css").status_code == 200
-    assert strangers.get("/", headers={"accept": "text/html"}).text.count("<input") == 1
+    outsider = client(feed, LOCKED)
+    assert {outsider.get(page).status_code for page in PATHS} == {401}
+    assert outsider.get("/static/style.css").status_code == 200
+    assert outsider.get("/", headers={"accept": "text/html"}).text.count("<input") == 1
 
 
 @pytest.mark.parametrize("wrong", ["", "a", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "töken"])
 def test_another_token_opens_nothing(feed: FakeFeed, wrong: str) -> None:
-    strangers = client(feed, LOCKED)
+    outsider = client(feed, LOCKED)
     for name, value in (("authorization", f"Bearer {wrong}"), ("cookie", f"{COOKIE}={wrong}")):
-        assert strangers.get("/api/state", headers={name: value.encode()}).status_code == 401
-    assert strangers.get("/", params={"token": wrong}).status_code == 401
+        assert outsider.get("/api/state", headers={name: value.encode()}).status_code == 401
+    assert outsider.get("/", params={"token": wrong}).status_code == 401
 
 
 def test_the_token_opens_the_page_in_a_header_or_a_cookie(feed: FakeFeed) -> None:
