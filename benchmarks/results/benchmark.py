@@ -209,8 +209,9 @@ def _losses(found: Sequence[GroupComparison], known: Sequence[Arm]) -> Iterator[
     )
     yield (
         f"{held_out} held-out scenes are in, the cheapest first, so that they are no random sample of all; "
-        f"of tuning scenes {tuning}. A scene is in when all its seeds are; "
-        "scenes with fewer have lines in the tables below.\n"
+        f"of tuning scenes {tuning}. Constants of the default were chosen on the tuning scenes, so that "
+        "comparisons there favour it. A scene is in when all its seeds are; scenes with fewer have lines in "
+        "the tables below.\n"
     )
 
 
@@ -354,6 +355,7 @@ def interval_words(found: ConfidenceInterval) -> str:
 
 
 PANEL = (3.6, 2.4)
+LEGEND_COLUMNS = 2
 MIDDLE_HALF = (0.25, 0.75)
 """Quantiles over scenes between which a curve is shaded."""
 AXES: Mapping[str, Mapping[str, int]] = {"evaluations": MILESTONES, "CPU seconds": CPU_MILESTONES}
@@ -368,7 +370,8 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
         arm.method: (arm.key.method, arm.method) for group in groups for arm in group.arms(known)
     }
     styles = line_styles(methods.values())
-    grid = FigureGrid(len(groups), len(AXES), PANEL, legend_rows=2, least_width=9.0)
+    legend_rows = -(-len(methods) // LEGEND_COLUMNS)
+    grid = FigureGrid(len(groups), len(AXES), PANEL, legend_rows=legend_rows, least_width=9.0)
     for row, group in enumerate(groups):
         for column, (words, milestones) in enumerate(AXES.items()):
             axes = grid.axes(row, column)
@@ -389,7 +392,7 @@ def draw(known: Sequence[Arm]) -> FigureGrid | None:
         Line2D([], [], color=styles[arm].colour, linestyle=styles[arm].dashes, label=name.replace("`", ""))
         for name, arm in methods.items()
     ]
-    grid.legend(lines, 3)
+    grid.legend(lines, LEGEND_COLUMNS)
     return grid
 
 

@@ -16,6 +16,8 @@ BENCHMARK, TOUCH = "The benchmark, scene by scene", "Successes: the search for t
 BEST_OTHER = "best other of each scene"
 TWO_FINGERS = ["panda", "robotiq_2f", "xarm", "pr2"]
 TUNING = ["ycb_rubiks_cube", "ycb_mug", "ycb_power_drill"]
+SEEDS = {False: 5, True: 10}
+"""Seeds of a method on a scene, by whether that is a tuning scene."""
 SWEPT = 3000
 """Evaluations of a run of the sweep, which is on the tuning scenes too."""
 COUNTINGS = {"overlaps redrawn": "redraw", "every pose counted": "count"}
@@ -64,7 +66,7 @@ def words_of(method: str, settings: str) -> str:
 def benchmark(runs: Runs) -> Runs:
     """The runs of the benchmark."""
     is_its = runs["settings"].str.contains("surface_seed=seed") & (runs["protocol"] == "physical in mujoco")
-    return runs[is_its]
+    return runs[is_its].copy()
 
 
 def for_touch(runs: Runs) -> Runs:
@@ -166,8 +168,14 @@ def near(found: float, expected: float, width: float) -> bool:
 @pytest.fixture(scope="module")
 def groups(runs: Runs) -> Groups:
     chosen = benchmark(runs)
-    chosen = chosen.groupby(["gripper", "object", "budget", "words"]).filter(lambda arm: len(arm) >= 5)
-    is_tuning = (chosen["gripper"] == "panda") & chosen["object"].isin(TUNING)
+    chosen["is_tuning"] = (chosen["gripper"] == "panda") & chosen["object"].isin(TUNING)
+    chosen = chosen.groupby(["gripper", "object", "budget", "words"]).filter(
+        lambda arm: len(arm) == SEEDS[arm["is_tuning"].iloc[0]]
+    )
+    chosen = chosen.groupby(["gripper", "object", "budget"]).filter(
+        lambda scene: "`aimed`" in set(scene["words"])
+    )
+    is_tuning = chosen["is_tuning"]
     has_jaw = chosen["gripper"].isin(TWO_FINGERS)
     is_new = ~chosen["object"].str.startswith("ycb_") | chosen["gripper"].isin(["xarm", "pr2"])
     return {
@@ -295,7 +303,9 @@ def test_drawn_grasps_weigh_the_cells_of_their_runs(runs: Runs, groups: Groups) 
             check_ratio(line["default over it"], scenes_of(ours, mine, "both"))
         assert int(line["grasps drawn"]) == mine["drawn"].sum()
         means = mine.groupby(scenes)[["drawn_in_bullet", "drawn_eta", "both"]].mean().mean()
-        assert line["hold in Bullet too, %"] == f"{100 * means['drawn_in_bullet']:.0f}"
+        assert int(line["hold in Bullet too, %"]) == pytest.approx(
+            100 * means["drawn_in_bullet"], abs=0.500001
+        )
         assert line["eta"] == f"{means['drawn_eta']:.2f}"
         assert line["cells that hold in both"] == f"{means['both']:.0f}"
 
