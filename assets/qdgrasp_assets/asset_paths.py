@@ -7,6 +7,8 @@ import stat
 import tempfile
 from pathlib import Path
 
+from qdgrasp_protocol.errors import AssetError
+
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
 DATA = "QDGRASP_DATA"
@@ -92,6 +94,7 @@ def data_folder() -> Path:
 
 def _own_folder(variable: str, xdg: str, default: str) -> Path:
     own = os.environ.get(variable)
-    if own:
-        return named_path(own)
-    return named_path(os.environ.get(xdg) or default) / "qdgrasp"
+    folder = named_path(own) if own else named_path(os.environ.get(xdg) or default) / "qdgrasp"
+    if folder.parts[0].startswith("~"):
+        raise AssetError(f"There is no home folder for '{folder}': set {variable} to a folder.")
+    return folder

@@ -39,13 +39,7 @@ from qdgrasp_assets.geometry.mesh_io import linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
-from qdgrasp_assets.object_model import (
-    ObjectGeometry,
-    check_header,
-    read_object,
-    solid_draft,
-    warn_of_mesh,
-)
+from qdgrasp_assets.object_model import ObjectGeometry, check_header, read_object, solid_draft, warn_of_mesh
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask

@@ -52,13 +52,13 @@ def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Reference
     if not budgets:
         return
     with folder.journal() as journal:
-        stretches = list(journal.slices())
-        rows = np.concatenate([journal.shape.empty(0), *(stretch.rows for stretch in stretches)])
+        slices = list(journal.slices())
+        rows = np.concatenate([journal.shape.empty(0), *(part.rows for part in slices)])
         stops = _stops(folder.spec, rows, budgets)
         known = _reference(folder, targets) if stops else None
         for budget, stop in stops.items():
             said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop], folder.spec)
-            parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
+            parts = [part.part(0, stop) for part in slices if part.first < stop]
             found = figures(folder, rows[:stop], known) | growth(folder.spec, parts) | costs(parts)
             found["wall_seconds"] = journal.wall_seconds if stop == len(rows) else None
             yield row(said | _with_ratio(found))

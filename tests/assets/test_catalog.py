@@ -1,7 +1,6 @@
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -126,9 +125,12 @@ def test_a_home_of_nobody_is_no_home():
         scene(object="~nobody-of-that-name/part.stl", mass=0.3)
 
 
-def test_a_cache_at_the_home_of_nobody_is_a_folder_of_that_name(monkeypatch):
+def test_a_cache_in_a_home_that_is_not_there_is_refused(monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
-    assert cache_folder() == Path("~nobody-of-that-name/cache")
+    with pytest.raises(
+        AssetError, match="no home folder for '~nobody-of-that-name/cache': set QDGRASP_CACHE"
+    ):
+        cache_folder()
 
 
 def test_an_object_of_the_catalog_has_its_own_size():

@@ -96,8 +96,8 @@ class FakeCoordinator:
     def send(
         self, rows: Rows, first: int, stop: int, *, run: str = "run", epoch: int = 0, **beside: object
     ) -> None:
-        stretch = JournalSlice(first, rows[first:stop], **beside)  # type: ignore[arg-type]
-        self.put(slice_to_message(stretch, run, epoch or self.epoch, SHAPE))
+        part = JournalSlice(first, rows[first:stop], **beside)  # type: ignore[arg-type]
+        self.put(slice_to_message(part, run, epoch or self.epoch, SHAPE))
 
     def put(self, message: Message) -> None:
         put(self._bus, self._keys.outcome(self.epoch), message)

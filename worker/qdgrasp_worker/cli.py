@@ -101,7 +101,7 @@ def worker(
     with lifetime("qdgrasp-worker") as stop:
         os.environ.update(ONE_THREAD | os.environ)
         if worlds is not None and device is None:
-            raise InputError("--worlds is a number of a device's; name the device with --device.")
+            raise InputError("--worlds goes with a device: name it with --device.")
         found = Device.find(device, worlds) if device else None
         if self_test:
             from qdgrasp_worker.platform import platform

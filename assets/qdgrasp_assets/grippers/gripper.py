@@ -170,7 +170,7 @@ class Gripper:
 
     def check_hand(self) -> None:
         """Check that a joint closes, and the hand's joints, masses and meshes; `AssetError`."""
-        if not any(each.closed not in (None, each.open) for each in self.file.joints.values()):
+        if not any(each.closes for each in self.file.joints.values()):
             raise AssetError(f"The gripper '{self.name}': {NOTHING_CLOSES}.")
         hand = self.robot.subtree(self.file.base_link)
         if found := (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand)):

@@ -122,6 +122,11 @@ class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rated_velocity: float | None = None
     """Speed at which the real hand closes [m/s or rad/s]; None: not stated."""
 
+    @property
+    def closes(self) -> bool:
+        """True if a motor moves it when the hand closes."""
+        return self.driven and self.closed not in (None, self.open)
+
 
 class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[free_joints.NAME]`: a joint whose initial position is a gene."""

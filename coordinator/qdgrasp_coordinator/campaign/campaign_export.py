@@ -195,6 +195,9 @@ def export_campaign(
         campaign=folder.identity or folder.name, format=form.name, frame=object_frame, failures=wanted,
         choice=msgspec.to_builtins(choice), meshes=meshes, shares=shares,
     )  # fmt: skip
+    old = out.absolute().with_name(f".{out.name}.old")
+    if old.is_dir() and not out.exists():  # a killed command had moved it
+        old.rename(out)
     OutFolder(out, force=force, is_kind=is_dataset).check()
     part = out.absolute().with_name(f"{out.name}.part")
     with atomic_files.writing(part):
@@ -210,7 +213,6 @@ def export_campaign(
                     return ""
             tell("writing the index and the card")
             said = writer.end()
-            old = out.absolute().with_name(f".{out.name}.old")
             shutil.rmtree(old, ignore_errors=True)
             if (part / UNFINISHED).exists():
                 shutil.rmtree(part / UNFINISHED)

@@ -66,9 +66,7 @@ def coordinator(
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """  # noqa: D205  # typer joins the lines
     if connect and (listen or insecure):
-        raise InputError(
-            "--listen and --insecure are of a router of one's own: leave them out, or --connect."
-        )
+        raise InputError("--listen and --insecure are for a router of its own: leave them out, or --connect.")
     folder = JobFolder.open(what) if what.is_dir() else None
     programme = runs_of_job(what, folder)
     name = job or (folder.name if folder else job_name(what.stem))

@@ -230,9 +230,9 @@ def import_poses(
     UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
     the hand does not have.
     """
-    if of and not path.is_dir():
+    if of and path.is_file():
         raise UnreadableGrasps(path, "--of names an object of a data set's folder, and this is a file")
-    imported = read_dataset(path, hand.name, of) if of else read_grasp_file(path)
+    imported = read_dataset(path, hand.name, of) if of and path.is_dir() else read_grasp_file(path)
     metadata = imported.metadata
     if metadata and frame not in (None, metadata.frame):
         reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"

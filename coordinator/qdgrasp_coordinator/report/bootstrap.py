@@ -39,7 +39,7 @@ class ConfidenceInterval:
 
     value: float
     low: float
-    """NaN, as `high` and `p_value`, where an arm has fewer than five runs on a scene."""
+    """NaN, as `high` and `p_value`: an arm has fewer than five runs on a scene, or no scene counts."""
     high: float
     scenes: int
     runs: tuple[int, ...]

@@ -326,8 +326,8 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
     notes = (
         f"Intervals: studentised hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs "
         f"in each; with fewer than {LEAST_SCENES} scenes of the runs alone, for these scenes and no others. "
-        f"Where an arm has fewer than {LEAST_RUNS} runs on a scene there is none, and no verdict. Methods "
-        "are compared after as many evaluations, with finished runs only where there are any.\n"
+        f"Where an arm has fewer than {LEAST_RUNS} runs on a scene, or nothing was found, there is none, and "
+        "no verdict. Methods are compared after as many evaluations, of finished runs where there are any.\n"
     )
     return "\n".join([summary, numbers, notes])
 
@@ -339,7 +339,7 @@ def _verdict(one: JudgedClaim) -> str:
 
 
 FEW_RUNS = f"none: fewer than {LEAST_RUNS} runs"
-NOTHING_FOUND = "none: both found nothing"
+NOTHING_FOUND = "none: nothing was found"
 
 
 def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:

@@ -287,7 +287,7 @@ class Dispatcher:
 
         Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
         worker `wid`. A result to be checked first, or of a check, is fresh and has no rows: `take_released`
-        gives them later. Raises MessageError if it has another number of rows than its batch, or names a
+        gives them later. Raises MessageError if its run or number of rows is not its batch's, or it names a
         failed row that the batch has not.
         """
         if wid in self.checks.excluded:

@@ -118,7 +118,7 @@ class JobScheduler:
         """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
         self.epoch = epoch
         self.workers = WorkerRegistry()
-        self._settled_by: set[str] = set()  # Ids of the workers whose rows some run has taken
+        self._settled_before: set[str] = set()  # Ids of the workers of runs that ended or were reopened
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size, self._checked)
 
     def handle(self, event: InboxEvent, now: float) -> None:
@@ -188,7 +188,6 @@ class JobScheduler:
         """Take rows of a worker for good, and pass those that became final on to the recorder."""
         if len(rows) > len(settled.failures):
             run.settled_by.add(wid)
-            self._settled_by.add(wid)
         self.workers.on_settled(wid, len(rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
@@ -207,8 +206,7 @@ class JobScheduler:
         for verdict in self.dispatcher.take_verdicts():
             self._on_verdict(verdict)
         for result in released:
-            run = self.runs.get(result.run.run)
-            if run is not None and not run.goes_back:  # a reopened run asks for these rows again
+            if (run := self.runs.get(result.run.run)) is not None and not run.goes_back:  # it asks again
                 self._take_rows(run, result.worker.wid, result.reply, result.rows, now)
         for worker in self.dispatcher.take_sick():
             words = (
@@ -229,11 +227,12 @@ class JobScheduler:
             log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
             self.events.note("error", verdict.words(name), run=verdict.run, worker=name.wid)
             took_part = [run for run in self.runs if name.wid in run.settled_by]
-            if name.wid in self._settled_by:
-                runs = first_few([*(run.name for run in took_part), "runs that ended before"], RUNS_NAMED)
-                rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {runs}"
-                words = f"{rows} may be wrong; `qdgrasp verify DIR` evaluates them again."
-                self.events.note("warning", words, worker=name.wid)
+            named = [first_few([run.name for run in took_part], RUNS_NAMED)] if took_part else []
+            if name.wid in self._settled_before:
+                named.append("runs that ended or were opened again")
+            if named:
+                rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {' and '.join(named)} may be wrong"
+                self.events.note("warning", f"{rows}: see `qdgrasp verify DIR`.", worker=name.wid)
             self._send_away(name.wid)
             for run in took_part:
                 if run.pipeline.finished is None:  # it is opened again once its settled rows are recorded
@@ -325,6 +324,7 @@ class JobScheduler:
 
     def _remove(self, run: ActiveRun, now: float) -> None:
         self._on_finished(run, now)
+        self._settled_before |= run.settled_by
         self.runs.remove(run)
         self._check_counts.pop(run.name, None)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
@@ -384,6 +384,7 @@ class JobScheduler:
         self._settle_checked(now)
         for run in self.runs:
             if run.goes_back and run.sink.is_empty:
+                self._settled_before |= run.settled_by
                 self.runs.reopen(run)
                 continue
             while self._may_ask(run) and (asked := run.pipeline.ask()) is not None:

@@ -23,13 +23,13 @@ from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
-from qdgrasp_coordinator.search.fixed_poses import IN_SPECS, FixedPoseSearch, check_given
+from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, check_spec_poses
 from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.messages import Failure, OpenRun
-from qdgrasp_protocol.rows import GIVEN, Genomes, Rows, RowShape
+from qdgrasp_protocol.rows import Genomes, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 
 
@@ -257,7 +257,7 @@ def prepare_scene(
     method's prior is not for such a hand.
     """
     scene = assemble_scene(spec, shape) if shape else build_scene(spec, tell)
-    row_shape(scene, prior_of(spec))
+    check_spec_poses(spec, scene.gripper, row_shape(scene, prior_of(spec)).genes)
     return PreparedScene(scene, pack_scene(scene))
 
 
@@ -268,8 +268,6 @@ def plan_run(
     chosen = method(spec.method)
     if search is None:
         search = chosen.build(spec, search_space(prepared.scene, prior_of(spec)))
-    if spec.method == GIVEN:
-        check_given(IN_SPECS, np.array(spec.poses, np.float32), prepared.scene.gripper)
     budget = (spec.evaluations, spec.overlaps, Flight.of(spec), TrialPlan.of(spec))
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run

@@ -156,9 +156,8 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
 
 
 FIRST_EXPLORING = 100  # Genomes that explore before any is aimed
-EXPLORING_SHARE = (
-    0.04  # Approximate share of evaluations that explore later; less of genomes: none of these is refused
-)
+EXPLORING_SHARE = 0.04
+"""Approximate share of evaluations that explore later; of genomes less, as none of these is refused."""
 ANYWHERE_GENOMES = 2000
 """Genomes after which half of the exploring ones aim anywhere if there is no success; before, fewer do."""
 SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew

@@ -45,7 +45,7 @@ class HandPoses:
     synergies: NDArray[np.int64]
     """(n,) labels; -1: no synergy."""
     spreads: NDArray[np.float64]
-    """(n, k) positions of the free joints [rad]; NaN: the open posture."""
+    """(n, k) positions of the free joints [rad or m]; NaN: the open posture."""
     names: PoseNames
 
     @classmethod
@@ -75,7 +75,7 @@ class HandPoses:
         if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
             raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
         if len(wide := free[np.abs(free) > FARTHEST]):
-            raise ImpossibleValue(names.spreads, float(wide[0]), f"no more than {FARTHEST:g} rad")
+            raise ImpossibleValue(names.spreads, float(wide[0]), f"within {FARTHEST:g} rad or m of 0")
         return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
 
     def __len__(self) -> int:
@@ -118,6 +118,13 @@ def check_given(names: PoseNames, genomes: Genomes, hand: SceneGripper) -> None:
     """Check genomes (n, d) of the prior `given`: as `HandPoses.of`, and for a hand."""
     labels, own = (genomes[:, 7], 8) if hand.synergies else (None, 7)
     HandPoses.of(names, genomes[:, :3], genomes[:, 3:7], labels, genomes[:, own:]).check(hand)
+
+
+def check_spec_poses(spec: RunSpec, hand: SceneGripper, genes: int) -> None:
+    """Check the poses of a spec, if it has any, for a hand and genomes of so many genes."""
+    if spec.poses:
+        fixed_pose_search(spec, genes)
+        check_given(IN_SPECS, np.array(spec.poses, np.float32), hand)
 
 
 def read_poses(path: Path) -> HandPoses:

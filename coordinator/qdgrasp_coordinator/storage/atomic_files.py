@@ -64,7 +64,9 @@ def is_still_at(path: Path, file: IO[Any]) -> bool:
 
 def is_staging(path: Path, of: Path) -> bool:
     """Return whether a path is a temporary folder (`staging_folder`) of another one."""
-    return path.parent == of.parent and path.name.startswith(_begin(of)) and path.suffix == ".part"
+    begin, end = _begin(of), ".part"
+    is_named = path.parent == of.parent and path.name.startswith(begin) and path.name.endswith(end)
+    return is_named and path.name[len(begin) : -len(end)].isdecimal()
 
 
 def check_folder(path: Path) -> None:

@@ -33,7 +33,7 @@ def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
 def test_a_coordinator_at_routers_that_run_has_no_flags_of_its_own_router(flags: list[str]) -> None:
     asked = ["spec.toml", "--connect", "tcp/127.0.0.1:7447", *flags]
     refusal = CliRunner().invoke(coordinator_process.app, asked).exception
-    assert "--listen and --insecure are of a router of one's own" in str(refusal)
+    assert "--listen and --insecure are for a router of its own" in str(refusal)
 
 
 SCRIPTS = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]

@@ -101,12 +101,12 @@ def regular(
     return [ReturnedBatch(start + every * i, wid, generation, rows, every / 2, 1, 2) for i in range(1, 9)]
 
 
-def test_a_lap_counts_no_part_of_a_batch() -> None:
-    lap = stopwatch(*regular("a", 1.0, 10)).throughput(5, 2.5)
-    assert (lap.workers, lap.rows) == (1, 60)
-    assert lap.per_second == pytest.approx(10.0)
-    assert lap.cpu_seconds == pytest.approx(3.0)
-    assert (lap.overlaps, lap.successes) == (6, 12)
+def test_a_throughput_counts_no_part_of_a_batch() -> None:
+    work = stopwatch(*regular("a", 1.0, 10)).throughput(5, 2.5)
+    assert (work.workers, work.rows) == (1, 60)
+    assert work.per_second == pytest.approx(10.0)
+    assert work.cpu_seconds == pytest.approx(3.0)
+    assert (work.overlaps, work.successes) == (6, 12)
 
 
 def test_workers_add_up_whenever_their_batches_come() -> None:

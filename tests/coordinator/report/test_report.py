@@ -246,7 +246,7 @@ def test_a_claim_on_methods_that_found_nothing_has_no_interval_and_says_why(tmp_
     for method in ("contact_rand", "contact_me_scs"):
         record(tmp_path / "runs" / method, made_scene(), rows, method=method, evaluations=20)
     page = (analysed(tmp_path).out / "tables.md").read_text()
-    assert re.search(r"contact_me_scs.*nan \| none: both found nothing", page)
+    assert re.search(r"`contact_me_scs / contact_rand`.*nan \| none: nothing was found", page)
 
 
 def test_a_search_of_a_program_s_own_is_drawn_beside_the_others(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
-from qdgrasp_coordinator.scheduler.batch_queue import Settlement, SettleReply
 from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict
 from qdgrasp_coordinator.scheduler.early_stop import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
@@ -168,21 +167,24 @@ def test_checked_rows_count_unless_their_run_goes_back_to_what_is_recorded(goes_
     assert (len(sink.rows) == 4) is not goes_back
 
 
-@pytest.mark.parametrize("has_settled", [False, True])
-def test_rows_of_an_excluded_worker_in_runs_that_ended_are_told_of(job, monkeypatch, has_settled) -> None:
+@pytest.mark.parametrize(
+    ("settled", "ended", "runs"),
+    [(False, False, ""), (True, False, "run-0"), (True, True, "runs that ended or were opened again")],
+)
+def test_runs_with_rows_of_an_excluded_worker_are_told_of(job, monkeypatch, settled, ended, runs) -> None:
     for wid in (ANN, BOB):
         job.joins(join_message(wid), 0.0)
-    if has_settled:
-        rows = SHAPE.empty(6)
-        run = ActiveRun(make_run_plan("run-0", Plan()), MemorySink(SHAPE))
-        run.pipeline.ask()
-        job.scheduler._take_rows(run, ANN, SettleReply(Settlement.FRESH, rows), rows, 1.0)
+    run = ActiveRun(make_run_plan("run-0", Plan()), SlowSink(SHAPE))
+    job.scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
+    run.settled_by = {ANN} if settled else set()
+    if ended:
+        job.scheduler._remove(run, 1.0)
     ann, bob = (worker.name for worker in job.scheduler.workers)
     verdict = CheckVerdict("run-9", 4, (bob,), (ann,))
     monkeypatch.setattr(job.scheduler.dispatcher, "take_verdicts", lambda: [verdict])
     job.scheduler.step(2.0)
-    told = f"Earlier rows of worker {ANN[:8]} in runs that ended before may be wrong"
-    assert any(words.startswith(told) for words in job.words) is has_settled
+    told = [words for words in job.words if words.startswith(f"Earlier rows of worker {ANN[:8]} in ")]
+    assert [words.split(" in ")[1].split(" may be ")[0] for words in told] == ([runs] if runs else [])
 
 
 def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWithoutRuns) -> None:

@@ -9,18 +9,14 @@ from types import FrameType
 
 import numpy as np
 import pytest
-from tests.coordinator.scenes import made_scene
 
-from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.scheduler.run_plan import (
     ReevaluationPlan,
     SingleRunQueue,
     full_spec,
-    plan_run,
     prepare_scene,
 )
 from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -96,7 +92,7 @@ def test_a_hand_without_a_jaw_is_refused_by_antipodal_methods_alone(tmp_path) ->
 def test_poses_of_a_spec_that_no_hand_can_take_end_the_run_before_it_begins(pose, words) -> None:
     spec = full_spec({**ASKED, "method": "given", "evaluations": 1, "poses": [pose]})
     with pytest.raises(InputError, match=words):
-        plan_run(spec, PreparedScene(made_scene(), pack_scene(made_scene())))
+        prepare_scene(spec)
 
 
 SHAPE = RowShape(genes=2, joints=1)

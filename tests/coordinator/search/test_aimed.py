@@ -134,7 +134,7 @@ def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(ob
     assert ((distances > least - scatter) & (distances < greatest + scatter)).mean() > 0.98
 
 
-def test_the_beginning_and_a_few_later_genomes_scout(objective: dict[str, Any]) -> None:
+def test_the_beginning_and_a_few_later_genomes_explore(objective: dict[str, Any]) -> None:
     search, where = build(spec(**objective))
     rows = play(search, where, 2000)
     loose = where.layout.values(rows["genome"])[:, LOOSENESS] > 0
@@ -143,7 +143,9 @@ def test_the_beginning_and_a_few_later_genomes_scout(objective: dict[str, Any]) 
 
 
 @pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP, Outcome.MISSED])
-def test_without_a_success_it_scouts_on_and_goes_astray(outcome: Outcome, objective: dict[str, Any]) -> None:
+def test_without_a_success_it_explores_on_and_aims_anywhere(
+    outcome: Outcome, objective: dict[str, Any]
+) -> None:
     (seeking, where), asked = build(spec(**objective)), []
     for generation in range(60):
         rows = evaluate(where, generation, seeking.ask(generation))
@@ -193,16 +195,16 @@ def test_scattered_aims_stay_in_their_cells_and_are_all_different() -> None:
     assert np.abs(beside.contacts).max() < 0.015
 
 
-def drawn(astray: float, n: int = 2000) -> AimedGrasps:
-    return exploration_grasps(space("aimed"), n, astray, 1.0, np.random.default_rng(0))
+def drawn(free_share: float, n: int = 2000) -> AimedGrasps:
+    return exploration_grasps(space("aimed"), n, free_share, 1.0, np.random.default_rng(0))
 
 
 def distances(aims: AimedGrasps) -> np.ndarray:
     return np.linalg.norm(aims.targets - aims.contacts, axis=1)
 
 
-def test_a_scout_looks_at_a_face_from_before_it() -> None:
-    aims = drawn(astray=0.0)
+def test_an_exploring_hand_looks_at_a_face_from_before_it() -> None:
+    aims = drawn(free_share=0.0)
     on_face = np.isclose(np.abs(aims.contacts), SIZE / 2)
     assert on_face.any(axis=1).all()
     towards = directions(aims.targets, aims.contacts)
@@ -210,15 +212,15 @@ def test_a_scout_looks_at_a_face_from_before_it() -> None:
     assert ((towards * inward).sum(axis=1) > np.cos(np.pi / 4) - 1e-9).all()
 
 
-def test_a_scout_stands_in_the_near_half_of_where_the_hand_can_stand() -> None:
-    found = distances(drawn(astray=0.0))
+def test_an_exploring_hand_stands_in_the_near_half_of_where_the_hand_can_stand() -> None:
+    found = distances(drawn(free_share=0.0))
     assert found.min() == pytest.approx(PALM, abs=1e-4)
     assert found.max() == pytest.approx(PALM + DEEPEST / 2, abs=1e-4)
 
 
-def test_those_that_go_astray_aim_anywhere_in_the_box() -> None:
+def test_free_ones_aim_anywhere_in_the_box() -> None:
     low, high = space("aimed").box
-    found = (drawn(astray=1.0).targets - low) / (high - low)
+    found = (drawn(free_share=1.0).targets - low) / (high - low)
     assert np.abs(found.mean(axis=0) - 0.5).max() < 0.05
     assert found.min() < 0.01
     assert found.max() > 0.99

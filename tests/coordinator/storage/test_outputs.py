@@ -295,12 +295,13 @@ def test_what_a_killed_process_left_in_a_folder_is_in_the_way_of_none_and_is_swe
 def test_a_folder_that_a_killed_process_was_replacing_is_put_back(tmp_path: Path, force: bool) -> None:
     (tmp_path / ".out.1.part" / "old").mkdir(parents=True)
     (tmp_path / ".out.1.part" / "old" / "one").touch()
+    (tmp_path / ".out.v2.1.part").mkdir()
     out = OutFolder(tmp_path / "out", force=force, is_kind=lambda path: (path / "one").exists())
     refusal = nullcontext() if force else pytest.raises(OutputError, match="is there already")
     with refusal, out.writing() as made:
         made.mkdir()
         (made / "two").touch()
-    assert there(tmp_path) == ["out", "out/two" if force else "out/one"]
+    assert there(tmp_path) == [".out.v2.1.part", "out", "out/two" if force else "out/one"]
 
 
 def test_a_process_that_is_killed_while_files_take_their_places_leaves_a_folder_of_its_kind(

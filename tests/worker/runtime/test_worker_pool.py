@@ -28,7 +28,7 @@ def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_
 
 def test_worlds_without_a_device_are_refused():
     refusal = CliRunner().invoke(app, ["--worlds", "64"]).exception
-    assert "--worlds is a number of a device's; name the device with --device" in str(refusal)
+    assert "--worlds goes with a device: name it with --device" in str(refusal)
 
 
 def hopeless(*deaths: tuple[str, int, float]) -> list[bool]:

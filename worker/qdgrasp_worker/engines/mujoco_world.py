@@ -21,11 +21,7 @@ from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import (
-    DETECTION_GAP,
-    SceneModel,
-    finger_drives,
-)
+from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, finger_drives
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box

@@ -94,11 +94,7 @@ def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) 
 
 def _camera_axes(azimuth: float, elevation: float) -> Floats:
     """The camera's axes (3, 3), a row each: to the right, upward, and back to the camera."""
-    back = [
-        np.cos(elevation) * np.cos(azimuth),
-        np.cos(elevation) * np.sin(azimuth),
-        np.sin(elevation),
-    ]
+    back = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     right = [-np.sin(azimuth), np.cos(azimuth), 0.0]
     return np.array([right, np.cross(back, right), back])
 
