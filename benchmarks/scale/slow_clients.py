@@ -280,7 +280,7 @@ READ_INTERVAL = 0.5
 """Seconds between two readings of the feed."""
 MOST_MESSAGES = 1.1
 """Factor within which the messages of two windows differ by chance."""
-FLOOD = 300
+EVENTS_AT_ONCE = 300
 """Messages of 64 KiB that fill all buffers between the router and a stopped monitor."""
 
 
@@ -357,7 +357,7 @@ def _follow_job(pipe: Connection, endpoint: str) -> None:
             feed.wait(READ_INTERVAL)
         pipe.send("there")
         while (command := _next_command(pipe, feed)) != "leave":
-            flood(bus, Keys(JOB).event(command), FLOOD)
+            flood(bus, Keys(JOB).event(command), EVENTS_AT_ONCE)
             pipe.send("flooded")
     pipe.send("gone")
 
