@@ -210,8 +210,8 @@ def _losses(found: Sequence[GroupComparison], known: Sequence[Arm]) -> Iterator[
     yield (
         f"{held_out} held-out scenes are in, the cheapest first, so that they are no random sample of all; "
         f"of tuning scenes {tuning}. Constants of the default were chosen on the tuning scenes, so that "
-        "comparisons there favour it. A scene is in when all its seeds are; scenes with fewer have lines in "
-        "the tables below.\n"
+        "comparisons there favour it. A scene is in when all seeds of the default and another method are; "
+        "methods and scenes with fewer have lines in the tables below.\n"
     )
 
 
