@@ -7,7 +7,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.errors import NoDataFolder
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
@@ -95,6 +95,6 @@ def data_folder() -> Path:
 def _own_folder(variable: str, xdg: str, default: str) -> Path:
     own = os.environ.get(variable)
     folder = named_path(own) if own else named_path(os.environ.get(xdg) or default) / "qdgrasp"
-    if folder.parts[0].startswith("~"):
-        raise AssetError(f"There is no home folder for '{folder}': set {variable} to a folder.")
+    if str(folder).startswith("~"):
+        raise NoDataFolder(folder, variable)
     return folder

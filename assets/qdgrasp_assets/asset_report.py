@@ -162,8 +162,7 @@ def inspect_object(
 
     `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
     unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
-    parts are found, which takes minutes where they are not kept already; `time_limit` [s] and `tell` are for
-    that.
+    parts are found (see `time_limit` [s] and `tell`), which takes minutes where they are not kept already.
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())

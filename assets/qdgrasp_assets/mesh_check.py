@@ -36,11 +36,13 @@ def check_mesh(
 ) -> MeshCheck:
     """Check that an object can be made of a mesh file; the parameters are those of `read_draft`.
 
-    Bodies with air between them are a fault unless they are said to be glued.
+    Bodies with air between them are a fault unless they are said to be glued. Raises NoDataFolder where there
+    is no place for a cache, and no other error.
     """
+    cache = cache_folder() / "checked"
     try:
         check_header(path, preparation)
-        entry = cache_folder() / "checked" / f"{_content_key(path, repr((scale, preparation)))}.json"
+        entry = cache / f"{_content_key(path, repr((scale, preparation)))}.json"
         with suppress(OSError, msgspec.MsgspecError, RecursionError):
             return msgspec.json.decode(entry.read_bytes(), type=MeshCheck)
         found = _check(read_draft(path, scale, preparation), preparation)

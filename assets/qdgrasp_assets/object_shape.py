@@ -323,7 +323,7 @@ class ShapeStore:
     KEPT = 0.9  # Share of the most bytes that is left then
 
     def __init__(self, folder: Path | None = None, most_bytes: int = MOST_BYTES) -> None:
-        self._folder = folder or cache_folder() / "shapes"
+        self._folder = folder  # None: in the cache
         self._most_bytes = most_bytes
 
     def get(self, key: str) -> ObjectShape | None:
@@ -346,18 +346,19 @@ class ShapeStore:
 
     def put(self, key: str, payload: bytes) -> None:
         """Keep the bytes of a shape; what cannot be written is left out."""
+        file = self._file(key)
         with suppress(OSError):
-            write_whole(self._file(key), hashlib.sha256(payload).digest() + payload)
+            write_whole(file, hashlib.sha256(payload).digest() + payload)
             if int(key, 16) % self.SWEPT == 0:
-                self._sweep(time.time())
+                self._sweep(file.parent, time.time())
 
     def _file(self, key: str) -> Path:
-        return self._folder / f"{key}{SUFFIX}"
+        return (self._folder or cache_folder() / "shapes") / f"{key}{SUFFIX}"
 
-    def _sweep(self, now: float) -> None:
+    def _sweep(self, folder: Path, now: float) -> None:
         """Remove the shapes that were not used for longest, where all of them are too large."""
-        remove_unfinished(self._folder, now)
-        with os.scandir(self._folder) as entries:
+        remove_unfinished(folder, now)
+        with os.scandir(folder) as entries:
             shapes = {entry.path: entry.stat() for entry in entries if entry.name.endswith(SUFFIX)}
         total = sum(stat.st_size for stat in shapes.values())
         if total <= self._most_bytes:

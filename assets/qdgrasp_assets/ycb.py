@@ -7,6 +7,7 @@ sizes and hashes of the archives.
 import json
 import tomllib
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -20,7 +21,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.object_model import ObjectModel, read_solid
 from qdgrasp_assets.stand_ins import STAND_INS
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.errors import AssetError, NoDataFolder
 
 EXTENTS_TOLERANCE = 5e-5  # m; the table is rounded to 1e-5
 VOLUME_TOLERANCE = 1e-3  # share
@@ -171,7 +172,9 @@ def scan_source(name: str) -> str:
     """Return the source of a scan of `SCAN_NAMES`: "asset path", "fetched" or "absent"."""
     if _reference_folder(name) is not None:
         return "asset path"
-    return "fetched" if fetched_mesh(name).is_file() else "absent"
+    with suppress(NoDataFolder):
+        return "fetched" if fetched_mesh(name).is_file() else "absent"
+    return "absent"
 
 
 def read_scan(name: str, protocol: str) -> ObjectModel:

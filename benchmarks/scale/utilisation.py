@@ -55,7 +55,7 @@ class Line:
 
 ONE = Panel("one run", (10, 30, 100, 300, 1000))
 MANY_RUNS = Panel("campaigns", (300, 1000, 3000))
-PROFILES = Panel("crews", (30, 100))
+PROFILES = Panel("worker profiles", (30, 100))
 PANELS = (ONE, MANY_RUNS, PROFILES)
 
 
@@ -147,13 +147,13 @@ def _rounded(row: dict[str, object]) -> dict[str, object]:
 TITLES = {
     "one run": "One run of the default method, by genomes in flight",
     "campaigns": "Campaigns: share of time that counts",
-    "crews": "1 run of 1200, and 64 runs, where workers differ or freeze",
+    "worker profiles": "1 run of 1200, and 64 runs, where workers differ or freeze",
     "age": "From the ask of a generation to its tell, one run",
 }
 LEGEND_PLACES = {
     "one run": "lower left",
     "campaigns": "lower left",
-    "crews": "lower left",
+    "worker profiles": "lower left",
     "age": "upper right",
 }
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")

@@ -86,8 +86,7 @@ def optimise(
 ) -> Run:
     """Carry out a run with a custom search: coordinator, recorder and workers as in any run.
 
-    The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only `optimise`
-    resumes it.
+    The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only this resumes it.
 
     Parameters
     ----------

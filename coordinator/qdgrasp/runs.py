@@ -33,8 +33,7 @@ class Run:
     """A run's folder, for reading; each call returns what is recorded by then.
 
     `path` is the folder; of a campaign, that of one of its runs. A notebook shows it as a picture of a few
-    grasps with its key figures. Raises ImpossibleValue if it is no path, FolderError if there is no run in
-    it.
+    grasps with its key figures. Raises ImpossibleValue if it is no path, FolderError if it holds no run.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

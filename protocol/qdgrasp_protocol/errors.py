@@ -9,6 +9,7 @@
         * JawNeeded              a prior for two-finger hands with another hand
         * AssetError             a file, mesh, URDF or gripper that cannot be used
             * LacksReader            a mesh whose format needs a package that is not installed
+            * NoDataFolder           a folder in a home that this machine does not have
             * WrongScan              a fetched file is not the one expected
             * UnusableMeshes         mesh files of which no objects can be made
             * DecompositionTimeout   a mesh that is not decomposed in time
@@ -107,6 +108,13 @@ class AssetError(InputError):
 
 class LacksReader(AssetError):
     """A file that cannot be read here, as a package for its format is not installed."""
+
+
+class NoDataFolder(AssetError):
+    """A folder in a home that is not there; `variable` names another one."""
+
+    def __init__(self, folder: object, variable: str) -> None:
+        super().__init__(f"There is no home folder for '{folder}': set {variable} to a folder.")
 
 
 class WrongScan(AssetError):

@@ -1,6 +1,7 @@
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -21,6 +22,7 @@ from qdgrasp_assets.catalog import (
     object_names,
 )
 from qdgrasp_assets.scene import pack_scene, unpack_scene
+from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_protocol.errors import AssetError, MessageError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
@@ -131,6 +133,17 @@ def test_a_cache_in_a_home_that_is_not_there_is_refused(monkeypatch):
         AssetError, match="no home folder for '~nobody-of-that-name/cache': set QDGRASP_CACHE"
     ):
         cache_folder()
+    monkeypatch.setenv("QDGRASP_CACHE", ".")
+    assert cache_folder() == Path()
+
+
+def test_without_a_home_objects_of_the_catalog_are_listed_and_simulated(monkeypatch):
+    for variable in ("QDGRASP_CACHE", "QDGRASP_DATA"):
+        monkeypatch.setenv(variable, "~nobody-of-that-name/folder")
+    monkeypatch.delenv("QDGRASP_ASSET_PATH", raising=False)
+    assert {entry.source for entry in every_object()} == {"built in", "absent"}
+    queue = CampaignRunQueue(None, {"run": RunSpec(gripper="panda", object="mug")})
+    assert queue.next().run == "run"
 
 
 def test_an_object_of_the_catalog_has_its_own_size():

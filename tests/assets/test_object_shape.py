@@ -441,13 +441,8 @@ def test_a_part_has_vertices_of_its_own(block):
 
 def test_bytes_that_are_no_shape_are_refused(block):
     payload = pack_shape(block)
-    for damaged in (
-        b"",
-        payload[:-1],
-        payload + b"\0",
-        b"\x90" * 1_000_000,
-        bytes(object_shape.MAX_SHAPE + 1),
-    ):
+    too_large = bytes(object_shape.MAX_SHAPE + 1)
+    for damaged in (b"", payload[:-1], payload + b"\0", b"\x90" * 1_000_000, too_large):
         with pytest.raises(MessageError):
             unpack_shape(damaged)
 

@@ -117,13 +117,9 @@ SCENE = ("panda", "tennis_ball", "paper")
 
 def runs(path: Path, *seeds: int, **settings: Any) -> dict[Key, RunFolder]:
     """Finished runs by their keys, each with rows of its own."""
+    name = settings.get("method", "run")
     made = (
-        record(
-            path / f"{settings.get('method', 'run')}{seed}",
-            random_rows(300, seed, reach=0.03),
-            seed=seed,
-            **settings,
-        )
+        record(path / f"{name}{seed}", random_rows(300, seed, reach=0.03), seed=seed, **settings)
         for seed in seeds
     )
     return {key(folder.spec): folder for folder in made}

@@ -127,12 +127,7 @@ def test_a_killed_process_is_gone_and_a_stopped_one_is_known_to_be(tmp_path: Pat
 
 
 SPEC = RunSpec(gripper="panda", object="mug")
-FILES = (
-    "worker/a/episode.py",
-    "assets/a/grippers/panda.toml",
-    "assets/a/objects/mug.obj",
-    "assets/a/hand.urdf",
-)
+FILES = ("worker/a/episode.py", "assets/a/grippers/panda.toml", "assets/a/mug.obj", "assets/a/hand.urdf")
 
 
 @pytest.fixture

@@ -24,10 +24,10 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """An event: until it is set, journals have no room to grow."""
     room, append = threading.Event(), JournalWriter.append
 
-    def limited(journal: JournalWriter, stretch: JournalSlice, epoch: int, now: float) -> None:
+    def limited(journal: JournalWriter, part: JournalSlice, epoch: int, now: float) -> None:
         pages = 1_000_000 if room.is_set() else 1
         journal._database.execute(f"PRAGMA max_page_count = {pages}")
-        append(journal, stretch, epoch, now)
+        append(journal, part, epoch, now)
 
     monkeypatch.setattr(JournalWriter, "append", limited)
     monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.RETRY_INTERVAL", 0.02)

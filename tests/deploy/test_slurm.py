@@ -18,12 +18,8 @@ from qdgrasp_protocol.process import GRACE
 SLURM = DEPLOY / "slurm"
 SCRIPTS = sorted(SLURM.glob("*.sbatch"))
 MODULES = {"qdgrasp": "qdgrasp", "qdgrasp-worker": "qdgrasp_worker.cli"}
-VALUES = {
-    "QDGRASP_CONNECT": "tls/head:7447",
-    "campaign": "many.toml",
-    "folder": "/scratch/many",
-    "port": "7447",
-}
+ROUTER = "tls/head:7447"
+VALUES = {"QDGRASP_CONNECT": ROUTER, "campaign": "many.toml", "folder": "/scratch/many", "port": "7447"}
 SHELL = re.compile(r"\$\{\w+:-([^}]*)\}")
 CAMPAIGN = """
 [[cross]]

@@ -102,12 +102,8 @@ class ViserServer:
 
 
 def test_grasps_are_shown_with_viser(scripts: Scripts) -> None:
-    record(
-        scripts.home / "mug",
-        made_scene(),
-        random_rows(made_scene(), [Outcome.HELD] * 3),
-        method="contact_rand",
-    )
+    rows = random_rows(made_scene(), [Outcome.HELD] * 3)
+    record(scripts.home / "mug", made_scene(), rows, method="contact_rand")
     (scripts.home / "viser.py").write_text(VISER)
     said = scripts("viser_grasps.py", "mug", 8123).splitlines()
     assert said[0] == "served at 127.0.0.1 8123"

@@ -154,14 +154,8 @@ class Job:
         self.records: dict[str, MemorySink] = {}
         self.open: list[int] = []
         self.bus = self.network.session()
-        how = {
-            "job": JOB,
-            "queue": self.programme,
-            "make_sink": self._record,
-            "seconds": seconds,
-            "checked": checked,
-        }
-        self.service = CoordinatorService(self.bus, self.stop, batch_size=2, **how)
+        how = {"job": JOB, "queue": self.programme, "make_sink": self._record, "batch_size": 2}
+        self.service = CoordinatorService(self.bus, self.stop, seconds=seconds, checked=checked, **how)
 
     def _record(self, plan: RunPlan) -> RowSink:
         if self._recorded:

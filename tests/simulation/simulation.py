@@ -535,12 +535,8 @@ class SimulationChecker:
         box, plan = run.sink._outbox, self._stage.plans[run.name]
         size = self._stage.task.shape.dtype.itemsize
         most = max(plan.in_flight, plan.most_in_flight) * plan.population * (1 + plan.trials)
-        require(
-            box.unconfirmed <= recorder_client.MOST_UNCONFIRMED + most,
-            "bounded memory",
-            "outbox:",
-            box.unconfirmed,
-        )
+        limit = recorder_client.MOST_UNCONFIRMED + most
+        require(box.unconfirmed <= limit, "bounded memory", "outbox:", box.unconfirmed)
         require(len(run.pipeline._reasons) <= most, "bounded memory", "reasons:", len(run.pipeline._reasons))
         durable = self._stage.disk.files[run.name].count
         if not self._stage.disk.was_restored:

@@ -195,16 +195,17 @@ def export_campaign(
         campaign=folder.identity or folder.name, format=form.name, frame=object_frame, failures=wanted,
         choice=msgspec.to_builtins(choice), meshes=meshes, shares=shares,
     )  # fmt: skip
-    old = out.absolute().with_name(f".{out.name}.old")
-    if old.is_dir() and not out.exists():  # a killed command had moved it
-        old.rename(out)
     OutFolder(out, force=force, is_kind=is_dataset).check()
-    part = out.absolute().with_name(f"{out.name}.part")
+    whole = out.absolute()
+    old, part = whole.with_name(f".{whole.name}.old"), whole.with_name(f"{whole.name}.part")
     with atomic_files.writing(part):
         part.mkdir(parents=True, exist_ok=True)
         if any(part.iterdir()) and not (part / PROGRESS).exists() and not (part / LOCK).exists():
             raise OutputError(part, "holds other files", "remove it, or name another OUT")
         with hold_lock(part):
+            if is_dataset(old) and not os.path.lexists(whole):  # a killed command had moved it
+                old.rename(whole)
+                OutFolder(out, force=force, is_kind=is_dataset).check()
             writer = DatasetWriter(part, folder, form, options, shard_bytes)
             runs = writer.begin(tell)
             for number, run in enumerate(runs, 1):
@@ -216,10 +217,10 @@ def export_campaign(
             shutil.rmtree(old, ignore_errors=True)
             if (part / UNFINISHED).exists():
                 shutil.rmtree(part / UNFINISHED)
-            atomic_files.put_in_place(part, out.absolute(), old)
+            atomic_files.put_in_place(part, whole, old)
             shutil.rmtree(old, ignore_errors=True)
         for name_ in (PROGRESS, LOCK):
-            (out / name_).unlink(missing_ok=True)
+            (whole / name_).unlink(missing_ok=True)
     return f"{said} written to {out}, poses in the objects' {object_frame} frame."
 
 

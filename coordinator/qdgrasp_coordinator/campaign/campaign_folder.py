@@ -291,9 +291,10 @@ class CampaignRunQueue(RunQueue):
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             return plan_run(spec, RunFolder(path).prepared_scene(), name)
         prepared = self._scene_of(name, spec)
+        plan = plan_run(spec, prepared, name)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
             RunFolder.add(self._folder, name, spec, prepared.bundle)
-        return plan_run(spec, prepared, name)
+        return plan
 
     def _scene_of(self, run: str, spec: RunSpec) -> PreparedScene:
         key, known = self._keys.get(run, ""), self._scene

@@ -66,8 +66,7 @@ def check(
 
     Seams, empty triangles and windings are put right, in every run as here. --simplify, --remesh and --hull
     are ways out for meshes that cannot be used as they are, and flags of a run too. Holes are filled only
-    where that is asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be
-    used.
+    where asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be used.
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """

@@ -226,9 +226,8 @@ def import_poses(
     """Read the grasps in a file as poses of a hand on an object.
 
     Of a data set those of its object `of`. `frame` is that of the object in which the file gives poses; None:
-    as it says, or that of the mesh. Raises
-    UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
-    the hand does not have.
+    as it says, or that of the mesh. Raises UnreadableGrasps if the file cannot be read, says that poses are
+    in another frame, or names synergies that the hand does not have.
     """
     if of and path.is_file():
         raise UnreadableGrasps(path, "--of names an object of a data set's folder, and this is a file")

@@ -42,7 +42,7 @@ _END = object()
 class PlatformSink(MemorySink):
     """A sink that keeps the platform, and no row."""
 
-    def push(self, stretch: JournalSlice) -> None:
+    def push(self, part: JournalSlice) -> None:
         """Drop the rows."""
 
 

@@ -1,8 +1,7 @@
 """Cells and orientations: the bins that hand positions and rotations are counted in.
 
 Cells are cubes of 1 cm. S_G, the paper's reference set, holds positions rounded to 1 cm; everything that
-counts or keeps positions by cell (archive, coverage, progress, `info`) makes its cells here, so that all of
-them agree.
+counts or keeps positions by cell (archive, coverage, progress, `info`) makes its cells here, and all agree.
 
 Orientations are 60 bins. A rotation belongs to the nearest of the 60 that turn an icosahedron into itself.
 They lie in the rotations as evenly as 60 can: every bin is congruent to every other, a regular

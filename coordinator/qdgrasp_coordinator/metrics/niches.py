@@ -1,8 +1,7 @@
 """Niches: bins of hand position, orientation and synergy, and the best success of each.
 
 The paper's archive and S_G tell grasps apart by position alone. A data set wants more: hands in one cell
-that look elsewhere, are rolled, or close other fingers. Beside that archive, which stays as it is, stands
-this one.
+that look elsewhere, are rolled, or close other fingers. That archive stays as it is.
 """
 
 from collections.abc import Iterable, Iterator

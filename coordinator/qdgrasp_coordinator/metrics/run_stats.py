@@ -1,7 +1,6 @@
 """Counts over the rows of a run: totals, growth by generation, and whether it is complete.
 
-All counts are a function of the journal's rows in their order, so that a run that was replayed has the same
-counts.
+All counts are a function of the journal's rows in their order, so that a replayed run has the same.
 """
 
 from collections.abc import Iterable

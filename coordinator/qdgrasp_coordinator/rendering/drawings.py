@@ -313,8 +313,7 @@ def _two_views(
 ) -> tuple[Figure, ParallelCamera, list[Axes]]:
     """Make a figure with a titled view of each panel's pieces, all from one camera.
 
-    The image is at least `field` [m] wide; the points `tips` (n, 3) [m] are in it, with some room around
-    them.
+    The image is at least `field` [m] wide; the points `tips` (n, 3) [m] are in it, with some room.
     """
     meshes = [mesh for pieces in panels.values() for mesh, _ in pieces]
     points = np.concatenate([np.zeros((1, 3)), BEYOND * tips, *(mesh.vertices for mesh in meshes)])

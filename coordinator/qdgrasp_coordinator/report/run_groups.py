@@ -110,8 +110,7 @@ def search_run_folders(path: Path) -> list[RunFolder]:
     """List the runs of searches in a campaign, in a folder of runs, or of one run; by name.
 
     Runs that score given poses are passed over. Their specs, scenes and journals are needed, the files of
-    their jobs are not. Raises NoFolder or FolderError if there is no such folder, or no run of a search in
-    it.
+    their jobs are not. Raises NoFolder or FolderError if there is no such folder, or no such run.
     """
     atomic_files.check_folder(path)
     home = path / RUNS if (path / RUNS).is_dir() else path

@@ -118,7 +118,6 @@ class JobScheduler:
         """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
         self.epoch = epoch
         self.workers = WorkerRegistry()
-        self._settled_before: set[str] = set()  # Ids of the workers of runs that ended or were reopened
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size, self._checked)
 
     def handle(self, event: InboxEvent, now: float) -> None:
@@ -228,7 +227,7 @@ class JobScheduler:
             self.events.note("error", verdict.words(name), run=verdict.run, worker=name.wid)
             took_part = [run for run in self.runs if name.wid in run.settled_by]
             named = [first_few([run.name for run in took_part], RUNS_NAMED)] if took_part else []
-            if name.wid in self._settled_before:
+            if name.wid in self.runs.settled_before:
                 named.append("runs that ended or were opened again")
             if named:
                 rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {' and '.join(named)} may be wrong"
@@ -324,7 +323,6 @@ class JobScheduler:
 
     def _remove(self, run: ActiveRun, now: float) -> None:
         self._on_finished(run, now)
-        self._settled_before |= run.settled_by
         self.runs.remove(run)
         self._check_counts.pop(run.name, None)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
@@ -384,7 +382,6 @@ class JobScheduler:
         self._settle_checked(now)
         for run in self.runs:
             if run.goes_back and run.sink.is_empty:
-                self._settled_before |= run.settled_by
                 self.runs.reopen(run)
                 continue
             while self._may_ask(run) and (asked := run.pipeline.ask()) is not None:
@@ -477,13 +474,13 @@ class JobScheduler:
     @property
     def state(self) -> str:
         """The job's state: starting, running, paused, ending or cancelled."""
-        states = {
-            "cancelled": self.is_cancelled,
-            "ending": self.is_ending,
-            "paused": self.is_paused,
-            "starting": not self.epoch,
-        }
-        return next((state for state, holds in states.items() if holds), "running")
+        if self.is_cancelled:
+            return "cancelled"
+        if self.is_ending:
+            return "ending"
+        if self.is_paused:
+            return "paused"
+        return "running" if self.epoch else "starting"
 
     def status(self, now: float) -> JobStatus:
         """Return the job's figures."""

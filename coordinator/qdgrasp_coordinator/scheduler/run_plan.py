@@ -264,10 +264,13 @@ def prepare_scene(
 def plan_run(
     spec: RunSpec, prepared: PreparedScene, run: str = RUN, search: SearchAlgorithm | None = None
 ) -> RunPlan:
-    """Return a run as its spec asks; a `search` of one's own asks genomes of the method's prior."""
-    chosen = method(spec.method)
+    """Return a run as its spec asks; a `search` of one's own asks genomes of the method's prior.
+
+    Raises InputError if the spec has poses that its hand cannot take.
+    """
     if search is None:
-        search = chosen.build(spec, search_space(prepared.scene, prior_of(spec)))
+        check_spec_poses(spec, prepared.scene.gripper, row_shape(prepared.scene, prior_of(spec)).genes)
+        search = method(spec.method).build(spec, search_space(prepared.scene, prior_of(spec)))
     budget = (spec.evaluations, spec.overlaps, Flight.of(spec), TrialPlan.of(spec))
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run

@@ -2,8 +2,7 @@
 
 The loader makes the next run ready in a thread of its own: the replay of a journal may take seconds, and so
 may a scene that no worker builds; results go on being settled meanwhile. The runs are handed over through
-the scheduler's inbox. Shapes that runs wait for are built by workers, some for each worker ahead of their
-runs.
+the scheduler's inbox. Shapes that runs wait for are built by workers, some ahead of their runs.
 """
 
 import threading
@@ -327,6 +326,8 @@ class RunRegistry:
         self._runs_wait = False  # every run that is left, for shapes
         self._was_put_back = False  # since the loader began
         self.shapes = ShapeProgress(is_last=not queue.has_shapes)
+        self.settled_before: set[str] = set()
+        """Ids of the workers whose rows were taken by runs that ended or were reopened."""
         self._open: dict[str, ActiveRun] = {}
         self._failures: list[RunFailed] = []
         self._budgets = dict(self.extent.budgets)  # of the runs that are neither done nor failed
@@ -410,17 +411,21 @@ class RunRegistry:
 
     def remove(self, run: ActiveRun) -> None:
         """Remove a run that is done."""
-        del self._open[run.name]
+        self._let_go(run)
         self._done += 1
         self._budgets.pop(run.name, None)
         self._found += run.tally.totals
 
     def reopen(self, run: ActiveRun) -> None:
         """Remove a run, to reopen it from its journal."""
-        del self._open[run.name]
+        self._let_go(run)
         self._replayed -= run.replayed
         self._queue.put_back(run.name)
         self._was_put_back, self._all_opened, self._runs_wait = True, False, False
+
+    def _let_go(self, run: ActiveRun) -> None:
+        del self._open[run.name]
+        self.settled_before |= run.settled_by
 
     def close(self) -> None:
         """Stop opening."""

@@ -1,7 +1,6 @@
 """Builds: shapes of objects that workers build before the runs that need them are opened.
 
-A build is leased like a batch (docs/bus.md, rules 1 to 6), and a worker that holds one is leased nothing
-else.
+A build is leased like a batch (docs/bus.md, rules 1 to 6), and a worker that holds one gets nothing else.
 """
 
 import secrets

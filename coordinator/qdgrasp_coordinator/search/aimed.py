@@ -266,9 +266,8 @@ class AimedSearch(ABC):
         found = len(self._elites) > 0
         free_share = 0.0 if found else min(0.5, 0.5 * self._asked / ANYWHERE_GENOMES)
         loosest = 0.0 if self._candidates == 1 else 1.0
-        return exploration_grasps(
-            self._space, n, free_share, loosest, keyed_generator(self._spec.seed, "scouts", generation)
-        )
+        rng = keyed_generator(self._spec.seed, "scouts", generation)  # another key, other runs
+        return exploration_grasps(self._space, n, free_share, loosest, rng)
 
     def _aimed_at(self, genomes: Genomes) -> Places:
         """The cells (n,) that genomes (n, d) aim at."""

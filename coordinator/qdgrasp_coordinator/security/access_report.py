@@ -143,8 +143,7 @@ def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -
 
     Takers may be at a second router that relays with it, `takers_at`. `folder` is the one that `qdgrasp
     security init` wrote, with the authority's key; where it lacks a file, that raises `SecurityError`. A
-    router that does not answer, or takes none of the roles, raises `EndpointError`; so do several that are
-    named.
+    router that does not answer, or takes none of the roles, raises `EndpointError`; so do several.
     """
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)

@@ -155,7 +155,7 @@ def _sweep(whole: Path) -> None:
     """Remove what killed processes left of a folder; a folder that they moved goes back."""
     for part in whole.parent.iterdir():
         if is_staging(part, whole) and part.is_dir():
-            with suppress(BlockingIOError), _held(part):
+            with suppress(BlockingIOError, FileNotFoundError), _held(part):  # else in use, or removed since
                 if (part / OLD).exists() and not os.path.lexists(whole):
                     (part / OLD).rename(whole)
                 shutil.rmtree(part, ignore_errors=True)

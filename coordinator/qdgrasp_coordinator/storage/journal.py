@@ -95,8 +95,7 @@ class Journal:
     def open(cls, folder: Path) -> "Journal":
         """Open the journal in a run's folder as it is now.
 
-        Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version of this
-        package.
+        Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version.
         """
         file = folder / JOURNAL
         if not file.is_file():

@@ -50,7 +50,7 @@ class JournalSlice:
 
 
 def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
-    """Stretches that follow each other, as one; at least one."""
+    """Join slices that follow each other; at least one."""
     if len(slices) == 1:
         return slices[0]
     first = slices[0].first

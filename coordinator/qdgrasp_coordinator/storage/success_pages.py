@@ -177,8 +177,7 @@ def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) 
 def page_from_message(message: SuccessPage) -> SuccessTable:
     """Return the successes (n,) in a message.
 
-    Raises `MessageError` where a column is missing, of the wrong length, or holds a number that is not
-    finite.
+    Raises `MessageError` where a column is missing, of the wrong length, or holds no finite number.
     """
     finds = np.zeros(message.n, dtype=success_dtype(message.joints, message.contact_slots))
     return unpack(finds, SUCCESS_COLUMNS, message.columns)

@@ -204,8 +204,7 @@ def replay_evaluation(
 ) -> Iterator[ReplayedEvaluation | None]:
     """Replay a row for a with-block that reads its frames; None where a signal came first.
 
-    Raises InputError if the part that is asked for did not happen, and ReplayFailed if it could not be
-    replayed.
+    Raises InputError if the part that is asked for did not happen, and ReplayFailed if its replay failed.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name)

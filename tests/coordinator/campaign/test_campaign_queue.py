@@ -9,11 +9,16 @@ from msgspec import structs
 from qdgrasp_assets.object_shape import build_shape, pack_shape, shape_task
 from qdgrasp_coordinator.campaign.campaign_file import make_campaign
 from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
-from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, prepare_scene
+from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, full_spec, prepare_scene
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.build_messages import split_payload
 from qdgrasp_protocol.errors import RunFailed
 from qdgrasp_protocol.spec import RunSpec
+
+POSES = (((0.0, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)), ((0.0, 0.0, 0.2), (0.0, 0.0, 0.0, 0.0)))
+"""Places and quaternions of hands; the second is no rotation."""
 
 
 @pytest.fixture(autouse=True)
@@ -165,3 +170,19 @@ def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(runs, tm
     task, other = shape_task(spec), shape_task(RunSpec(gripper="panda", object=str(copy), mass=3.0))
     assert task is not None
     assert task == other
+
+
+def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folder(tmp_path: Path) -> None:
+    asked = {"gripper": "panda", "object": "tennis_ball", "method": "given", "evaluations": 1}
+    good, bad = ({**asked, "poses": [[*place, *turn]]} for place, turn in POSES)
+    specs = {name: full_spec(values) for name, values in (("a", good), ("b", bad), ("c", good))}
+    folder = JobFolder.create(tmp_path / "campaign", "campaign")
+    queue = CampaignRunQueue(folder, specs)
+    assert queue.next().run == "a"
+    with pytest.raises(RunFailed, match="of length zero"):
+        queue.next()
+    assert open_all(queue) == ["c"]
+    assert not folder.run_path("b").exists()
+    RunFolder.add(folder, "b", specs["b"], prepare_scene(specs["a"]).bundle)
+    with pytest.raises(RunFailed, match="of length zero"):
+        CampaignRunQueue(folder, {"b": specs["b"]}).next()

@@ -217,15 +217,8 @@ def test_every_method_has_a_line() -> None:
     done = CliRunner().invoke(app, ["methods"])
     assert done.exit_code == 0
     head, *lines = done.stdout.splitlines()
-    assert head.split() == [
-        "name",
-        "prior",
-        "overlaps",
-        "population",
-        "generations_in_flight",
-        "in_flight",
-        "summary",
-    ]
+    flight = ["population", "generations_in_flight", "in_flight"]
+    assert head.split() == ["name", "prior", "overlaps", *flight, "summary"]
     assert [line.split()[0] for line in lines] == list(METHODS)
 
 

@@ -31,7 +31,7 @@ from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 
@@ -218,6 +218,26 @@ def test_a_data_set_that_is_there_is_replaced_by_force_alone(campaign, tmp_path)
     export_campaign(campaign.path, out, "parquet", GraspChoice(min_fitness=2), force=True)
     assert len(pandas.read_parquet(out / "data")) == 12
     assert sorted(path.name for path in tmp_path.iterdir()) == ["campaign", "out"]
+
+
+def test_a_data_set_that_a_killed_command_had_moved_is_put_back_and_then_kept(campaign, tmp_path) -> None:
+    out, moved = tmp_path / "out", tmp_path / ".out.old"
+    export_campaign(campaign.path, out, "csv", GRASPS)
+    before = contents(out)
+    out.rename(moved)
+    with pytest.raises(InputError, match="is there already"):
+        export_campaign(campaign.path, out, "csv", GRASPS)
+    assert (contents(out), moved.exists()) == (before, False)
+    out.rename(moved)
+    (moved / "index.csv").unlink()  # it is no data set, and stays where it is
+    assert export_campaign(campaign.path, out, "csv", GRASPS, is_stopped=lambda: True) == ""
+    assert (moved.exists(), out.exists()) == (True, False)
+
+
+@pytest.mark.parametrize("out", ["/", "n" * 300])
+def test_a_path_where_no_folder_can_be_is_refused(campaign, out) -> None:
+    with pytest.raises(OutputError):
+        export_campaign(campaign.path, Path(out), "csv", GRASPS)
 
 
 def test_of_each_run_it_is_chosen_as_of_a_run_alone(campaign: JobFolder, tmp_path: Path) -> None:

@@ -148,12 +148,8 @@ def finds(jobs: JobModels, now: float, count: int) -> JobView:
 
 def test_no_count_falls_where_one_goes_on() -> None:
     jobs = watching(answers={})
-    for second, epoch, count, shown in (
-        (1, 2, 500, 500),
-        (20, 0, 0, 500),
-        (21, 3, 300, 500),
-        (40, 4, 501, 501),
-    ):
+    steps = ((1, 2, 500, 500), (20, 0, 0, 500), (21, 3, 300, 500), (40, 4, 501, 501))
+    for second, epoch, count, shown in steps:
         begins(jobs, START + second, epoch)
         view = finds(jobs, START + second, count)
         (one,) = view.runs

@@ -204,13 +204,9 @@ def test_that_nobody_comes_is_said_once_and_not_at_first() -> None:
     quiet = SilentProgress()
     said: list[str] = []
     quiet.say = said.append  # type: ignore[method-assign]  # what it says is heard
-    for seconds, workers in (
-        (1.0, 0),
-        (2 * ROUTER_SECONDS, 2),
-        (3 * ROUTER_SECONDS, 0),
-        (4 * ROUTER_SECONDS, 0),
-    ):
-        quiet.show(figures(seconds=seconds, workers=workers, rate=0.0))
+    quiet.show(figures(seconds=1.0, workers=0, rate=0.0))
+    for times, workers in ((2, 2), (3, 0), (4, 0)):
+        quiet.show(figures(seconds=times * ROUTER_SECONDS, workers=workers, rate=0.0))
     assert said == ["job 'mugs' waits: no worker has come to it yet"]
 
 

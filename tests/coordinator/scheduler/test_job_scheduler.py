@@ -18,10 +18,11 @@ from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import Cancelled, RunFailed
+from qdgrasp_protocol.errors import Cancelled, RecorderFellBack, RunFailed
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Heartbeat, Join, Opened
+from qdgrasp_protocol.messages import Heartbeat, Join, Opened, Recorded
 
 KEYS = Keys(JOB)
 
@@ -167,18 +168,35 @@ def test_checked_rows_count_unless_their_run_goes_back_to_what_is_recorded(goes_
     assert (len(sink.rows) == 4) is not goes_back
 
 
+class ForgetfulSink(SlowSink):
+    """A sink whose recorder has lost rows, as its first report says."""
+
+    def on_report(self, message: Recorded, now: float) -> None:
+        raise RecorderFellBack(message.durable, durable=1, sent=1)
+
+
 @pytest.mark.parametrize(
-    ("settled", "ended", "runs"),
-    [(False, False, ""), (True, False, "run-0"), (True, True, "runs that ended or were opened again")],
+    ("settled", "end", "runs"),
+    [
+        (False, "", ""),
+        (True, "", "run-0"),
+        (True, "done", "runs that ended or were opened again"),
+        (True, "fell back", "runs that ended or were opened again"),
+    ],
 )
-def test_runs_with_rows_of_an_excluded_worker_are_told_of(job, monkeypatch, settled, ended, runs) -> None:
+def test_runs_with_rows_of_an_excluded_worker_are_told_of(job, monkeypatch, settled, end, runs) -> None:
     for wid in (ANN, BOB):
         job.joins(join_message(wid), 0.0)
-    run = ActiveRun(make_run_plan("run-0", Plan()), SlowSink(SHAPE))
+    run = ActiveRun(make_run_plan("run-0", Plan()), ForgetfulSink(SHAPE))
     job.scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
     run.settled_by = {ANN} if settled else set()
-    if ended:
+    if end == "done":
         job.scheduler._remove(run, 1.0)
+    elif end:
+        report = messages.encode(Recorded(run="run-0", epoch=1, durable=0))
+        sample = Sample(KEYS.recorded, report, messages.encoding(Recorded))
+        job.scheduler.handle(sample, 1.0)
+        assert job.scheduler.runs.get("run-0") is None
     ann, bob = (worker.name for worker in job.scheduler.workers)
     verdict = CheckVerdict("run-9", 4, (bob,), (ann,))
     monkeypatch.setattr(job.scheduler.dispatcher, "take_verdicts", lambda: [verdict])

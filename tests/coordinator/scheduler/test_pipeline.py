@@ -59,12 +59,12 @@ def journal(pipeline: Pipeline, seed: int, task: Task = CHAIN) -> bytes:
         found.append(pipeline.settle(np.array(portion)))
         if chance.random() < 0.7 or not waiting:
             waiting += list(asked(pipeline, task))
-    assert [stretch.first for stretch in found if len(stretch)] == _firsts(found)
-    return b"".join(stretch.rows.tobytes() for stretch in found)
+    assert [part.first for part in found if len(part)] == _firsts(found)
+    return b"".join(part.rows.tobytes() for part in found)
 
 
 def _firsts(found: list) -> list[int]:
-    sizes = [len(stretch) for stretch in found if len(stretch)]
+    sizes = [len(part) for part in found if len(part)]
     return [0, *itertools.accumulate(sizes)][: len(sizes)]
 
 

@@ -24,7 +24,7 @@ from qdgrasp_protocol.rows import RowShape
 NARROW_SHAPE = RowShape(genes=1, joints=0)
 
 
-def stretch(first: int, n: int) -> JournalSlice:
+def journal_slice(first: int, n: int) -> JournalSlice:
     rows = NARROW_SHAPE.empty(n)
     rows["index"] = np.arange(first, first + n)
     return JournalSlice(first, rows, 0.1 * n)
@@ -33,32 +33,32 @@ def stretch(first: int, n: int) -> JournalSlice:
 def filled(*sizes: int, durable: int = 0, sent: float | None = None) -> Outbox:
     outbox = Outbox(durable)
     for first, n in zip(itertools.accumulate(sizes, initial=durable), sizes, strict=False):
-        outbox.push(stretch(first, n))
+        outbox.push(journal_slice(first, n))
     if sent is not None:
         outbox.take_due(sent)
     return outbox
 
 
-def numbers(stretches: list[JournalSlice]) -> list[int]:
+def numbers(slices: list[JournalSlice]) -> list[int]:
     """The rows that are sent; what the slices say of themselves is checked."""
-    for one in stretches:
+    for one in slices:
         assert len(one) <= MESSAGE_ROWS
         assert one.rows["index"].tolist() == list(range(one.first, one.stop))
-    return [number for one in stretches for number in range(one.first, one.stop)]
+    return [number for one in slices for number in range(one.first, one.stop)]
 
 
 def test_rows_are_sent_once_while_all_is_well() -> None:
     outbox = filled(3, 4)
     assert numbers(outbox.take_due(0.0)) == list(range(7))
     assert outbox.take_due(0.1) == []
-    outbox.push(stretch(7, 2))
+    outbox.push(journal_slice(7, 2))
     assert numbers(outbox.take_due(0.2)) == [7, 8]
     outbox.confirm(9, 0.3)
     assert outbox.is_empty
     assert outbox.take_due(100.0) == []
 
 
-def test_many_rows_go_in_slices_and_small_stretches_together() -> None:
+def test_many_rows_go_in_slices_and_small_ones_together() -> None:
     slices = filled(*[7] * 400).take_due(0.0)
     assert numbers(slices) == list(range(2800))
     assert len(slices) == 3
@@ -82,7 +82,7 @@ def test_a_report_without_progress_puts_nothing_off() -> None:
 def test_time_without_anything_to_confirm_does_not_count() -> None:
     outbox = filled(2, sent=0.0)
     outbox.confirm(2, 0.1)
-    outbox.push(stretch(2, 2))
+    outbox.push(journal_slice(2, 2))
     assert numbers(outbox.take_due(1000.0)) == [2, 3]
     assert outbox.take_due(1000.0 + RESEND_AFTER / 2) == []
 
@@ -113,7 +113,7 @@ def test_numbers_go_on_from_what_was_durable_at_the_start() -> None:
 def test_it_is_full_when_too_much_is_unconfirmed() -> None:
     outbox = filled(MOST_UNCONFIRMED)
     assert not outbox.is_full
-    outbox.push(stretch(MOST_UNCONFIRMED, 1))
+    outbox.push(journal_slice(MOST_UNCONFIRMED, 1))
     assert outbox.is_full
     outbox.confirm(1, 0.0)
     assert not outbox.is_full
@@ -121,14 +121,14 @@ def test_it_is_full_when_too_much_is_unconfirmed() -> None:
 
 def test_a_gap_is_refused() -> None:
     with pytest.raises(ValueError, match="row 3 was to be next, got 4"):
-        filled(3).push(stretch(4, 1))
+        filled(3).push(journal_slice(4, 1))
 
 
 def test_reasons_of_errors_are_sent_with_their_rows() -> None:
     outbox = Outbox(0)
     for first in (0, MESSAGE_ROWS - 2):
         n = MESSAGE_ROWS - 2 if first == 0 else 10
-        one = stretch(first, n)
+        one = journal_slice(first, n)
         outbox.push(JournalSlice(first, one.rows, 1.0, (Failure(row=5, reason=f"{first + 5}"),)))
     sent = [
         (part.first + failure.row, failure.reason)

@@ -202,12 +202,7 @@ def test_a_place_passes_on_its_best_success() -> None:
 
 def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
     kept = elite_store()
-    for outcome, expected in [
-        (Outcome.SHAKEN, 0),
-        (Outcome.SHAKEN, 0),
-        (Outcome.DROPPED, 0),
-        (Outcome.HELD, 9),
-    ]:
+    for outcome, expected in [*[(Outcome.SHAKEN, 0)] * 2, (Outcome.DROPPED, 0), (Outcome.HELD, 9)]:
         told = rows([outcome] * 4)[3:]
         told["surface_point"] += 0 if len(kept) == 0 else 9
         offer(kept, of([7]), told)

@@ -21,12 +21,8 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
 
-OUTCOMES = [
-    *[Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD] * 10,
-    Outcome.OVERLAP,
-    Outcome.MISSED,
-    Outcome.DEAD_END,
-]
+GRASPED = [Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD]
+OUTCOMES = [*GRASPED * 10, Outcome.OVERLAP, Outcome.MISSED, Outcome.DEAD_END]
 PANEL = PictureSize(160, 120)
 
 

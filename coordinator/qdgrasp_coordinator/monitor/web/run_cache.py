@@ -34,7 +34,7 @@ from qdgrasp_coordinator.rendering.views import SurfaceDistanceGrid, clear_png, 
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoReply, QdgraspError
+from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoDataFolder, NoReply, QdgraspError
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
@@ -317,11 +317,11 @@ class RunCache:
 class ObjectPictures:
     """Small pictures of the objects of runs, each rendered once.
 
-    They are kept in memory and in a folder. A folder that cannot be written is no error: pictures are then in
-    memory alone.
+    They are kept in memory and in a folder; None: in the cache. A folder that cannot be written is no error:
+    pictures are then in memory alone.
     """
 
-    def __init__(self, records: Records, folder: Path, clock: Callable[[], float]) -> None:
+    def __init__(self, records: Records, folder: Path | None, clock: Callable[[], float]) -> None:
         self._records = records
         self._folder = folder
 
@@ -347,19 +347,20 @@ class ObjectPictures:
     def _file(self, digest: str) -> Path:
         # a digest comes over the bus
         name = hashlib.sha256(f"{digest} {PICTURE_PIXELS}".encode()).hexdigest()
-        return self._folder / f"{name}.png"
+        return (self._folder or cache_folder() / "pictures") / f"{name}.png"
 
     def _read(self, digest: str) -> bytes:
         """Return the picture in the folder, empty where it is not there."""
-        with suppress(OSError):
+        with suppress(OSError, NoDataFolder):
             return self._file(digest).read_bytes()
         return b""
 
     def _render(self, job: str, run: str, digest: str) -> bytes:
         picture = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
-        with suppress(OSError, FolderError):
-            self._folder.mkdir(parents=True, exist_ok=True)
-            atomic_files.replace(self._file(digest), picture)
+        with suppress(OSError, FolderError, NoDataFolder):
+            file = self._file(digest)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            atomic_files.replace(file, picture)
         return picture
 
 
@@ -432,7 +433,7 @@ class RunCaches(RunDataCaches):
         self._listings = made_once(MAX_JOBS, listings)
         self._entries = made_once(MAX_ENTRIES, entry)
         self._objects = made_once(MAX_JOBS, objects)
-        self._pictures = ObjectPictures(records, cache_folder() / "pictures", clock)
+        self._pictures = ObjectPictures(records, None, clock)
 
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""

@@ -2,8 +2,7 @@
 
 The state of all jobs is made twice a second, once for all browsers, and sent as server-sent events. A
 browser takes the newest frame whenever it has taken the one before: a slow one misses frames, a stuck one is
-dropped, and neither makes anything wait or grow. Without a browser nothing is made. Curves are sent when
-asked for.
+dropped, and neither makes anything wait or grow. Without a browser nothing is made. Curves go on request.
 """
 
 import asyncio

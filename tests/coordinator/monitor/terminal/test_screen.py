@@ -440,13 +440,8 @@ def test_a_curve_takes_exactly_its_room(glyphs: Glyphs, values: list[float], wid
 
 
 def test_a_straight_line_is_drawn_as_one() -> None:
-    assert charts.plot_curve([0, 10], [0, 10], 5, 5, 10, ASCII) == [
-        "    *",
-        "   * ",
-        "  *  ",
-        " *   ",
-        "*    ",
-    ]
+    diagonal = [f"{'*':>{width}}".ljust(5) for width in range(5, 0, -1)]
+    assert charts.plot_curve([0, 10], [0, 10], 5, 5, 10, ASCII) == diagonal
 
 
 def test_a_jump_is_drawn_without_a_gap() -> None:

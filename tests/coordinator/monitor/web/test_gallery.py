@@ -126,12 +126,8 @@ def test_a_grasp_is_a_file_with_its_frames_and_units(page: Page) -> None:
         page.get_by_role("button", name="Download").click()
     assert download.value.suggested_filename == "jaw-block-8.json"
     told = json.loads(Path(download.value.path()).read_text())
-    assert (told["number"], told["gripper"], told["object"], told["units"]) == (
-        8,
-        "jaw",
-        "block",
-        "m, rad, N",
-    )
+    assert (told["number"], told["gripper"], told["object"]) == (8, "jaw", "block")
+    assert told["units"] == "m, rad, N"
     assert told["settled"]["position"] == pytest.approx([-0.05, 0, 0.03])
     assert told["joints"] == pytest.approx({"left": 0.01, "right": 0.02})
     assert len(told["contacts"]) == 2
@@ -172,9 +168,5 @@ def test_in_another_journal_the_same_number_is_another_picture(records: HandMade
 
 def test_settings_are_those_of_the_run_and_of_its_scene(records: HandMadeRecords) -> None:
     told = json.loads(RunCaches(records).settings("mug", "mug"))
-    assert {
-        "method": "aimed",
-        "seed": "7",
-        "engine": "bullet",
-        "object's mass": "100 g",
-    }.items() <= told.items()
+    expected = {"method": "aimed", "seed": "7", "engine": "bullet", "object's mass": "100 g"}
+    assert expected.items() <= told.items()

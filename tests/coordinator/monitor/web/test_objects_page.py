@@ -183,6 +183,8 @@ def test_a_picture_is_rendered_once_and_kept_in_the_folder(tmp_path, monkeypatch
     kept = ObjectPictures(records, tmp_path / "file", lambda: records.now)
     (tmp_path / "file").touch()
     assert kept.get("parts", "run") == b""  # rendered, and kept in memory alone
+    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
+    assert ObjectPictures(records, None, lambda: records.now).get("parts", "run") == b""
 
 
 def test_a_picture_comes_with_its_type_and_is_kept_by_the_browser(parts, objects) -> None:
