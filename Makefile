@@ -88,6 +88,8 @@ results: $(VENV)/.ready
 
 results-page: $(VENV)/.ready
 	@$(BIN)/python -m benchmarks.results page
+	@$(BIN)/python -m benchmarks.physics.calibration --page
+	@$(BIN)/python -m benchmarks.leave_one_out --page
 
 # Versions that are locked stay unless they must change; UPGRADE=--upgrade takes the latest.
 LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \

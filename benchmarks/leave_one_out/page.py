@@ -35,7 +35,8 @@ INTRODUCTION = f"""# Constants refitted without one object
 The constants of the default search were chosen on three objects
 ([which, and on which](../methods.md#constants-of-the-default-search)). Does one of these objects decide too
 much? {len(GRID)} constants are chosen anew here, from runs on all three objects and from runs on two of them.
-Then today's constants and the refitted ones run on {len(HELD_OUT)} objects that had no part in either choice.
+Then today's constants and the refitted ones run on {len(HELD_OUT)} objects that had no part in either choice:
+the other scans but the chips can.
 
 ```sh
 python -m benchmarks.leave_one_out          # what is missing; can be stopped, goes on

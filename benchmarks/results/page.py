@@ -205,6 +205,11 @@ Made by `make results-page` from [runs.csv](runs.csv), which has a line for each
 [reference sets](#reference-sets-of-our-own) beside it. The runs are those that the
 campaigns in [deploy/results](../../deploy/results) ask for; `make results` carries out what is missing.
 [How the results are made](methods.md): scenes, work, measures and statistics.
+
+Other pages: [ranked grasps under unseen disturbances](calibration.md), in the place of the paper's table of
+transfer to a robot, with no robot; [constants refitted without one tuning object](leave-one-out.md);
+[the paper's Figures 1 to 4](../experiment.md#the-figures-from-the-runs-so-far). `aimed` is this project's
+default search, and all other methods are the paper's.
 """
 
 

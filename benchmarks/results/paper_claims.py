@@ -6,7 +6,7 @@ the fewest seeds, from which on it is the same as with all of them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from benchmarks.results.comparison import ANY, COVERAGE, Arm, changed, settings_of
@@ -33,9 +33,11 @@ SIGMA_GRID = "sigma-grid"
 """The campaign of the choice of sigma."""
 SIGMA_COLUMNS = ("object", "method", "evaluations", "runs")
 COLUMNS = (
-    "", "number", "hand", "objects", "seeds", "evaluations", "value", f"{CONFIDENCE_LEVEL:.0%} interval",
-    "verdict", "stable from evaluations", "from seeds",
+    "", "number", "hand", "objects", "seeds", "evaluations", "value", "of single objects",
+    f"{CONFIDENCE_LEVEL:.0%} interval", "verdict", "stable from evaluations", "from seeds",
 )  # fmt: skip
+
+REACHED = ("hand", "object", "evaluations", "method", "runs", "coverage, %", "outside, %")
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,11 @@ class ClaimNumber:
         """The number after so many evaluations, of the first seeds alone."""
         values = [[_first(arm, seeds) for arm in arms] for arms in self.scenes]
         return MEASURES[self.claim.measure](values, budget)
+
+    def of_single_objects(self, budget: int, seeds: int) -> list[float]:
+        """The number of each object alone, ascending; objects where it is not known are left out."""
+        alone = (replace(self, scenes=(arms,)).interval(budget, seeds).value for arms in self.scenes)
+        return sorted(value for value in alone if not np.isnan(value))
 
     def verdict(self, budget: int, seeds: int) -> ClaimAgreement:
         """Whether that is in the claim's band."""
@@ -147,8 +154,9 @@ OF_THE_END = (claims.near_nu_share, claims.near_nu_ratio)
 def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
     """The numbers of all claims whose methods are on a scene together, by hand and budget.
 
-    Left out are those that are not known in the end: half of the budget is no milestone, or no run has a
-    success.
+    Each is of the scenes on which its methods have enough seeds for a verdict, or of all where there is no
+    such scene. Left out are those that are not known in the end: half of the budget is no milestone, or no
+    run has a success.
     """
     parts: dict[tuple[str, int], dict[tuple[str, str, str], dict[str, Arm]]] = {}
     for arm in known:
@@ -159,9 +167,11 @@ def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
         judged = [(methods, True) for methods in claim.methods]
         for methods, is_judged in judged + [(methods, False) for methods in claim.beside]:
             for (_, budget), scenes in sorted(parts.items()):
-                both = [arms for arms in scenes.values() if {*methods} <= {*arms}]
-                if both:
-                    here = tuple(tuple(arms[name] for name in methods) for arms in both)
+                both = [
+                    tuple(arms[name] for name in methods) for arms in scenes.values() if {*methods} <= {*arms}
+                ]
+                enough = [arms for arms in both if all(len(arm.rows) >= LEAST_RUNS for arm in arms)]
+                if here := tuple(enough or both):
                     one = ClaimNumber(claim, methods, here, is_judged)
                     if one.budgets[-1:] == [budget] and not np.isnan(one.interval(budget, one.seeds).value):
                         yield one
@@ -169,21 +179,41 @@ def numbers(known: Iterable[Arm]) -> Iterator[ClaimNumber]:
 
 def claims_part(known: Iterable[Arm]) -> str:
     """The section of the page."""
+    known = list(known)
     found = list(numbers(known))
     head = (
         "## The paper's claims\n\n"
-        "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A claim agrees when all "
-        "its numbers do (in brackets: how many of them), and does not when one does not. A verdict is "
-        "*stable* from the least budget with all seeds, and from the fewest seeds at the end, from which on "
-        f"it stays the same. With fewer than {LEAST_RUNS} seeds there is none. (c) needs a budget of 10,000 "
-        "or 100,000, whose half the table has too. A ratio of 0 with an interval from 0 to 0: no run of the "
-        "upper method found a cell of S_G, and five runs cannot say how seldom one does. The paper's curves "
-        "end at 100,000 evaluations; its Figure 1 is of all four hands, Figure 2 of Panda and Allegro, and "
-        "antipodal methods are of the Panda alone.\n"
+        "Numbers and bands of [Analysis](../analysis.md#claims-and-their-intervals). A claim agrees when "
+        "all its numbers do (in brackets: how many of them), and does not when one does not. With fewer "
+        f"than {LEAST_RUNS} seeds there is no verdict. A number is of the objects on which its methods "
+        "have as many, else of all objects. *Of single objects*: the least and the greatest value of one "
+        "object alone. A verdict is *stable* from the least budget with all seeds, and from the fewest "
+        f"seeds at the end, from which on it stays the same; of {LEAST_RUNS} seeds all are needed, and "
+        "nothing is said. (c) is judged where the table has the figure at half of the budget, too: after "
+        "10,000 evaluations, a tenth of the paper's curves, where *does not* means that there is no "
+        "plateau yet, and after 100,000. A ratio of 0 with an interval from 0 to 0: no run of the upper "
+        "method found a cell of S_G, and five runs cannot say how seldom one does. The paper's curves end "
+        "at 100,000 evaluations; its Figure 1 is of all four hands, Figure 2 of Panda and Allegro, and "
+        "antipodal methods are of the Panda alone ([the figures from these "
+        "runs](../experiment.md#the-figures-from-the-runs-so-far)).\n"
     )
     if not found:
         return f"{head}\nNo runs of the claims' campaigns are in yet.\n"
-    return "\n".join((head, _summary(found), markdown_table(COLUMNS, [_line(one) for one in found])))
+    reached = (
+        "The coverages of S_G that these ratios are of, in percent: median over runs, in brackets their "
+        "range. *Outside*: the share of a run's cells that are not in S_G.\n"
+    )
+    shown = [arm for arm in known if len(arm.values("coverage")) and not changed(arm.key)]
+    numbers_table = markdown_table(COLUMNS, [_line(one) for one in found])
+    lines = [_coverage_line(arm) for arm in sorted(shown, key=lambda arm: arm.key)]
+    return "\n".join((head, _summary(found), numbers_table, reached, markdown_table(REACHED, lines)))
+
+
+def _coverage_line(arm: Arm) -> tuple[str, ...]:
+    return (
+        arm.key.gripper, arm.key.object, f"{arm.key.budget:,}", f"`{arm.key.method}`", arm.count,
+        arm.words(COVERAGE.name, COVERAGE.scale, 2), arm.words("outside_share", 100),
+    )  # fmt: skip
 
 
 def _summary(found: Sequence[ClaimNumber]) -> str:
@@ -199,9 +229,11 @@ def _summary(found: Sequence[ClaimNumber]) -> str:
 
 
 def _heading(found: Sequence[ClaimNumber], part: tuple[str, int]) -> str:
-    """Hand, budget, and the number of objects, the most of any number."""
+    """Hand, budget, and the numbers of objects, the least and the most of any number."""
     hand, budget = part
-    return f"{hand}, {budget:,}, {counted(max(one.objects for one in found if one.part == part), 'object')}"
+    objects = {one.objects for one in found if one.part == part and one.is_judged}
+    least = f"{min(objects)} to " if len(objects) > 1 else ""
+    return f"{hand}, {budget:,}, {least}{counted(max(objects), 'object')}"
 
 
 def _overall(claim: PaperClaim, judged: Sequence[ClaimNumber]) -> str:
@@ -217,13 +249,14 @@ def _overall(claim: PaperClaim, judged: Sequence[ClaimNumber]) -> str:
 
 def _line(one: ClaimNumber) -> tuple[str, ...]:
     end, seeds = one.budgets[-1], one.seeds
-    found = one.interval(end, seeds)
+    found, alone = one.interval(end, seeds), one.of_single_objects(end, seeds)
     verdict = one.claim.band.verdict(found).value if found.is_known else "few seeds"
     budget, fewest = one.stable_from() if found.is_known and one.is_judged else (None, None)
     return (
         one.claim.letter, " / ".join(f"`{name}`" for name in one.methods),
         one.part[0], str(one.objects),
         str(seeds), f"{end:,}", f"{found.value:.3g}",
+        f"{alone[0]:.3g} to {alone[-1]:.3g}" if len(alone) > 1 else "",
         f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "",
         verdict if one.is_judged else "to compare with",
         "" if budget is None or len(one.budgets) == 1 else f"{budget:,}",

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cli.reference_commands import ENOUGH
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, read_references
+from qdgrasp_coordinator.report.bootstrap import LEAST_RUNS
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets
 from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.storage import atomic_files
@@ -256,8 +257,9 @@ def sets_part(sets: Sequence[SceneSet], scenes: int) -> str:
             "nothing can be estimated from them. *Estimated*: the least number of cells that more seeds of "
             "these methods would find, with its 95% interval. All runs with a seed count as one; *seeds*: "
             "those that every method has, from which it is estimated ([how, and how far it can be too "
-            f"low](../coverage.md#how-it-is-estimated)). A set of {ENOUGH:.0%} of the estimate would "
-            f"be complete enough. There are sets of {len(sets)} of the "
+            f"low](../coverage.md#how-it-is-estimated)). There is no estimate where these are fewer than "
+            f"{LEAST_RUNS}, or did not find all cells of the set. A set of {ENOUGH:.0%} of the estimate "
+            f"would be complete enough. There are sets of {len(sets)} of the "
             f"{scenes} scenes of the benchmark and of the claims that have runs: a set needs the folders of "
             f"its runs. They are in [{FOLDER}]({FOLDER}), to be used with `qdgrasp coverage --reference`.\n",
             markdown_table(SIZES, [(*one.scene, str(len(one.runs)), *_sizes(one.by_seed)) for one in sets]),
@@ -275,9 +277,11 @@ def _sizes(found: ReferenceSet) -> Iterator[str]:
     assert found.by_run is not None
     yield str(len(found.by_run))
     for some in (found, found.robust):
+        assert some.by_run is not None
         yield str(len(some))
-        if (estimate := some.estimate) is None:
+        is_whole = len(some.by_run) >= LEAST_RUNS and (some.by_run > 0).any(axis=0).all()
+        if not is_whole or (estimate := some.estimate) is None:
             yield from ("", "")
         else:
             yield estimate.total_words().removeprefix("an estimated ").removesuffix(" or more")
-            yield f"{100 * min(1.0, len(some) / estimate.total):.0f}"
+            yield f"{100 * len(some) / estimate.total:.0f}"

@@ -274,13 +274,9 @@ def test_a_run_that_is_put_back_is_the_next_one() -> None:
 
 @pytest.mark.parametrize(
     ("bounds", "is_met"),
-    [
-        ({}, None),
-        ({"least": 1.0}, True),
-        ({"least": 3.0}, False),
-        ({"most": 3.0}, True),
-        ({"most": 1.0}, False),
-    ],
+    [({}, None)]
+    + [({"least": bound}, bound < 2) for bound in (1.0, 3.0)]
+    + [({"most": bound}, bound > 2) for bound in (1.0, 3.0)],
 )
 def test_a_figure_is_met_within_what_is_wanted(bounds: dict[str, float], is_met: bool | None) -> None:
     assert ScaleFigure("a", 2.0, "s", **bounds).is_met is is_met

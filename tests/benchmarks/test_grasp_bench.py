@@ -138,11 +138,8 @@ class TestCampaigns:
         assert TUNING.isdisjoint(one.key.scene[:2] for one in known.campaigns["grasp-bench-1"])
 
     def test_each_seed_has_a_cloud_of_its_own_and_an_arm_has_all_seeds(self, known: Programme) -> None:
-        for campaign, seeds in (
-            ("grasp-bench-1", 5),
-            ("grasp-bench-1-tuning", 10),
-            ("grasp-bench-1-sweep", 2),
-        ):
+        for ending, seeds in (("", 5), ("-tuning", 10), ("-sweep", 2)):
+            campaign = f"grasp-bench-1{ending}"
             assert all(spec.surface_seed == spec.seed > 0 for spec in specs(known, campaign))
             alike = arms(Programme({"one": known.campaigns[campaign]}), {})
             assert {arm.seeds for arm in alike} == {tuple(range(1, seeds + 1))}

@@ -144,11 +144,8 @@ class TestDrawnGrasps:
         rows = ROWS.copy()
         rows["outcome"] = np.minimum(rows["outcome"], Outcome.SHAKEN)
         record(tmp_path / "run", rows, protocol="physical", engine="mujoco")
-        assert drawn_grasps.drawn_figures(tmp_path / "run") == {
-            "drawn": 0,
-            "drawn_in_bullet": None,
-            "drawn_eta": None,
-        }
+        figures = drawn_grasps.drawn_figures(tmp_path / "run")
+        assert figures == {"drawn": 0, "drawn_in_bullet": None, "drawn_eta": None}
 
     def test_judging_fills_the_rows_that_lack_it_and_keeps_the_others(self, run, tmp_path, monkeypatch):
         one = Wanted("run", run.spec)

@@ -1,6 +1,8 @@
 """Sections of the page of results: the paper's claims, judged from the table, and reference sets."""
 
 import dataclasses
+from collections import Counter
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,26 @@ def test_with_four_seeds_there_is_no_verdict() -> None:
     assert summary[3].startswith("**cannot be said** (0 of 3)")
     assert line[4] == "4"
     assert "few seeds" in line
+
+
+def test_an_object_with_few_seeds_takes_no_verdict_from_the_others() -> None:
+    few = [arm(name, *FIVE[:3], object="ycb_banana") for name in ("contact_me_scs", "approach_me_scs")]
+    whole = [arm("contact_me_scs", *FIVE), arm("approach_me_scs", *FIVE)]
+    found, alone = number("b", *few, *whole), number("b", *few)
+    assert (found.objects, found.seeds, alone.objects, alone.seeds) == (1, 5, 1, 3)
+    assert found.verdict(10_000, 5) is ClaimAgreement.AGREES
+
+
+def test_the_values_of_single_objects_stand_beside_the_number() -> None:
+    other = [
+        arm("contact_me_scs", *FIVE, object="ycb_bowl"),
+        arm("approach_me_scs", *FIVE, object="ycb_bowl"),
+    ]
+    whole = [arm("contact_me_scs", *FIVE), arm("approach_me_scs", *(end / 2 for end in FIVE))]
+    assert number("b", *other, *whole).of_single_objects(10_000, 5) == pytest.approx([1.0, 2.0])
+    text = claims_part([*other, *whole])
+    assert " | 1 to 2 | " in next(line for line in text.splitlines() if line.startswith("| b | `contact_me"))
+    assert "| panda | ycb_bowl | 10,000 | `contact_me_scs` | 5 | 50.00 (49.00 to 52.00) |" in text
 
 
 def test_a_claim_agrees_when_all_its_numbers_are_in_and_do() -> None:
@@ -227,23 +249,29 @@ def test_under_physical_it_is_of_cells_that_hold(tmp_path: Path) -> None:
 
 
 def test_the_section_has_a_line_for_each_set_and_for_each_method_on_it(tmp_path: Path) -> None:
-    folders = runs(tmp_path, 1, 2, 3) | runs(tmp_path, 2, 3, method="contact_rand", population=500)
+    folders = runs(tmp_path, 1, 2, 3, 4, 5) | runs(tmp_path, 1, 2, 3, 4, 5, method="contact_rand")
     gathered(tmp_path / "sets", folders)
     found = one_set(tmp_path / "sets")
     text = sets_part([found], 3)
     sizes, *coverage = (line for line in text.splitlines() if line.startswith("| panda |"))
     assert "There are sets of 1 of the 3 scenes" in text
-    units = [
-        set.union(*(found_cells(folder) for one, folder in folders.items() if one.seed == seed))
-        for seed in (2, 3)
-    ]
-    once, twice = len(set.symmetric_difference(*units)), len(set.intersection(*units))
-    total = once + twice + once**2 / (4 * twice)
-    assert f"| 5 | 2 | {len(found.found)} | {total:.0f} (" in sizes
+    units: dict[int, set[Any]] = {}
+    for one, folder in folders.items():
+        units.setdefault(one.seed, set()).update(found_cells(folder))
+    often = Counter(Counter(chain(*units.values())).values())
+    total = often.total() + 4 / 5 * often[1] ** 2 / (2 * often[2])
+    assert f"| 10 | 5 | {len(found.found)} | {total:.0f} (" in sizes
     for line, each in zip(coverage, found.coverage, strict=True):
         assert f"| 300 | {each.method} | {len(each.by_run)} | {100 * np.median(each.by_run):.1f} (" in line
         assert line.endswith(f" | {100 * each.together:.1f} | {100 * each.alone:.1f} |")
     assert sets_part([], 3) == ""
+
+
+def test_a_set_with_cells_that_no_complete_seed_found_has_no_estimate(tmp_path: Path) -> None:
+    folders = runs(tmp_path, 1, 2, 3, 4, 5, 6) | runs(tmp_path, 1, 2, 3, 4, 5, method="contact_rand")
+    gathered(tmp_path / "sets", folders)
+    found = one_set(tmp_path / "sets")
+    assert f"| 11 | 5 | {len(found.found)} |  |  |" in sets_part([found], 3)
 
 
 def test_one_run_has_no_estimate_and_a_set_in_which_nothing_holds_no_coverage(tmp_path: Path) -> None:

@@ -437,7 +437,7 @@ class TestBenchmark:
             ("aimed", 0, 40), ("me_scs", 0, 20), ("contact_me_scs", 100, 20)
         )))  # fmt: skip
         (line,) = (line for line in benchmark_part(arms).splitlines() if BEST_OTHER in line)
-        assert line.split(" | ")[11] == "0.00 (0.00 to 0.00)"
+        assert line.split(" | ")[12] == "0.00 (0.00 to 0.00)"
 
     def test_grasps_judged_again_weigh_cells_by_the_share_that_holds_in_both_engines(self) -> None:
         ours, theirs = bench_arms(

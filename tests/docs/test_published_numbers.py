@@ -48,6 +48,7 @@ def read_runs() -> Runs:
     table["words"] = [words_of(*pair) for pair in zip(table["method"], table["settings"], strict=True)]
     table["screened"] = table["proposals"] / table["evaluations"]
     table["rate"] = table["robust_cells"] / table["cpu_seconds"]
+    table["of_poses"] = 1000 * table["robust_cells"] / table["proposals"]
     return table
 
 
@@ -210,7 +211,7 @@ def test_sums_are_means_over_scenes_of_medians_over_runs(groups: Groups, summary
         figures = {
             "cells that hold": ("robust_cells", 0), "niches that hold": ("robust_niches", 0),
             "QD score": ("qd_score", 0), "poses screened": ("screened", 1), "CPU s": ("cpu_seconds", 0),
-            "cells that hold a CPU s": ("rate", 1),
+            "cells that hold a CPU s": ("rate", 1), "cells that hold for 1,000 poses": ("of_poses", 0),
         }  # fmt: skip
         for name, (column, digits) in figures.items():
             mean = mine.groupby(["gripper", "object", "budget"])[column].median().mean()

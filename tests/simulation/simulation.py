@@ -82,11 +82,8 @@ class Simulation:
 
     def open(self) -> None:
         """Start the processes of the beginning, in any order."""
-        for start in [
-            self.start_recorder,
-            self.start_coordinator,
-            *[self.start_worker] * self.history.workers,
-        ]:
+        workers = [self.start_worker] * self.history.workers
+        for start in [self.start_recorder, self.start_coordinator, *workers]:
             self.world.later(self.world.chance.uniform(0, 2), start)
         for kind in self.history.bad:
             self.world.later(self.world.chance.uniform(4, 8), lambda kind=kind: self._start_bad(kind))

@@ -70,11 +70,8 @@ class Stranger:
             for parameters in selectors:
                 with suppress(Refused, NoReply):
                     self._bus.ask(key, parameters=parameters, timeout=1.0)
-        for key in (
-            KEYS.root + "/live/coord/²",
-            KEYS.root + "/live/coord/" + "9" * 5000,
-            KEYS.worker_token("x"),
-        ):
+        coordinators = KEYS.root + "/live/coord/"
+        for key in (coordinators + "²", coordinators + "9" * 5000, KEYS.worker_token("x")):
             with self._bus.token(key):
                 pass
         return count

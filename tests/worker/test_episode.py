@@ -189,8 +189,5 @@ class TestReleased:
     def test_free_joints_are_set_after_the_test_for_overlap(self):
         world = WrittenWorld(during(0, 0, Contact(FINGER, 0.001)))
         run(world, RELEASED)
-        assert world.told[:3] == [
-            ("reset", list(world.opened), FRICTIONS),
-            "looked",
-            ("fingers", POSE.joints),
-        ]
+        reset, fingers = ("reset", list(world.opened), FRICTIONS), ("fingers", POSE.joints)
+        assert world.told[:3] == [reset, "looked", fingers]

@@ -168,6 +168,7 @@ def _short_part(rows: Rows) -> Iterator[str]:
     """The findings of each hand in a sentence or two."""
     yield "## In short\n"
     yield "".join(filled(_finding(hand, some), "  ") for hand, some in by_hand(rows).items())
+    yield filled("Intervals are of the grasps of these runs; over other runs they would be wider.", "")
 
 
 def _finding(hand: str, rows: Rows) -> str:

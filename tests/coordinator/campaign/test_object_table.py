@@ -225,11 +225,8 @@ def test_a_row_that_is_given_up_fails_no_run() -> None:
 
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
     before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn", "")])
-    assert [each.state for each in with_events(before, [], ["a", "b", "a2"])] == [
-        "building",
-        "running",
-        "skipped",
-    ]
+    states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
+    assert states == ["building", "running", "skipped"]
 
 
 OBJECTS = [

@@ -37,11 +37,8 @@ def test_list_tells_what_was_fetched_and_what_lies_on_the_asset_path(asset, monk
     listed = {
         entry["name"]: entry["source"] for entry in json.loads(asset("list", "--json").stdout)["objects"]
     }
-    assert (listed["ycb_mug"], listed["ycb_bowl"], listed["ycb_banana"]) == (
-        "fetched",
-        "asset path",
-        "absent",
-    )
+    sources = [listed[name] for name in ("ycb_mug", "ycb_bowl", "ycb_banana")]
+    assert sources == ["fetched", "asset path", "absent"]
 
 
 def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkeypatch):

@@ -196,11 +196,8 @@ def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folde
     found = [len(successes(ROWS[:stop])) for stop in range(10, 301, 10)]
     assert [point.successes for point in curve.points] == found
     totals = counts.totals
-    assert (curve.run, curve.points[-1].cells, curve.points[-1].robust) == (
-        "run",
-        totals.cells,
-        totals.robust,
-    )
+    end = curve.points[-1]
+    assert (curve.run, end.cells, end.robust) == ("run", totals.cells, totals.robust)
 
 
 def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:

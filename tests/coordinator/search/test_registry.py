@@ -152,11 +152,8 @@ def test_the_line_of_a_method_of_the_paper_is_complete(entry: Method) -> None:
 def test_methods_of_one_search_differ_in_their_prior_alone() -> None:
     for entry in PAPER:
         (first,) = [one for one in SEARCHES if one.build is entry.build]
-        assert (entry.check, entry.overlaps, entry.population) == (
-            first.check,
-            first.overlaps,
-            first.population,
-        )
+        assert (entry.check, entry.overlaps) == (first.check, first.overlaps)
+        assert entry.population == first.population
 
 
 def test_the_methods_of_the_paper_are_there() -> None:
@@ -313,8 +310,5 @@ def test_seed_purpose_and_generation_all_change_the_numbers() -> None:
 
 def test_the_numbers_stay_the_same_from_version_to_version() -> None:
     """Journals hold what was drawn: were this to change, no old run could be resumed."""
-    assert keyed_generator(0, "uniform", 0).integers(0, 2**32, 3).tolist() == [
-        4054646954,
-        1409545429,
-        458180423,
-    ]
+    drawn = keyed_generator(0, "uniform", 0).integers(0, 2**32, 3)
+    assert drawn.tolist() == [4054646954, 1409545429, 458180423]

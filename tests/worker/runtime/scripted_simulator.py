@@ -93,11 +93,8 @@ def work(
     genomes[:, 0] = np.arange(n)
     for row, deed in deeds.items():
         genomes[int(row.removeprefix("row_")), 1] = deed
-    columns = {
-        "index": np.arange(n, dtype="<u4").tobytes(),
-        "trial": bytes(2 * n),
-        "genome": genomes.tobytes(),
-    }
+    index = np.arange(n, dtype="<u4").tobytes()
+    columns = {"index": index, "trial": bytes(2 * n), "genome": genomes.tobytes()}
     return Work(
         epoch=epoch,
         run="run",
