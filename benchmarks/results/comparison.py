@@ -7,18 +7,16 @@ from functools import cached_property
 import numpy as np
 from benchmarks.results.programme import Programme
 from benchmarks.results.table import CPU_MILESTONES, Key, Row
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.report.bootstrap import (
     CONFIDENCE_LEVEL,
-    LEAST_P_VALUE,
     LEAST_RUNS,
     LEAST_SCENES,
     RESAMPLES,
     ConfidenceInterval,
     ScenesOfRuns,
     difference_interval,
-    holm,
     ratio_interval,
 )
 from qdgrasp_coordinator.report.tables import markdown_table
@@ -152,6 +150,8 @@ OF_HOLD = (
 SCREENED = Figure("screened", "poses screened")
 BOTH_CELLS = Figure("both_cells", "cells that hold in both", digits=0)
 """Figures without a loss: the one is a cost, the other an estimate of few drawn grasps."""
+LEAST_P_VALUE = 2 / (RESAMPLES + 1)
+"""The least p-value that so many resamples can give."""
 SIGNIFICANT = 1 - CONFIDENCE_LEVEL
 """An adjusted p-value of at most this is a win or a loss."""
 VERDICT = ("difference", f"{CONFIDENCE_LEVEL:.0%} interval", "adjusted p", "verdict")
@@ -328,6 +328,20 @@ class Verdict:
         found = self.found
         interval = f"{found.low:+.{digits}f} to {found.high:+.{digits}f}" if found.is_known else ""
         return f"{found.value:+.{digits}f}", interval, self.p_words, self.words
+
+
+def holm(p_values: ArrayLike) -> NDArray[np.float64]:
+    """Adjusted p-values (n,) of a family of comparisons (Holm 1979); NaN ones are no part of it.
+
+    A comparison is significant at a level where its adjusted p-value is at most that level.
+    """
+    given = np.asarray(p_values, np.float64)
+    adjusted = np.full(given.shape, np.nan)
+    known = np.flatnonzero(~np.isnan(given))
+    order = known[np.argsort(given[known], kind="stable")]
+    steps = given[order] * np.arange(len(order), 0, -1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0) if len(order) else steps
+    return adjusted
 
 
 def verdicts_of(family: Sequence[ConfidenceInterval]) -> Iterator[Verdict]:

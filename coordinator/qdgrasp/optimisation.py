@@ -43,8 +43,7 @@ class Search(Protocol):
         """Take the rows (n,) of a generation in order; `rows["fitness"]` is the score.
 
         Where the protocol has trials it is the sum over those of a success, and `rows["trial"]` their number.
-        The generation that reaches the
-        budget is not told.
+        The generation that reaches the budget is not told.
         """
 
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas
 import pytest
 from benchmarks.results import table
 from benchmarks.results import table as tables
 from benchmarks.results.assets import NAME, OBJECTS
 from benchmarks.results.benchmark import BEST_OTHER, benchmark_part, draw
-from benchmarks.results.comparison import Arm, MethodComparison, arms, comparison_part
+from benchmarks.results.comparison import Arm, MethodComparison, arms, comparison_part, holm
 from benchmarks.results.page import coverage_part, cpu_part, page
 from benchmarks.results.programme import Programme, Wanted, programme
 from benchmarks.results.reference_sets import FOLDER, read
@@ -479,3 +480,12 @@ def test_the_ceiling_is_a_new_cell_with_every_success() -> None:
 def test_an_arm_without_a_run_has_no_number(figure: str) -> None:
     (arm,) = arms(*of(absent=(made_row(),)))
     assert arm.words(figure) == ""
+
+
+def test_holm_multiplies_each_p_value_by_those_that_are_not_smaller() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+
+
+def test_holm_leaves_out_comparisons_without_a_p_value_and_stops_at_one() -> None:
+    assert holm([0.6, np.nan, 0.7]) == pytest.approx([1.0, np.nan, 1.0], nan_ok=True)
+    assert holm([]).shape == (0,)

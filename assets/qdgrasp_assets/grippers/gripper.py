@@ -2,8 +2,7 @@
 
 The carrier is made of virtual joints between the world and the hand, which shakes move. `released` has the
 six joints of the authors' URDFs; `paper` only the two that are used, so that the empty hand follows the
-Panda's tabled motion at any weight (docs/grippers.md). `physical` shakes nothing: there the hand is
-fixed.
+Panda's tabled motion at any weight (docs/grippers.md). `physical` shakes nothing: there the hand is fixed.
 """
 
 import xml.etree.ElementTree as ET

@@ -1,7 +1,6 @@
 """A gripper's TOML file: strict reading, and validation against its URDF.
 
-All mismatches with the URDF and impossible values are listed at once. TOML knows nan and inf, and no hand
-has them.
+All mismatches with the URDF and impossible values are listed at once. nan and inf are among the latter.
 """
 
 import math

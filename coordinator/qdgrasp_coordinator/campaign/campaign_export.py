@@ -198,11 +198,12 @@ def export_campaign(
     OutFolder(out, force=force, is_kind=is_dataset).check()
     whole = out.absolute()
     old, part = whole.with_name(f".{whole.name}.old"), whole.with_name(f"{whole.name}.part")
-    with atomic_files.writing(part):
-        part.mkdir(parents=True, exist_ok=True)
+    with atomic_files.writing(part), atomic_files.making_parents(part):
+        if os.path.lexists(old) and not is_dataset(old):
+            raise OutputError(old, "is no data set", "move it away, or name another OUT")
         if any(part.iterdir()) and not (part / PROGRESS).exists() and not (part / LOCK).exists():
             raise OutputError(part, "holds other files", "remove it, or name another OUT")
-        with hold_lock(part):
+        with hold_lock(part, is_removed=True):
             if is_dataset(old) and not os.path.lexists(whole):  # a killed command had moved it
                 old.rename(whole)
                 OutFolder(out, force=force, is_kind=is_dataset).check()

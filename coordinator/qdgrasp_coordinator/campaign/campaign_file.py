@@ -153,8 +153,8 @@ def read_campaign(
     run that is not possible; the run is named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
-    if isinstance(source.get("defaults", {}), dict):
-        source["defaults"] = _with_goals(source.get("defaults", {}), goals)
+    _check_tables(source, str(path))
+    source["defaults"] = _with_goals(source.get("defaults", {}), goals)
     source |= {} if shard is None else {"shard": shard}
     source, skipped = _with_libraries(source, rules, tell) if here else (source, None)
     taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
@@ -184,14 +184,10 @@ def _with_libraries(
             found += library.objects
         return found if isinstance(value, list) or libraries else value
 
-    def table(values: Any) -> Any:
-        known = isinstance(values, dict) and "object" in values
-        return values | {"object": objects(values["object"])} if known else values
+    def table(values: dict[str, Any]) -> dict[str, Any]:
+        return values | {"object": objects(values["object"])} if "object" in values else values
 
-    crosses = source.get("cross")
-    changed = {key: table(source[key]) for key in ("defaults",) if key in source}
-    if isinstance(crosses, list):
-        changed["cross"] = [table(cross) for cross in crosses]
+    changed = {"defaults": table(source["defaults"]), "cross": [table(cross) for cross in source["cross"]]}
     if not libraries:
         return source, None
     known = {name: values for library in libraries.values() for name, values in library.objects.items()}
@@ -385,7 +381,8 @@ def _cross_lists(
             values = dict(zip(order, each, strict=True))
             if values.get("surface_seed") == OWN_SEED:
                 values["surface_seed"] = values.get("seed", 0)
-            own = objects.get(values.get("object", ""), {})
+            name = values.get("object")
+            own = objects.get(name, {}) if isinstance(name, str) else {}
             known = {key: value for key, value in own.items() if key not in cross}
             for key in OBJECTIVE_KEYS:
                 if key in values and key not in cross and values["method"] != DEFAULT_METHOD:

@@ -240,7 +240,7 @@ class CampaignRunQueue(RunQueue):
         runs = self._waiting.pop(reply.key, [])
         if reply.reason:
             file = Path(self._runs[runs[0]].object).name if runs else ""
-            said = TASK_NAME.sub(f"'{file}'", reply.reason)
+            said = TASK_NAME.sub(lambda _: f"'{file}'", reply.reason)
             reason = f"The shape of its object cannot be built: {said}"
             self._failed.extend(RunFailed(run, reason) for run in runs)
             return None
@@ -270,6 +270,7 @@ class CampaignRunQueue(RunQueue):
             return
         try:
             task = shape_task(spec)
+            is_stored = task is not None and task.key in self._shapes
         except InputError as error:
             self._failed.append(RunFailed(name, str(error)))
             return
@@ -279,7 +280,7 @@ class CampaignRunQueue(RunQueue):
         self._keys[name] = task.key
         if task.key in self._waiting:
             self._waiting[task.key].append(name)
-        elif task.key in self._shapes:
+        elif is_stored:
             self._ready.append(name)
         else:
             self._waiting[task.key] = [name]
@@ -463,6 +464,11 @@ def defaults_left_out(path: Path) -> frozenset[str]:
 
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:
     file = folder.path / CAMPAIGN
+    if not file.is_file():
+        raise FolderError(
+            f"{folder.path} is what a recorder keeps of a campaign, without its {CAMPAIGN}; name another "
+            "folder with --out."
+        )
     if file.read_bytes() == asked.toml.encode():
         return
     lost = [name for name in read_campaign(file, is_begun=True).runs if name not in asked.runs]

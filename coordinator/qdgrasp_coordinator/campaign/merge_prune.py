@@ -234,13 +234,14 @@ def _replace_journal(part: Path, tables: list[Path]) -> None:
             table.unlink()
         atomic_files.sync(part.parent)
         part.replace(part.with_suffix(""))
+        atomic_files.sync(part.parent)
     except BaseException:
-        for table, payload in old.items():
+        for table, payload in old.items() if part.exists() else ():
             atomic_files.write_through(table, payload)
         raise
-    for made in tables:
-        atomic_files.sync(part.parent)
-        made.replace(made.with_suffix(""))
+    finally:
+        for made in tables if not part.exists() else ():
+            made.replace(made.with_suffix(""))
     atomic_files.sync(part.parent)
 
 

@@ -175,7 +175,10 @@ def read_skip_report(report: Path) -> list[SkippedObject]:
         return []
     text = atomic_files.read(report).decode(errors="replace")
     rows = csv.DictReader(text.splitlines(), restval="")
-    return [SkippedObject(*(row.get(column) or "" for column in REPORT_COLUMNS)) for row in rows]
+    try:
+        return [SkippedObject(*(row.get(column) or "" for column in REPORT_COLUMNS)) for row in rows]
+    except csv.Error as error:
+        raise atomic_files.damaged_file(report, str(error)) from None
 
 
 def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | None:
@@ -239,7 +242,7 @@ def _read_masses(table: Path) -> dict[str, float]:
             rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
         header, *rest = rows
         return {name: float(mass) for name, mass in rest} if header == MASS_COLUMNS else _refuse_table(table)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         return _refuse_table(table, f": {error}")
 
 
@@ -254,7 +257,7 @@ def _manifest_rows(path: Path) -> list[LibraryRow]:
     """Return the rows of a manifest, no two of one name; files are relative to its folder."""
     try:
         tables = list(_READERS[path.suffix.lower()](path))
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError, csv.Error) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"The manifest '{path}' cannot be read: {why}.") from None
     if not tables:

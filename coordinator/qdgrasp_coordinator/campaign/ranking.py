@@ -133,11 +133,11 @@ def kinds_of_run(
     return without_synergy(keys) if by_niche is None and diversity == "orientation" else keys
 
 
-def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
-    """Note the rows of a run that the poses of another were taken from."""
+def source_file(source: RunFolder, rows: Rows) -> dict[str, bytes]:
+    """Return the file that names the rows of a run from which the poses of another were taken."""
     places = tuple(SourceRow(*values) for values in rows[["generation", "index", "fitness"]].tolist())
     noted = RankingSource(str(source.path.absolute()), places)
-    atomic_files.replace(folder.path / SOURCE, msgspec.json.encode(noted))
+    return {SOURCE: msgspec.json.encode(noted)}
 
 
 def is_reranking(folder: RunFolder) -> bool:

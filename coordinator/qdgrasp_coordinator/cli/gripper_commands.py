@@ -277,8 +277,7 @@ def _usable_robot(
 ) -> tuple[Urdf, DraftOverrides]:
     """The robot, or a mended copy of its hand, with the base link that is to be used.
 
-    A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` ends with an
-    error.
+    A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` fails.
     """
     base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
     if base not in robot.links:

@@ -394,8 +394,8 @@ def rerank(
         scene, bundle = run_plan.prepare_scene(spec)
         _check_same(source.scene(), scene)
         with lifetime("qdgrasp rerank") as stop:
-            begun = RunFolder.create(folder, spec, bundle, job=job)
-            ranking.write_source(begun, source, chosen)
+            noted = ranking.source_file(source, chosen)
+            begun = RunFolder.create(folder, spec, bundle, job=job, more=noted)
             run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
 

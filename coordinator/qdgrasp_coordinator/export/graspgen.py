@@ -1,7 +1,6 @@
 """GraspGen JSON: a folder to train from, with failures beside the grasps.
 
-Public description: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1.0.0. The folder
-has
+Public description: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1.0.0. The folder has
 
 * `grasp_data/NAME.json`             transforms, bits and metadata
 * `grasp_data/map_uuid_to_path.json` which object is in which file

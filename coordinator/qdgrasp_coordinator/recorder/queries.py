@@ -37,7 +37,7 @@ from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN, JOURNAL, SKIPPED
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, JOURNAL, SKIPPED, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
 from qdgrasp_protocol import bundle_transfer, messages
@@ -51,7 +51,7 @@ ROWS_PER_ANSWER = 1 << 19  # Most journal rows counted for one answer
 MOST_COUNTED = 1024  # Most runs whose counts are kept for the next answer; finished ones are in the index
 CLOCK_SECONDS = 2.0  # Longest time-stamp step of a file system, old ones included [s]
 FileStamp = tuple[tuple[int, int, int], ...]
-"""The inode, the size and the time of the last change [ns] of each file of a journal."""
+"""The inode, the size and the time of the last change [ns] of each of some files."""
 
 
 @dataclass
@@ -198,8 +198,13 @@ def _listings(listings: Sequence[RunListing | None]) -> RunListings:
 
 def journal_stamp(path: Path) -> FileStamp:
     """Return a stamp that changes when the journal in a folder is written."""
+    return file_stamp(path, JOURNAL, f"{JOURNAL}-wal")
+
+
+def file_stamp(path: Path, *names: str) -> FileStamp:
+    """Return a stamp that changes when a file of these names in a folder is written."""
     stamp: list[tuple[int, int, int]] = []
-    for name in (JOURNAL, f"{JOURNAL}-wal"):
+    for name in names:
         with suppress(OSError):  # it is not there, or no longer
             stat = (path / name).stat()
             stamp += [(stat.st_ino, stat.st_size, stat.st_mtime_ns)] if stat.st_size else []
@@ -230,6 +235,7 @@ class ObjectIndex:
         self._index = FinishedRuns(path)
         self._lock = threading.Lock()
         self._asked: tuple[FileStamp, Mapping[str, RunSpec]] = (), {}
+        self._stamps: dict[str, FileStamp] = {}  # of the specs of runs, where there is no campaign's file
         self._totals: dict[str, RunTotals] = {}
         self._finished: set[str] = set()
         self._listings: list[ObjectListing] = []
@@ -258,36 +264,41 @@ class ObjectIndex:
                 uncounted += 1
             else:
                 with suppress(InputError):  # there may be no journal yet, or no good one
-                    self._count(name, begun[name], specs[name])
+                    uncounted += self._count(name, begun[name], specs[name])
         runs = [
             ObjectRun(name, spec, self._totals.get(name), name in self._finished)
             for name, spec in specs.items()
         ]
         return list_objects(runs, read_skip_report(self._path / SKIPPED)), uncounted
 
-    def _count(self, name: str, path: Path, spec: RunSpec) -> None:
+    def _count(self, name: str, path: Path, spec: RunSpec) -> int:
+        """Count a run; returns 1 where there is more to count than in one go."""
         if name not in self._totals and (known := self._index.find(path, spec)):
             self._totals[name] = known.totals
             self._finished.add(name)
-            return
-        for listing in self._runs.one(name).runs:
+            return 0
+        found = self._runs.one(name)
+        for listing in found.runs:
             self._totals[name] = listing.totals
             if listing.finished:
                 self._finished.add(name)
+        return found.uncounted
 
     def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
         """Return the runs of the campaign, or those that have begun and whose spec is good, by name."""
         file = self._path / CAMPAIGN
         if not file.is_file():
             found = dict(self._asked[1])
-            for name in begun.keys() - found.keys():
-                with suppress(InputError):
-                    found[name] = RunFolder(begun[name]).spec
+            for name, path in begun.items():
+                stamp = file_stamp(path, SPEC)
+                if self._stamps.get(name) != stamp:  # it is new, or goes on to another end
+                    with suppress(InputError):
+                        found[name], self._stamps[name] = RunFolder(path).spec, stamp
+                    self._finished.discard(name)
+                    self._totals.pop(name, None)
             self._asked = (), {name: found[name] for name in begun if name in found}
             return self._asked[1]
-        stat = file.stat()
-        stamp = ((stat.st_ino, stat.st_size, stat.st_mtime_ns),)
-        if self._asked[0] != stamp:
+        if self._asked[0] != (stamp := file_stamp(self._path, CAMPAIGN)):
             self._asked = stamp, read_campaign(file, here=False, is_begun=True).runs
             self._finished, self._totals = set(), {}  # runs may have got other ends
         return self._asked[1]

@@ -14,13 +14,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 RESAMPLES = 10_000
 CONFIDENCE_LEVEL = 0.95
 RESAMPLING_SEED = 0
-LEAST_P_VALUE = 2 / (RESAMPLES + 1)
-"""The least p-value that so many resamples can give."""
 LEAST_RUNS = 5
 """Runs of each arm on each scene without which nothing is said of chance: of fewer, draws repeat one run."""
 LEAST_SCENES = 10
@@ -156,8 +154,7 @@ def _variance_of_mean(values: RunValues) -> float:
 def _estimate(effects: RunValues, variances: RunValues, of_others: bool) -> tuple[RunValues, RunValues]:
     """The mean over scenes (..., scenes) and its standard error.
 
-    The error is that of the scenes' runs; if it is also `of_others`, that of scenes as they differ where this
-    is greater.
+    The error is that of the scenes' runs; if it is also `of_others`, that of scenes where this is greater.
     """
     scenes = effects.shape[-1]
     variance = variances.mean(axis=-1) / scenes
@@ -201,17 +198,3 @@ def resample(
             means[..., arm][places] = drawn.mean(axis=1)
             variances[..., arm][places] = drawn.var(axis=1, ddof=1) / len(values)
     return means, variances
-
-
-def holm(p_values: ArrayLike) -> RunValues:
-    """Adjusted p-values (n,) of a family of comparisons (Holm 1979); NaN ones are no part of it.
-
-    A comparison is significant at a level where its adjusted p-value is at most that level.
-    """
-    given = np.asarray(p_values, np.float64)
-    adjusted = np.full(given.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(given))
-    order = known[np.argsort(given[known], kind="stable")]
-    steps = given[order] * np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0) if len(order) else steps
-    return adjusted

@@ -75,8 +75,7 @@ def build_reference_sets(
 def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet:
     """Make the set of a run, or of the runs whose successes a folder keeps.
 
-    It has the cells of their successes and the best fitness that each run found there, and runs without a
-    success too.
+    It has the cells of their successes, the best fitness of each run there, and runs without a success too.
     """
     spec, scene = folder.spec, folder.scene()
     key = name or scene.object.name.removeprefix(PREFIX)

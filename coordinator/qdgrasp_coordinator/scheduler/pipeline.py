@@ -51,8 +51,7 @@ class GenerationBuffer:
     """One generation that is asked and not yet told.
 
     The journal has its nominal rows by index, then the trials of its successes by (index, trial), then trials
-    of the successes that are promoted to a later stage. At most `limit` nominal rows are needed, from index 0
-    on.
+    of the successes that are promoted to a later stage. At most `limit` nominal rows are needed.
     """
 
     final: int = 0

@@ -59,8 +59,7 @@ class HandPoses:
     ) -> "HandPoses":
         """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
 
-        Raises `InputError` where an array has another type or shape, or an impossible number, or there
-        are no poses.
+        Raises `InputError` where an array has another type or shape, or an impossible number, or no pose.
         """
         places = finite_numbers(names.positions, positions, ("n", 3))
         n = len(places)

@@ -152,8 +152,7 @@ FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
 class EliteStore:
     """The best success of each place; among equals the elder.
 
-    `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
-    joints.
+    `axis` is the hand's approach axis, base frame. The last `posture` genes are synergy and free joints.
     """
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:

@@ -5,7 +5,7 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import IO, Any
@@ -107,11 +107,10 @@ def staging_folder(path: Path) -> Iterator[Path]:
     whole = path.absolute()
     part = whole.with_name(f"{_begin(whole)}{os.getpid()}.part")
     with making_parents(whole.parent):
+        _sweep(whole)
+        part.mkdir()
         try:
-            with ExitStack() as stack:
-                _sweep(whole)
-                part.mkdir()
-                stack.enter_context(_held(part))
+            with _held(part):
                 yield part
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -135,12 +134,13 @@ def put_in_place(made: Path, path: Path, old: Path) -> None:
     """Move a finished file or folder to `path`, durably; a folder there before goes to `old`."""
     if made.is_file():
         sync(made)
-    if path.is_dir():
-        path.rename(old)
+    is_replacing = path.is_dir()
     try:
+        if is_replacing:
+            path.rename(old)
         made.rename(path)
-    except OSError:
-        if old.exists():
+    except BaseException:  # a signal, too
+        if is_replacing and not path.exists():
             old.rename(path)
         raise
     sync(path.absolute().parent)

@@ -54,6 +54,14 @@ def table_path(folder: RunFolder, engine: str) -> Path:
     return folder.path / f"engine-{engine}.csv"
 
 
+def check_table(folder: RunFolder, engine: str) -> None:
+    """Check that verdicts can be written into a run's table, before they are made."""
+    path = table_path(folder, engine)
+    OutFile(path, force=True).check()
+    if path.is_file():
+        read_table(path)
+
+
 def write_table(
     folder: RunFolder, engine: str, numbers: NDArray[np.int64], recorded: Rows, now: Rows
 ) -> Path:

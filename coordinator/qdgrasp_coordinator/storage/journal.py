@@ -329,7 +329,12 @@ class Journal:
 
 def _connect(file: Path) -> sqlite3.Connection:
     """A connection to read a journal as it is now."""
+    wal = file.with_name(f"{file.name}-wal")
     for mode in ("mode=ro", "mode=ro&immutable=1"):  # the second on a read-only disk
+        if "immutable" in mode and wal.is_file() and wal.stat().st_size:
+            raise FolderError(
+                f"{file} has rows in {wal.name}: copy the folder to where it can be written in."
+            )
         database = sqlite3.connect(f"{file.absolute().as_uri()}?{mode}", uri=True, isolation_level=None)
         try:
             database.execute("BEGIN")

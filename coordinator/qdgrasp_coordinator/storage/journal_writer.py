@@ -116,8 +116,10 @@ class JournalWriter(Journal):
         Raises `DiskFull`, or `FolderError` where the file cannot be written or was deleted, or `ValueError`
         for other rows than the next ones.
         """
-        if part.first != self.count:
-            raise ValueError(f"row {self.count} is next, got {part.first}")
+        if part.first > (count := self.count):  # it was restored while it was closed
+            raise self._replaced()
+        if part.first < count:
+            raise ValueError(f"row {count} is next, got {part.first}")
         with self._transaction():
             insert_rows(self._database, part, epoch, deflates=self._format == FORMAT)
             counts = {"checked": part.checked, "differing": part.differing}
@@ -141,7 +143,10 @@ class JournalWriter(Journal):
         with suppress(OSError):
             if os.path.samestat(self._file.stat(), self._opened):
                 return
-        raise FolderError(
+        raise self._replaced()
+
+    def _replaced(self) -> FolderError:
+        return FolderError(
             f"{self._file} was deleted or replaced while its run was being recorded, and what is recorded "
             "now would be lost; restore the folder from a copy and go on with `qdgrasp resume`, or begin the "
             "run anew."
@@ -200,6 +205,10 @@ def explaining_write_errors(folder: Path) -> Iterator[None]:
         if error.sqlite_errorcode in NO_ROOM:
             raise DiskFull(f"There is no room to write in {folder}: {error}.") from None
         raise FolderError(f"{folder} cannot be written: {error}.") from None
+    except sqlite3.DatabaseError as error:
+        if isinstance(error, sqlite3.ProgrammingError | sqlite3.IntegrityError):
+            raise
+        raise atomic_files.damaged_file(folder / JOURNAL, str(error)) from None
 
 
 class OpenJournals:

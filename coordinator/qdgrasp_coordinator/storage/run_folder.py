@@ -7,14 +7,14 @@
 Beside them are the files of its job (`job_folder`), unless it is one of a campaign's.
 
 The digest of a journal is equal for two runs of one spec, however they were carried out
-(docs/reproducibility.md); the provenance of a row is the run that it comes from: a merged journal holds rows
-of several.
+(docs/reproducibility.md); the provenance of a row is the run that it comes from: a merged one has several.
 """
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import msgspec
@@ -30,6 +30,10 @@ from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
+
+Files = Mapping[str, bytes]
+"""Contents of files by name."""
+NO_FILES: Files = MappingProxyType({})
 
 
 class PreparedScene(NamedTuple):
@@ -73,16 +77,22 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, path: Path, spec: RunSpec, bundle: Bundle | None, *, job: str | None = None
+        cls,
+        path: Path,
+        spec: RunSpec,
+        bundle: Bundle | None,
+        *,
+        job: str | None = None,
+        more: Files = NO_FILES,
     ) -> "RunFolder":
         """Begin the folder of a run that is a job of its own; it appears whole or not at all.
 
-        Without a bundle, the scene is added later (`add_bundle`); without a job's name, it is the folder's,
-        reduced to the allowed characters. Raises `FolderError` where the folder holds another run or other
-        files, or cannot be made.
+        It has `more` files. Without a bundle, the scene is added later (`add_bundle`); without a job's name,
+        it is the folder's, reduced to the allowed characters. Raises `FolderError` where the folder holds
+        another run or other files, or cannot be made.
         """
         cls.check_free(path)
-        files = JobRecord.begun(path, job).file | run_files(spec, bundle)
+        files = JobRecord.begun(path, job).file | run_files(spec, bundle) | dict(more)
         atomic_files.create_folder(path, files, folders=[LOGS])
         return cls(path)
 

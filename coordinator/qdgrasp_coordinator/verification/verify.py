@@ -31,7 +31,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import platforms
-from qdgrasp_coordinator.storage.engine_table import write_table
+from qdgrasp_coordinator.storage.engine_table import check_table, write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
 from qdgrasp_coordinator.verification.comparison import (
@@ -310,6 +310,7 @@ def compare_engine(
     places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
     if not len(places):
         raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")
+    check_table(folder, engine)
     random = np.random.default_rng(seed)
     places = places[balanced_sample(rows["outcome"][places], most or len(places), random)]
     scene = structs.replace(folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base)

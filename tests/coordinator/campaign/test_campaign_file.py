@@ -66,6 +66,16 @@ class TestCrossing:
         assert {spec.evaluations for spec in runs.values()} == {300}
         assert "panda-banana-me_scs-s7" in runs
 
+    @pytest.mark.parametrize("object_", [{"file": "a.stl"}, [["mug", "bowl"]]])
+    def test_an_object_that_is_no_name_is_refused(self, object_: object) -> None:
+        with pytest.raises(InputError, match=r"object.*must be"):
+            names({"cross": [CROSS | {"object": object_}]})
+
+    def test_a_table_of_objects_that_is_none_is_refused_beside_a_library(self, tmp_path: Path) -> None:
+        (tmp_path / "c.toml").write_text('objects = ["mug"]\n[[cross]]\nobject = "lib.csv"\n')
+        with pytest.raises(ImpossibleValue, match="objects must be a table for each mesh file"):
+            read_campaign(tmp_path / "c.toml")
+
     def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
         file = tmp_path / "c.toml"
         crosses = [{"object": "mug"}, {"object": "bowl", "successes": 7}]

@@ -186,3 +186,30 @@ def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folde
     RunFolder.add(folder, "b", specs["b"], prepare_scene(specs["a"]).bundle)
     with pytest.raises(RunFailed, match="of length zero"):
         CampaignRunQueue(folder, {"b": specs["b"]}).next()
+
+
+def test_without_a_home_runs_on_meshes_fail_and_the_others_are_made(runs, monkeypatch) -> None:
+    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
+    queue, failed = CampaignRunQueue(None, runs), []
+    while True:
+        try:
+            plan = queue.next()
+        except RunFailed as failure:
+            failed.append(str(failure))
+        else:
+            if plan is None:
+                break
+            assert plan.run == "panda-tennis_ball-aimed-s0"
+    assert len(failed) == 4
+    assert all("no home folder" in words for words in failed)
+
+
+def test_a_backslash_in_the_name_of_a_mesh_is_part_of_the_reason(tmp_path: Path) -> None:
+    mesh = tmp_path / r"parts\gear.stl"
+    trimesh.creation.box((0.04, 0.04, 0.1)).export(mesh)
+    asked = {"cross": [{"gripper": "panda", "object": str(mesh), "mass": 0.1, "evaluations": 10}]}
+    queue = CampaignRunQueue(None, make_campaign(asked, "test").runs)
+    (wanted,) = queue.wanted_shapes(1).shapes
+    queue.take_shape(BuildReply(wanted.task.key, reason="The mesh 'mesh.stl' is flat."))
+    with pytest.raises(RunFailed, match=r"The mesh 'parts\\gear\.stl' is flat"):
+        queue.next()

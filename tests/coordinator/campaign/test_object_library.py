@@ -185,6 +185,7 @@ def test_a_row_that_cannot_be_used_is_named_or_left_out(library, row, words):
         ("o.csv", "file,weight\nb/part.stl,1\n", UnknownKey, "unknown key 'weight'"),
         ("o.csv", "file,mass\n", InputError, "names no object"),
         ("o.csv", "", InputError, "names no object"),
+        ("o.csv", f'file\n"{"a" * 140_000}', InputError, "cannot be read: field larger than field limit"),
         ("o.csv", "id,mass\none,1\n", InputError, "says no file in row 1"),
         ("o.csv", "file\nb/part.stl,1\n", InputError, "line 2 has 2 cells"),
         ("o.csv", b"file\n\xff\xfe\n", InputError, "cannot be read"),

@@ -17,8 +17,8 @@ from qdgrasp_coordinator.campaign.ranking import (
     kinds_of_run,
     rank_poses,
     read_run_grasps,
+    source_file,
     write_ranking,
-    write_source,
 )
 from qdgrasp_coordinator.metrics import scores
 from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
@@ -154,7 +154,8 @@ def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path
     trials = [trials_of(row, total) for row, total in zip(again, sums, strict=True) if total is not None]
     folder = record_spec(tmp_path / "again", spec("robust"), np.concatenate([again, *trials]))
     assert not is_reranking(folder)
-    write_source(folder, RunFolder(tmp_path / "first"), source)
+    (noted,) = source_file(RunFolder(tmp_path / "first"), source).items()
+    (folder.path / noted[0]).write_bytes(noted[1])
     assert is_reranking(folder)
     assert [(line[1], *line[3:8]) for line in rank_poses(folder)] == [
         (0.75, 100, 2, 7, 3, 2),

@@ -227,11 +227,12 @@ def test_a_data_set_that_a_killed_command_had_moved_is_put_back_and_then_kept(ca
     out.rename(moved)
     with pytest.raises(InputError, match="is there already"):
         export_campaign(campaign.path, out, "csv", GRASPS)
-    assert (contents(out), moved.exists()) == (before, False)
+    assert (contents(out), sorted(path.name for path in tmp_path.iterdir())) == (before, ["campaign", "out"])
     out.rename(moved)
     (moved / "index.csv").unlink()  # it is no data set, and stays where it is
-    assert export_campaign(campaign.path, out, "csv", GRASPS, is_stopped=lambda: True) == ""
-    assert (moved.exists(), out.exists()) == (True, False)
+    with pytest.raises(OutputError, match=r"\.out\.old is no data set; move it away"):
+        export_campaign(campaign.path, out, "csv", GRASPS)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.old", "campaign"]
 
 
 @pytest.mark.parametrize("out", ["/", "n" * 300])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from msgspec.structs import asdict
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
 from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block, write_journal
@@ -20,13 +21,14 @@ from qdgrasp_coordinator.recorder.queries import ObjectIndex, RunIndex, has_rest
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import SuccessPage
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import RunSpec, to_toml
 
 
 @pytest.fixture
@@ -346,6 +348,28 @@ def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(library, m
     assert index.page(0).uncounted == 6
     monkeypatch.setattr(queries, "LISTING_SECONDS", 60.0)
     assert index.page(0).uncounted == 0
+
+
+def test_runs_that_are_counted_in_part_are_not_counted_yet(campaign: Path, monkeypatch) -> None:
+    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
+    index = object_index(JobFolder(campaign), monkeypatch)
+    assert [index.page(0).uncounted for _ in range(4)] == [2, 2, 0, 0]
+
+
+def test_without_the_file_of_the_campaign_a_run_that_is_extended_goes_on(tmp_path, monkeypatch) -> None:
+    job = record_campaign(tmp_path / "parts", 2, begun=0.5, hands=("panda",))
+    (job.path / "campaign.toml").unlink()
+    (path,) = job.run_paths
+    spec = RunFolder(path).spec
+    (path / "run.sqlite").unlink()
+    write_journal(path, spec, rows_of("good"), RunFolder(path).bundle(), run=path.name)
+    index = object_index(job, monkeypatch)
+    assert index.page(0).objects[0].state == "done"
+    spec = structs.replace(spec, evaluations=2 * BUDGET)
+    (path / "spec.toml").write_text(to_toml(spec))
+    with JournalWriter.open(path) as journal:
+        journal.set_spec(to_toml(spec))
+    assert index.page(0).objects[0].state == "running"
 
 
 def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign: Path) -> None:

@@ -6,7 +6,6 @@ from qdgrasp_coordinator.report.bootstrap import (
     LEAST_RUNS,
     LEAST_SCENES,
     difference_interval,
-    holm,
     mean_interval,
     ratio_interval,
     resample,
@@ -147,12 +146,3 @@ def test_the_p_value_of_a_ratio_is_against_one() -> None:
 def test_a_ratio_cannot_be_less_than_nothing_where_runs_differ_much() -> None:
     found = ratio_interval([values(1, 1, 2, 1, 90)] * LEAST_SCENES, [values(1, 40, 1, 1, 1)] * LEAST_SCENES)
     assert 0 < found.low < found.value < found.high < np.inf
-
-
-def test_holm_multiplies_each_p_value_by_those_that_are_not_smaller() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-
-
-def test_holm_leaves_out_comparisons_without_a_p_value_and_stops_at_one() -> None:
-    assert holm([0.6, np.nan, 0.7]) == pytest.approx([1.0, np.nan, 1.0], nan_ok=True)
-    assert holm([]).shape == (0,)

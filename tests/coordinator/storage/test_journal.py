@@ -7,6 +7,7 @@ import sys
 import tracemalloc
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from tests.common import PATIENCE
 from tests.coordinator.recorded_runs import spoil_block
 
 from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.storage import journal as journal_module
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
@@ -173,10 +175,12 @@ def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
 def test_rows_that_are_not_the_next_are_refused(tmp_path: Path) -> None:
     rows = make_rows(10)
     with JournalWriter.create(tmp_path, IDENTITY) as journal:
-        for first in (1, 5):
-            with pytest.raises(ValueError, match="row 0 is next"):
-                journal.append(JournalSlice(first, rows), 1, 0.0)
-        assert journal.count == 0
+        with pytest.raises(FolderError, match="restore the folder from a copy"):
+            journal.append(JournalSlice(5, rows), 1, 0.0)
+        journal.append(JournalSlice(0, rows), 1, 0.0)
+        with pytest.raises(ValueError, match="row 10 is next"):
+            journal.append(JournalSlice(5, rows), 1, 0.0)
+        assert journal.count == 10
 
 
 def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path: Path) -> None:
@@ -434,6 +438,35 @@ def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> 
             assert journal.rows(0, 100).tobytes() == rows.tobytes()
     finally:
         tmp_path.chmod(0o755)
+
+
+class ClosedPlace:
+    """A connection to a database in a folder where no file beside it can be made."""
+
+    def execute(self, _: str) -> None:
+        error = sqlite3.OperationalError("unable to open database file")
+        error.sqlite_errorcode = sqlite3.SQLITE_CANTOPEN
+        raise error
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_rows_that_cannot_be_read_in_a_closed_place_are_not_left_out(tmp_path, monkeypatch) -> None:
+    connect = sqlite3.connect
+
+    def in_closed_place(name: str, **how: Any) -> Any:
+        return ClosedPlace() if name.endswith("mode=ro") else connect(name, **how)
+
+    with JournalWriter.create(tmp_path, IDENTITY) as writer:
+        writer.append(JournalSlice(0, make_rows(20)), 1, 0.0)
+        with monkeypatch.context() as patch:
+            patch.setattr(journal_module.sqlite3, "connect", in_closed_place)
+            with pytest.raises(FolderError, match=r"has rows in run\.sqlite-wal: copy the folder"):
+                Journal.open(tmp_path)
+    monkeypatch.setattr(journal_module.sqlite3, "connect", in_closed_place)
+    with Journal.open(tmp_path) as journal:
+        assert journal.count == 20
 
 
 def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:

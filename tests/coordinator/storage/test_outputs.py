@@ -304,6 +304,38 @@ def test_a_folder_that_a_killed_process_was_replacing_is_put_back(tmp_path: Path
     assert there(tmp_path) == [".out.v2.1.part", "out", "out/two" if force else "out/one"]
 
 
+@pytest.mark.parametrize("stopped", ["folder", "part"])
+def test_a_folder_that_a_stopped_command_was_replacing_is_there(tmp_path, monkeypatch, stopped) -> None:
+    out = OutFolder(tmp_path / "folder", force=True, is_kind=lambda _: True)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/one").touch()
+    rename = Path.rename
+
+    def stop(path: Path, target: Path) -> None:
+        rename(path, target)
+        if path.name == "folder" or (stopped == "part" and path.suffix == ".part"):
+            raise SystemExit(1)
+
+    def replace() -> None:
+        with out.writing() as made:
+            made.mkdir()
+            monkeypatch.setattr(Path, "rename", stop)
+
+    with pytest.raises(SystemExit):
+        replace()
+    assert there(tmp_path) == ["folder", "folder/one"]
+
+
+def test_a_folder_of_that_name_that_another_process_makes_stays(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(outputs.atomic_files, "_sweep", lambda _: None)  # it is in use there
+    other = tmp_path / f".out.{os.getpid()}.part"
+    other.mkdir()
+    (other / "one").touch()
+    with pytest.raises(OutputError), OutFolder(tmp_path / "out").writing():
+        pass
+    assert there(tmp_path) == [other.name, f"{other.name}/one"]
+
+
 def test_a_process_that_is_killed_while_files_take_their_places_leaves_a_folder_of_its_kind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

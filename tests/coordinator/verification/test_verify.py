@@ -125,6 +125,10 @@ def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table
     assert found.outcomes == {"held": {"held": 1}, "dropped": {"shaken": 1}}
     assert "mujoco failed on 1 more" in found.table
     assert len(read_table(Path(found.file))) == 2
+    Path(found.file).write_text("row,outcome\n3,held\n")
+    monkeypatch.setattr(verify, "run_temporary_job", lambda *_: pytest.fail("it was simulated"))
+    with pytest.raises(InputError, match=r"is no table that .*; remove it"):
+        compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
 
 
 def test_a_sample_has_rows_of_every_outcome(folders: list[RunFolder]) -> None:

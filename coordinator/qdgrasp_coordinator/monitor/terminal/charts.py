@@ -35,8 +35,7 @@ def plot_curve(
     """Return a curve in `height` lines of `width` characters.
 
     Its points are given by their positions, in order, and values; the upper edge is the value `most`, the
-    lower one 0. Each column is drawn from the value of the column before to its own, so that the curve has
-    no gaps.
+    lower one 0. Each column is drawn from the value of the column before to its own, without gaps.
     """
     across, up = (2, 4) if glyphs.has_braille else (1, 1)
     rows = height * up
