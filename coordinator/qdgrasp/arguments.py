@@ -41,15 +41,22 @@ def check_text(name: str, value: object) -> None:
 
 def check_whole(name: str, value: object, least: int, most: float = inf) -> None:
     """Check an integer that may be None; raises ImpossibleValue outside its bounds."""
-    if value is not None and not (isinstance(value, int) and _is_within(value, least, most)):
+    plain = plain_number(value)
+    if value is not None and not (isinstance(plain, int) and _is_within(plain, least, most)):
         bounds = f"at least {least}" if most == inf else f"from {least} to {most}"
         raise ImpossibleValue(name, value, f"a whole number, {bounds}")
 
 
 def check_seconds(name: str, value: object, least: float) -> None:
     """Check a time [s]; raises ImpossibleValue below `least` or for another type."""
-    if not (isinstance(value, int | float) and _is_within(value, least, maxsize)):
+    plain = plain_number(value)
+    if not (isinstance(plain, int | float) and _is_within(plain, least, maxsize)):
         raise ImpossibleValue(name, value, f"seconds, at least {least:g}")
+
+
+def plain_number(value: Any) -> Any:
+    """Return a scalar of numpy as the number that it is, and anything else as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _is_within(value: float, least: float, most: float) -> bool:
@@ -104,7 +111,8 @@ def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec
     for name in sorted(SceneArguments.__required_keys__):
         if scene_arguments.get(name) is None:
             raise InputError(f"qdgrasp: '{name}' is missing; say {name}=... with a name or a file.")
-    values = {name: value for name, value in ({**scene_arguments, **more}).items() if value is not None}
+    given = {**scene_arguments, **more}
+    values = {name: plain_number(value) for name, value in given.items() if value is not None}
     for name in ("gripper", "object"):
         if isinstance(values.get(name), os.PathLike):
             values[name] = os.fspath(values[name])

@@ -123,14 +123,18 @@ class Evaluations:
         self.endpoint = ""
         """Endpoint of its bus within the with-block; other workers and `qdgrasp jobs` may connect."""
         self._place = place
+        self._count = count(1)
+        self._open: ExitStack | None = None
+        self._begin()
+
+    def _begin(self) -> None:
         self._queue = GenomeRequests()
         self._pending: list[GenomeRequest] = []
-        self._count = count(1)
         self._stop = Stop()
-        self._open: ExitStack | None = None
         self._end: BaseException | None = None
 
     def __enter__(self) -> Self:
+        self._begin()
         with ExitStack() as stack:
             logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
             session = stack.enter_context(open_place(self._place, logs, SilentProgress()))

@@ -77,7 +77,8 @@ def serve(
         "--wait": wait,
     }
     given = [str(word) for flag, value in flags.items() if value is not None for word in (flag, value)]
-    app(given, prog_name="qdgrasp-worker", standalone_mode=False)
+    if app(given, prog_name="qdgrasp-worker", standalone_mode=False) == InputError.exit_code:
+        raise InputError("The workers ended at their start; what they said stands above.")
 
 
 def evaluator_name(evaluator: EvaluatorFactory) -> str:

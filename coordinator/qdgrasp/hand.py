@@ -90,7 +90,10 @@ class Hand:
         """
         from qdgrasp_coordinator.export.grasp_pictures import hand_scene  # takes its time to load
 
-        values = self.opened if joints is None else np.asarray(joints, dtype=np.float64)
+        try:
+            values = self.opened if joints is None else np.asarray(joints, dtype=np.float64)
+        except (TypeError, ValueError):
+            values = np.array(np.nan)
         if values.shape != self.opened.shape or not np.isfinite(values).all():
             expected = f"{len(self.opened)} finite numbers, of {', '.join(self.joint_names)}"
             raise ImpossibleValue("joints", joints, expected)

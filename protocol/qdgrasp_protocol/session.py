@@ -37,6 +37,15 @@ STREAMS = frozenset({"tcp", "tls", "ws"})
 """Protocols over TCP, where a connection shows whether something listens."""
 
 
+def _is_host(text: str) -> bool:
+    """Return whether a host's name can be looked up: no label of it is empty or too long."""
+    try:
+        text.encode("idna")
+    except UnicodeError:
+        return False
+    return True
+
+
 @dataclass(frozen=True)
 class Endpoint:
     """A place on the network, such as `tls/head:7447`."""
@@ -51,7 +60,7 @@ class Endpoint:
         """Read one endpoint; an EndpointError if the text is not one."""
         if match := HOST_AND_PORT.fullmatch(text):
             host = match["host"].removeprefix("[").removesuffix("]")
-            if (port := int(match["port"])) < 1 << 16:
+            if (port := int(match["port"])) < 1 << 16 and _is_host(host):
                 return cls(text, match["protocol"], host, port)
         elif match := SOCKET_FILE.fullmatch(text):
             return cls(text, match["protocol"])
@@ -399,7 +408,10 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
     """Return why a TLS handshake fails; empty if it succeeds, or the port is closed."""
     import ssl  # a worker that is welcome need not load it
 
-    context = ssl.create_default_context(cafile=str(credentials.authority))
+    try:
+        context = ssl.create_default_context(cafile=str(credentials.authority))
+    except (OSError, ssl.SSLError) as error:
+        return f"{credentials.authority} cannot be used ({_ssl_reason(error)})."
     try:
         context.load_cert_chain(credentials.certificate, credentials.key)
     except (OSError, ssl.SSLError) as error:

@@ -127,6 +127,10 @@ OBJECTIVE_KEYS = ("aim_for", "diversity", "grasps_per_cell")
 """Keys of a spec that only the method with an objective has."""
 
 
+OWN_SEARCH = "custom_"
+"""Beginning of the names of methods that stand for a program's own search."""
+
+
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
     """One search: scene, method, seed and budget."""
 
@@ -206,6 +210,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """
     first_weights: FirstWeights | None = None
     """Weights that other runs learned, for the method `aimed` (`--warm-start`); None: none."""
+
+    @property
+    def has_own_search(self) -> bool:
+        """True if a program's own search asked its genomes; the spec does not say which one."""
+        return self.method.startswith(OWN_SEARCH)
 
     @property
     def nominal_protocol(self) -> str:

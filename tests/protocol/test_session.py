@@ -43,8 +43,12 @@ def test_an_endpoint_is_read_into_its_parts(text: str, host: str, port: int) -> 
 
 
 @pytest.mark.parametrize(
-    "text", ["", "7447", "host:1", "tcp/host", "tcp/a b:1", "tpc/a:1", "tcp/a:65536", "tls/a:1,tls/b", ","]
-)
+    "text",
+    [
+        "", "7447", "host:1", "tcp/host", "tcp/a b:1", "tpc/a:1", "tcp/a:65536", "tls/a:1,tls/b", ",",
+        "tcp/head..lab:7447", "tcp/.head:7447", f"tcp/{'a' * 64}.lab:7447",
+    ],
+)  # fmt: skip
 def test_what_is_no_endpoint_is_refused_with_how_to_write_one(text: str) -> None:
     with pytest.raises(EndpointError, match="write it as tcp/HOST:PORT"):
         parse_endpoints(text)

@@ -256,10 +256,11 @@ def _head(folder: Path, options: DatasetOptions, figures: DatasetFigures) -> str
     configs: list[dict[str, Any]] = []
     if options.format in ("parquet", "webdataset"):
         for hand, splits in sorted(figures.files.items()):
-            files = [
-                {"split": split or "train", "path": f"{file.rpartition('-')[0]}-*{Path(file).suffix}"}
+            paths = {
+                split or "train": f"{file.rpartition('-')[0]}-*{Path(file).suffix}"
                 for split, file in sorted(splits.items())
-            ]
+            }
+            files = [{"split": split, "path": path} for split, path in paths.items()]
             configs.append({"config_name": job_name(hand), "data_files": files})
     configs.append({"config_name": "index", "data_files": [{"split": "train", "path": INDEX_PARQUET}]})
     values = {

@@ -196,7 +196,8 @@ class ChosenGrasps:
     @property
     def best(self) -> float | None:
         """The best confidence; None: there is no grasp."""
-        return float(self.index["confidence"].max()) if len(self) > self.failures else None
+        grasps = self.index["confidence"][: len(self) - self.failures]  # failures stand behind them
+        return float(grasps.max()) if len(grasps) else None
 
     @property
     def scene(self) -> Scene:

@@ -195,7 +195,7 @@ class GraspGenTransforms(Struct):
 class GraspGenExtras(Struct):
     """Values without a place in the format, in the order of the transforms."""
 
-    number: list[Annotated[int, msgspec.Meta(ge=0)]]
+    number: list[Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]]
     pregrasp_joint_positions: list[list[float]]
     synergy: list[str]
 

@@ -406,7 +406,10 @@ def _columns_to_read(schema: Any) -> list[str]:
 
     fields = [field for field in schema if field.name in COLUMNS_READ or field.name.startswith(PREGRASP)]
     for field in fields:
-        kind = field.type.value_type if field.name in (POSE_COLUMN, "synergy") else field.type
+        is_nested = field.name in (POSE_COLUMN, "synergy")
+        kind = getattr(field.type, "value_type", None) if is_nested else field.type
+        if kind is None:
+            raise TypeError(f"its column '{field.name}' is of type {field.type}")
         is_number = kinds.is_integer(kind) or kinds.is_floating(kind)
         if not (kinds.is_string(kind) if field.name == "synergy" else is_number):
             raise TypeError(f"its column '{field.name}' is of type {field.type}")

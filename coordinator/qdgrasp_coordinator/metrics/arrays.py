@@ -8,6 +8,7 @@ the time that numpy takes to move them field by field.
 import math
 import os
 import resource
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -75,7 +76,8 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np
     with archive.open(member) as file:
         version = np.lib.format.read_magic(file)
         shape, _, dtype = HEADERS[version](file, max_header_size=LARGEST_HEADER)
-        if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != member.file_size - file.tell():
+        size = math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or not dtype.itemsize or size != member.file_size - file.tell():
             raise ValueError("the header states another size")
     with archive.open(member) as file:
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False, max_header_size=LARGEST_HEADER))
@@ -88,7 +90,10 @@ DEFAULT_STACK = 1 << 23  # Bytes of a thread's stack where no limit is set, and 
 LARGEST_ARRAYS = 1 << 28  # Bytes of all arrays in a file that is read
 LARGEST_HEADER = 10_000  # Characters of an array's header
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-DAMAGED = (ValueError, EOFError, TypeError, AttributeError, KeyError, NotImplementedError, RuntimeError)
+DAMAGED = (
+    ValueError, EOFError, TypeError, AttributeError, KeyError, NotImplementedError, RuntimeError,
+    SyntaxError, tokenize.TokenError,
+)  # fmt: skip
 REAL = "fiu"  # Kinds of arrays that hold real numbers
 
 

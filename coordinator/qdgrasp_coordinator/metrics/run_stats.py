@@ -178,12 +178,18 @@ class RunCounter:
         """Return the counter of a run that has no rows yet."""
         return cls(spec.evaluations, spec.overlaps, TrialPlan.of(spec), StopCriteria.of(spec))
 
-    def count_block(self, block: Rows, population: int) -> None:
-        """Count the next rows of a journal, and record where each generation of this size ends."""
+    def count_block(self, block: Rows, spec: RunSpec) -> None:
+        """Count the next rows of a journal, and record where each generation ends.
+
+        That of a program's own search ends where the next one begins.
+        """
         for number in np.unique(block["generation"]):
             rows = block[block["generation"] == number]
+            if spec.has_own_search and self._last is not None and self._last["generation"] < number:
+                self.end_generation()
             self.count(rows)
-            if ((rows["index"] == population - 1) & (rows["trial"] == 0)).any():
+            is_last = (rows["index"] == spec.population - 1) & (rows["trial"] == 0)
+            if is_last.any() and not spec.has_own_search:
                 self.end_generation()
 
     def count(self, rows: Rows) -> None:
@@ -278,7 +284,7 @@ class RunCounter:
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
         self._tracker.check()
-        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
+        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population and not spec.has_own_search
         if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)
@@ -341,5 +347,5 @@ def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:
     """Return the counter of a journal's rows, in their order, in blocks of any length."""
     counter = RunCounter.of(spec)
     for block in blocks:
-        counter.count_block(block, spec.population)
+        counter.count_block(block, spec)
     return counter

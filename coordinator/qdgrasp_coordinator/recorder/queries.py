@@ -79,7 +79,7 @@ class CountedRun:
         first, last = self.rows, min(journal.count, self.rows + most)
         if first < last:
             for block in journal.kept(first, last):
-                self.counter.count_block(block, self.spec.population)
+                self.counter.count_block(block, self.spec)
         self.rows = last
         if self.rows == journal.count:
             self.listing = RunListing.of(journal.run, self.spec, journal.scene, self.counter)

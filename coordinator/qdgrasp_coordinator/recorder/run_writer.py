@@ -144,7 +144,7 @@ class RunWriter:
         if self._counter is None:
             self._counter = count_rows(spec, self.journal.blocks())
         else:
-            self._counter.count_block(rows, spec.population)
+            self._counter.count_block(rows, spec)
 
     @property
     def finished(self) -> RunListing | None:

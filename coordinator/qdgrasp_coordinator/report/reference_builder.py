@@ -4,6 +4,7 @@ Huber et al. 2024, section IV. The sets remember what each run found: from how m
 follows an estimate of the cells that none did (metrics/richness.py).
 """
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -94,7 +95,10 @@ def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet
             blocks = journal.kept(run.rows.start, run.rows.stop)
             reached, fitness = zip(none, *(_best_cells(successes(rows)) for rows in blocks), strict=True)
             distinct, best = best_per_cell(np.concatenate(reached), np.concatenate(fitness))
-            its_own = replace(origin, runs=(search_digest(run.spec, journal.scene),))
+            name = search_digest(run.spec, journal.scene)
+            if run.spec.has_own_search:  # the spec does not tell two of these apart: their finds do
+                name = hashlib.sha256(name.encode() + distinct.tobytes() + best.tobytes()).hexdigest()
+            its_own = replace(origin, runs=(name,))
             found = ReferenceSet(key, distinct, best, its_own, 1 + best[None])
             made = _joined(made, found, folder.path)
     return made

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.report.run_history import RunHistory, read_history
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
-from qdgrasp_coordinator.storage.run_folder import RunFolder, search_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest, search_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_protocol.spec import Overlaps, RunSpec
@@ -33,6 +33,8 @@ SPEC_DEFAULTS = {
     field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in GROUP_KEYS
 }
 """Values of a spec where neither its method nor the user asks for others."""
+FLIGHT_KEYS = {"generations_in_flight", "in_flight"}
+"""Settings whose default differs between single runs and campaigns."""
 OWN_SEED = "of the run"
 """Stands for a surface seed that is the seed of the run."""
 
@@ -138,7 +140,11 @@ def read_histories(folders: Iterable[RunFolder], targets: ReferenceLookup) -> It
         scene = folder.bundle().digest
         if (scene, run_object) not in known:
             known[scene, run_object] = targets.of(folder.scene(), run_object)
-        yield read_history(folder, known[scene, run_object], search_digest(folder.spec, scene))
+        search = search_digest(folder.spec, scene)
+        if folder.spec.has_own_search:  # the spec does not tell two of these apart
+            with folder.journal() as journal:
+                search += journal_digest(journal)
+        yield read_history(folder, known[scene, run_object], search)
 
 
 def distinct_searches(runs: Iterable[RunHistory]) -> tuple[list[RunHistory], list[RunHistory]]:
@@ -172,7 +178,8 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
 
     def changed_settings(group: RunGroup) -> int:
         setting = _settings(group.runs[0].spec)
-        return sum(setting[name] != default for name, default in usual_settings(group.method).items())
+        usual = usual_settings(group.method)
+        return sum(setting[name] != usual[name] for name in usual.keys() - FLIGHT_KEYS)
 
     scenes: dict[SceneName, dict[str, RunGroup]] = {}
     for group in sorted(groups, key=changed_settings):

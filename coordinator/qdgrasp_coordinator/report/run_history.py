@@ -153,7 +153,8 @@ def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") ->
 
 
 def _has_curves(journal: Journal, spec: RunSpec) -> bool:
-    return not journal.sources or (len(journal.sources) == 1 and spec.overlaps == "count")
+    is_placed = spec.overlaps == "count" and not spec.has_own_search  # by the size of its generations
+    return not journal.sources or (len(journal.sources) == 1 and is_placed)
 
 
 def _collect_successes(journal: Journal, spec: RunSpec, found: list[SuccessHistory]) -> Iterator[Rows]:

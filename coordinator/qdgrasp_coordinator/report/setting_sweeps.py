@@ -27,6 +27,7 @@ from qdgrasp_coordinator.report.figure_grid import (
 from qdgrasp_coordinator.report.figures import CURVE_COLUMNS, PANEL_SIZES, legend_width, method_legend
 from qdgrasp_coordinator.report.run_groups import (
     COVERAGE,
+    FLIGHT_KEYS,
     SPEC_UNITS,
     CurveMeasure,
     RunGroup,
@@ -39,6 +40,7 @@ from qdgrasp_coordinator.report.run_groups import (
     setting_words,
     usual_settings,
 )
+from qdgrasp_coordinator.search import registry
 
 NOT_AN_AXIS = {"surface_seed"}
 """Numbers of a spec that are no quantities."""
@@ -95,8 +97,10 @@ class SettingSweep:
     @property
     def default(self) -> SettingValue | None:
         """The value that the method has unless a spec says otherwise; None: it is not among them."""
-        usual = usual_settings(self.group.method)[self.setting]
-        return next((one for one in self.values if one.value == usual), None)
+        usual = {usual_settings(self.group.method)[self.setting]}
+        if self.setting in FLIGHT_KEYS:
+            usual.add(getattr(registry.method(self.group.method), self.setting))
+        return next((one for one in self.values if one.value in usual), None)
 
 
 def setting_sweeps(groups: Sequence[RunGroup]) -> list[SettingSweep]:

@@ -18,7 +18,7 @@ from qdgrasp_coordinator.search.touch_search import TouchSearch
 from qdgrasp_coordinator.search.value_search import ValueSearch, check_first_weights
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import GIVEN, trial_count
-from qdgrasp_protocol.spec import AimFor, Overlaps, RunSpec
+from qdgrasp_protocol.spec import OWN_SEARCH, AimFor, Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
 """Makes a search from a spec and the space of its genomes."""
@@ -188,7 +188,9 @@ def _elsewhere(spec: RunSpec, *_space: SearchSpace) -> NoReturn:
 
 
 CUSTOM = {
-    prior: Method(f"custom_{prior}", prior, _elsewhere, _elsewhere, "count", 500, "A program's own search.")
+    prior: Method(
+        f"{OWN_SEARCH}{prior}", prior, _elsewhere, _elsewhere, "count", 500, "A program's own search."
+    )
     for prior in PRIORS
 }
 """Methods of runs whose search came from outside, by prior; their folders read like any."""

@@ -25,8 +25,9 @@ import qdgrasp
 from qdgrasp_coordinator.campaign import campaign_export
 from qdgrasp_coordinator.campaign.campaign_export import export_campaign, parse_shares, split_of
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.export import grasp_reader, grasp_set, metadata
-from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, read_run
+from qdgrasp_coordinator.export import dataset_card, grasp_reader, grasp_set, metadata
+from qdgrasp_coordinator.export.dataset_card import DatasetFigures, DatasetOptions
+from qdgrasp_coordinator.export.grasp_reader import ChosenGrasps, GraspChoice, GraspReader, read_run
 from qdgrasp_coordinator.storage.engine_table import write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
@@ -333,6 +334,22 @@ def test_the_head_of_the_card_names_the_tables_of_the_hub(campaign: JobFolder, t
     assert "| CC0 | 1 |" in text
     for word in ("protocol `paper`, engine `bullet`", "a finger touches the object", "How to cite"):
         assert word in text
+
+
+def test_objects_without_a_split_beside_some_of_train_name_it_once() -> None:
+    figures = DatasetFigures([])
+    figures.files["jaw"] = dict.fromkeys(("", "train"), "data/jaw/train-00000.parquet")
+    options = DatasetOptions(
+        campaign="", format="parquet", frame="mesh", failures=0, choice={}, meshes="name", shares=()
+    )
+    head = yaml.safe_load(dataset_card._head(Path("out"), options, figures).strip("-"))
+    assert head["configs"][0]["data_files"] == [{"split": "train", "path": "data/jaw/train-*.parquet"}]
+
+
+def test_the_best_quality_is_that_of_a_grasp_where_a_failure_has_a_better_one() -> None:
+    index = np.array([(0, 0.1), (1, 0.25)], [("number", int), ("confidence", float)])
+    assert ChosenGrasps(None, index, failures=1, min_fitness=1).best == 0.1  # type: ignore[arg-type]
+    assert ChosenGrasps(None, index[1:], failures=1, min_fitness=1).best is None  # type: ignore[arg-type]
 
 
 def test_hands_of_one_name_with_other_joints_do_not_share_a_shard(campaign, scene, tmp_path) -> None:

@@ -6,8 +6,10 @@ import threading
 from pathlib import Path
 
 import numpy as np
+import pyarrow
 import pytest
 import yaml
+from pyarrow import parquet
 from tests.common import PATIENCE
 from tests.coordinator.export.foreign_files import (
     COM,
@@ -221,6 +223,21 @@ def test_what_was_cut_off_is_refused(run: RunFolder, panda, tmp_path: Path, name
     whole = (tmp_path / "whole").read_bytes()
     (tmp_path / "cut").write_bytes(whole[: int(len(whole) * share)])
     check_refusal(panda, tmp_path / "cut", "it is a damaged")
+
+
+def test_a_column_of_another_type_and_a_number_that_is_too_large_are_refused(run, panda, tmp_path) -> None:
+    export_run(run, tmp_path / "f", "parquet")
+    table = parquet.read_table(tmp_path / "f")
+    nothing = pyarrow.nulls(len(table))
+    place = table.column_names.index("synergy")
+    parquet.write_table(table.set_column(place, "synergy", nothing), tmp_path / "f")
+    check_refusal(panda, tmp_path / "f", "its column 'synergy' is of type null")
+    export_run(run, tmp_path / "g", "graspgen")
+    file = imported_file(tmp_path / "g")
+    told = json.loads(file.read_text())
+    told["qdgrasp"]["grasps"]["number"][0] = 2**63
+    file.write_text(json.dumps(told))
+    check_refusal(panda, file, "number")
 
 
 @pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])

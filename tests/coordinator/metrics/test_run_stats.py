@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from msgspec import structs
 from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.scheduler.search_plans import Plan, evaluate
 
@@ -108,6 +109,16 @@ def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
     bad = barren(50, BARREN)
     assert count_rows(redrawn(50), blocks(*bad, size=5)).finished is not None
     assert count_rows(redrawn(50), blocks(*bad[:-1], bad[-1][:49], size=5)).finished is None
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_generations_of_a_programs_own_search_end_where_the_next_begins(size: int) -> None:
+    spec = RunSpec(gripper="hand", object="thing", method="custom_contact", evaluations=9)
+    counter = RunCounter.of(spec)
+    for block in blocks(*(rows(*[Outcome.HELD] * 2, generation=number) for number in range(3)), size=size):
+        counter.count_block(block, spec)
+    assert [point.evaluations for point in counter.curve("run").points] == [2, 4]
+    counter.check_budget(structs.replace(spec, evaluations=20))
 
 
 def robust_journal() -> Rows:

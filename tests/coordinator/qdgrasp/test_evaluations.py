@@ -10,7 +10,7 @@ from tests.coordinator.monitor.sample_jobs import figures
 from tests.coordinator.scenes import jaw, made_scene
 
 import qdgrasp
-from qdgrasp.arguments import POSE_COLUMNS, check_genomes, layout_of
+from qdgrasp.arguments import POSE_COLUMNS, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.search.fixed_poses import check_given
@@ -104,6 +104,13 @@ def test_what_cannot_be_scored_is_refused(changed: dict[str, Any], why: str) -> 
     asked = {"positions": ABOVE, "quaternions_xyzw": DOWN, "gripper": "panda", "object": "mug"} | changed
     with pytest.raises(InputError, match=why):
         qdgrasp.evaluate(**asked)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    spec = spec_from_arguments(
+        {"gripper": "panda", "object": "mug", "mass": np.float64(0.1)}, seed=np.int64(3)
+    )
+    assert (spec.mass, spec.seed, qdgrasp.Place(workers=np.int64(2)).hands) == (0.1, 3, 2)
 
 
 def test_keywords_that_are_known_are_those_of_the_scenery() -> None:

@@ -12,9 +12,16 @@ from typer.testing import CliRunner
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.metrics.reference_coverage import object_identity, read_reference, read_references
+from qdgrasp_coordinator.metrics.reference_coverage import (
+    ReferenceLookup,
+    object_identity,
+    read_reference,
+    read_references,
+)
 from qdgrasp_coordinator.report import reference_builder
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets, reference_set_of
+from qdgrasp_coordinator.report.run_groups import distinct_searches, read_histories
+from qdgrasp_coordinator.report.run_history import has_curves
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -46,12 +53,13 @@ def run(tmp_path: Path) -> Runs:
         com: float = 0.0,
         seed: int = 0,
         evaluations: int = 10_000,
+        method: str = "aimed",
         **settings: str,
     ) -> RunFolder:
         scene = made_scene(gripper)
         body = msgspec.structs.replace(scene.object, name=Path(object_).stem, com_in_mesh=(com, 0.0, 0.0))
         bundle = pack_scene(msgspec.structs.replace(scene, object=body, **settings))
-        length = {"seed": seed, "evaluations": evaluations}
+        length = {"seed": seed, "evaluations": evaluations, "method": method}
         spec = RunSpec(gripper=gripper, object=object_, mass=0.1, **length, **settings)
         rows = rows_of(found) if isinstance(found, dict) else found
         return record_spec(tmp_path / f"run{next(numbers)}", spec, rows, bundle, block=1)
@@ -157,6 +165,22 @@ def test_a_run_is_known_by_its_search_and_scene_not_by_where_its_files_lie(run: 
     assert digests() == digests(evaluations=7) == digests(object_="elsewhere/block.stl")
     others = [digests(), digests(seed=1), digests(com=0.01), digests(protocol="released")]
     assert len({*others}) == 4
+
+
+def test_searches_of_ones_own_are_told_apart_by_their_finds(run: Runs) -> None:
+    one, other, copy = (
+        run({cell: Outcome.HELD}, evaluations=1, method="custom_contact") for cell in (A, B, A)
+    )
+    names = [reference_set_of(each).origin.runs for each in (one, other, copy)]
+    assert names[0] == names[2] != names[1]
+    histories = list(read_histories([one, other, copy], ReferenceLookup(())))
+    kept, copies = distinct_searches(histories)
+    assert ([run.path for run in kept], [run.path for run in copies]) == ([one.path, other.path], [copy.path])
+    prune_run(one)
+    with one.journal() as journal:
+        assert reference_set_of(one).origin.runs == names[0]
+        assert journal.sources
+    assert not has_curves(one)
 
 
 def test_a_run_without_a_success_may_be_added_to_a_set_as_one_that_found_nothing(run, tmp_path) -> None:

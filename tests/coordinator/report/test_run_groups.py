@@ -33,6 +33,7 @@ from qdgrasp_coordinator.report.run_groups import (
     search_run_folders,
 )
 from qdgrasp_coordinator.report.run_history import RunHistory
+from qdgrasp_coordinator.report.setting_sweeps import setting_sweeps
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import FirstWeights
@@ -99,6 +100,19 @@ def test_the_usual_variant_of_a_method_is_the_one_nearest_to_the_defaults() -> N
     runs = [made("me_scs", climb(1), mutation_sigma=sigma, population=60) for sigma in (0.02, 0.1, 0.4)]
     (by_method,) = default_groups(group_runs(runs)).values()
     assert by_method["me_scs"].runs[0].spec.mutation_sigma == 0.1
+
+
+def test_a_run_with_the_flight_of_a_single_run_is_the_usual_one() -> None:
+    usual = {"overlaps": "redraw", "aim_for": "hold", "generations_in_flight": 2}
+    alone, other = (
+        made("aimed", climb(1), population=population, in_flight=in_flight, **usual)
+        for population, in_flight in ((METHODS["aimed"].population, 1200), (60, None))
+    )
+    (by_method,) = default_groups(group_runs([other, alone])).values()
+    assert by_method["aimed"].runs[0].spec.in_flight == 1200
+    less = made("aimed", climb(1), population=METHODS["aimed"].population, in_flight=300, **usual)
+    (sweep,) = setting_sweeps(group_runs([less, alone]))
+    assert (sweep.setting, sweep.default and sweep.default.value) == ("in_flight", 1200)
 
 
 @pytest.mark.parametrize(("method", "counting"), [("aimed", "redraw"), ("me_scs", "count")])

@@ -1,5 +1,9 @@
 """Poses in a spec, each asked once."""
 
+import io
+import zipfile
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
@@ -145,6 +149,14 @@ def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
         read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
 
 
+def write_headless(file: Any) -> None:
+    """Write an array whose header lost its closing brackets."""
+    whole = io.BytesIO()
+    np.save(whole, POSES["base_position"])
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("base_position.npy", whole.getvalue().replace(b"(2, 3), }", b"(2, 3    "))
+
+
 @pytest.mark.parametrize(
     ("write", "words"),
     [
@@ -153,6 +165,8 @@ def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
         (lambda file: file.write(b"PK\x03\x04 cut short"), r"poses\.npz"),
         (lambda file: np.save(file, POSES["base_position"]), "not an npz file"),
         (lambda file: np.savez(file, base_position=np.array([{}], dtype=object)), r"poses\.npz"),  # pickled
+        (lambda file: np.savez(file, base_position=np.full(10**6, "", "<U0")), r"poses\.npz"),  # of no bytes
+        (write_headless, r"poses\.npz"),
     ],
 )
 def test_a_file_that_is_no_npz_of_numbers_is_refused_in_one_sentence(tmp_path, write, words):

@@ -82,6 +82,9 @@ def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tm
     shutil.copy(folder / "monitor.key", broken / "worker.key")
     reason = handshake_error(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
     assert "worker.pem and its key cannot be used" in reason
+    (broken / "ca.pem").write_text("no certificate")
+    reason = handshake_error(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
+    assert "ca.pem cannot be used" in reason
 
 
 def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(secured, folder) -> None:
