@@ -206,7 +206,8 @@ def claims_part(known: Iterable[Arm]) -> str:
     shown = [arm for arm in known if len(arm.values("coverage")) and not changed(arm.key)]
     numbers_table = markdown_table(COLUMNS, [_line(one) for one in found])
     lines = [_coverage_line(arm) for arm in sorted(shown, key=lambda arm: arm.key)]
-    return "\n".join((head, _summary(found), numbers_table, reached, markdown_table(REACHED, lines)))
+    image = "![The paper's Figures 1 and 2, and its choice of sigma, from these runs](paper-figures.png)\n"
+    return "\n".join((head, _summary(found), image, numbers_table, reached, markdown_table(REACHED, lines)))
 
 
 def _coverage_line(arm: Arm) -> tuple[str, ...]:

@@ -16,6 +16,9 @@ from benchmarks.results.drawn_grasps import drawn_figures
 from benchmarks.results.measure import Figures, finished_rows, rounded
 from benchmarks.results.page import page
 from benchmarks.results.paper_claims import CAMPAIGN as CLAIMS
+from benchmarks.results.paper_claims import SIGMA_GRID
+from benchmarks.results.paper_figures import FIGURE as PAPERS
+from benchmarks.results.paper_figures import draw as draw_papers
 from benchmarks.results.programme import Costs, Programme, Wanted, located, ordered, stages
 from benchmarks.results.table import Key, Row, key
 from benchmarks.side_by_side import side_by_side
@@ -150,12 +153,15 @@ class Store:
     def write_page(self) -> None:
         """Make the page again, its figure, and the table as Parquet."""
         whole = self.table
-        figure, sets = draw(arms(self.known.benchmark, whole)), reference_sets.read(self.sets)
+        sets = reference_sets.read(self.sets)
+        claimed, sigma = (arms(self.known.part(name), whole) for name in (CLAIMS, SIGMA_GRID))
+        figures = {FIGURE: draw(arms(self.known.benchmark, whole)), PAPERS: draw_papers(claimed, sigma)}
         with atomic_files.writing(self.file.parent):
             atomic_files.write(self.file.with_name(PAGE), page(self.known, whole, sets).encode())
             atomic_files.write(self.file.with_suffix(".parquet"), tables.parquet(whole))
-            if figure is not None:
-                figure.figure.savefig(self.file.with_name(f"{FIGURE}.png"), dpi=FIGURE_DPI)
+            for name, figure in figures.items():
+                if figure is not None:
+                    figure.figure.savefig(self.file.with_name(f"{name}.png"), dpi=FIGURE_DPI)
 
     def _budgets(self, here: tables.Table) -> "_Budgets":
         return _Budgets(self.known, {one for one, row in here.items() if row.code in self._current})

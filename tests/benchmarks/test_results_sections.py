@@ -12,6 +12,7 @@ from benchmarks.results import reference_sets
 from benchmarks.results.comparison import Arm
 from benchmarks.results.measure import rows_digest
 from benchmarks.results.paper_claims import claims_part, numbers, sigma_part
+from benchmarks.results.paper_figures import draw, figure_panels
 from benchmarks.results.reference_sets import SceneSet, gather, read, sets_part
 from benchmarks.results.table import Key, key
 from msgspec.structs import replace
@@ -83,6 +84,34 @@ def test_the_values_of_single_objects_stand_beside_the_number() -> None:
     text = claims_part([*other, *whole])
     assert " | 1 to 2 | " in next(line for line in text.splitlines() if line.startswith("| b | `contact_me"))
     assert "| panda | ycb_bowl | 10,000 | `contact_me_scs` | 5 | 50.00 (49.00 to 52.00) |" in text
+
+
+def test_the_papers_figures_are_means_over_the_objects_that_all_methods_have() -> None:
+    half = {"budget": 5000, "coverage_500": 0.1, "coverage_1k": 0.2, "coverage_2k": 0.3}
+    arms = [
+        arm("contact_me_scs", 0.4, 0.6, 0.5, **half),
+        arm("contact_rand", 0.2, **half),
+        arm("contact_me_scs", 0.7, object="ycb_bowl", **half),
+        arm("contact_rand", 0.4, object="ycb_bowl", **half),
+        arm("contact_me_scs", 0.9, object="ycb_banana", **half),
+        arm("approach_me_scs", 0.9, object="ycb_banana", **half),
+    ]
+    sigma = [arm("me_scs", 0.4, 0.6), arm("me_scs", 0.8, 0.9, settings="mutation_sigma=0.2")]
+    first, second, third = (
+        figure_panels(arms[:4], sigma[:0]),
+        figure_panels(arms, []),
+        figure_panels([], sigma),
+    )
+    (one,) = first
+    assert (one.heading, one.words) == ("Figure 1, panda", "mug and bowl, 1 to 3 seeds")
+    assert one.lines["contact_me_scs"] == (
+        [0, 500, 1000, 2000, 5000],
+        pytest.approx([0.0, 0.1, 0.2, 0.3, 0.6]),
+    )
+    assert [panel.heading for panel in second] == ["Figure 1, panda"]  # no object has all of Figure 2
+    (two,) = third
+    assert two.lines == {"me_scs": ([0.1, 0.2], pytest.approx([0.5, 0.85]))}
+    assert draw([], []) is None
 
 
 def test_a_claim_agrees_when_all_its_numbers_are_in_and_do() -> None:

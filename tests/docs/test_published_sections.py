@@ -351,6 +351,31 @@ def verdict_of(letter: str, low: float, high: float) -> str:
     return "does not" if high <= least or low >= most else "cannot be said"
 
 
+def test_the_page_on_the_papers_experiment_says_what_the_runs_say() -> None:
+    page = " ".join((RESULTS.parent / "experiment.md").read_text(encoding="utf-8").split())
+    every = read_runs()
+    runs = every[(every["protocol"] == "paper") & (every["settings"] == "surface_seed=seed")]
+    long = runs[(runs["method"] == "antipodal_me_scs") & (runs["budget"] == 100_000)]
+    cube = long[long["object"] == "ycb_rubiks_cube"]
+    late = (1 - cube["coverage_50k"] / cube["coverage"]).mean()
+    assert f"it covers {cube['coverage'].mean():.0%}".replace("%", " %") in page
+    assert f"still added {late:.0%} of that".replace("%", " %") in page
+    short = runs[(runs["gripper"] == "panda") & (runs["budget"] == 5000)]
+    near = short[short["method"] == "contact_me_scs"].groupby("object")["near_nu"].mean()
+    cube_and_drill = f"{100 * near['ycb_rubiks_cube']:.0f} and {100 * near['ycb_power_drill']:.0f} %"
+    assert f"With the Panda {cube_and_drill} of the successes of `contact_me_scs` on cube and drill" in page
+    assert f"it is {100 * near['ycb_mug']:.0f} %. With" in page
+    others = runs[(runs["gripper"] != "panda") & (runs["budget"] == 5000)]
+    least, most = (
+        others[others["method"] == "contact_me_scs"].groupby("gripper")["near_nu"].mean().agg(["min", "max"])
+    )
+    assert f"With the other hands, of one seed, {100 * least:.0f} to {100 * most:.0f} % do" in page
+    least, most = (
+        others[others["method"] == "contact_rand"].groupby("gripper")["near_nu"].mean().agg(["min", "max"])
+    )
+    assert f"and of `contact_rand` {100 * least:.0f} to {100 * most:.0f} %" in page
+
+
 def test_the_papers_claims_are_judged_from_the_runs() -> None:
     section, every = part("The paper's claims"), read_runs()
     runs = every[(every["protocol"] == "paper") & every["settings"].str.contains("surface_seed=seed")]
