@@ -356,10 +356,12 @@ def test_the_page_on_the_papers_experiment_says_what_the_runs_say() -> None:
     every = read_runs()
     runs = every[(every["protocol"] == "paper") & (every["settings"] == "surface_seed=seed")]
     long = runs[(runs["method"] == "antipodal_me_scs") & (runs["budget"] == 100_000)]
-    cube = long[long["object"] == "ycb_rubiks_cube"]
-    late = (1 - cube["coverage_50k"] / cube["coverage"]).mean()
-    assert f"it covers {cube['coverage'].mean():.0%}".replace("%", " %") in page
-    assert f"still added {late:.0%} of that".replace("%", " %") in page
+    long = long.assign(late=1 - long["coverage_50k"] / long["coverage"])
+    means = 100 * long.groupby("object")[["coverage", "late"]].mean()
+    (cube, late), (mug, late_on_mug) = (means.loc[name] for name in ("ycb_rubiks_cube", "ycb_mug"))
+    assert f"it covers {cube:.0f} %" in page
+    assert f"still added {late:.0f} % of that" in page
+    assert f"One seed on the mug covers {mug:.0f} %, with {late_on_mug:.0f} % from the second half" in page
     short = runs[(runs["gripper"] == "panda") & (runs["budget"] == 5000)]
     near = short[short["method"] == "contact_me_scs"].groupby("object")["near_nu"].mean()
     cube_and_drill = f"{100 * near['ycb_rubiks_cube']:.0f} and {100 * near['ycb_power_drill']:.0f} %"
