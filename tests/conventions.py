@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 292
-MOST_LINES = 63_100
+MOST_LINES = 63_150
 MOST_TEST_FILES = 333
-MOST_TEST_LINES = 63_600
+MOST_TEST_LINES = 63_650
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 18
 MOST_IN_MODULE = 500

@@ -232,7 +232,8 @@ def _summary(found: Sequence[ClaimNumber]) -> str:
 def _heading(found: Sequence[ClaimNumber], part: tuple[str, int]) -> str:
     """Hand, budget, and the numbers of objects, the least and the most of any number."""
     hand, budget = part
-    objects = {one.objects for one in found if one.part == part and one.is_judged}
+    here = [one for one in found if one.part == part]
+    objects = {one.objects for one in here if one.is_judged} or {one.objects for one in here}
     least = f"{min(objects)} to " if len(objects) > 1 else ""
     return f"{hand}, {budget:,}, {least}{counted(max(objects), 'object')}"
 

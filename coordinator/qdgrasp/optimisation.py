@@ -156,7 +156,7 @@ def optimise(
     prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
     searches = SearchFactory(make, layout_of(prepared.scene, prior))
     shows: AbstractContextManager[ProgressDisplay] = (
-        progress_display(path.name, evaluations) if progress else nullcontext(SilentProgress())
+        progress_display(path.name, spec.evaluations) if progress else nullcontext(SilentProgress())
     )
     meeting = place.meet()  # before there is a folder
     with meeting[0]:
@@ -173,7 +173,7 @@ def optimise(
             session.start_recorder(folder.path)
             session.start_workers(place.hands)
             session.coordinate(
-                SingleRunQueue(lambda: plan_run(spec, prepared, search=searches.next()), evaluations),
+                SingleRunQueue(lambda: plan_run(spec, prepared, search=searches.next()), spec.evaluations),
                 lambda run: RecorderClient(session.bus, session.job, run.shape),
                 Stop(),
                 place.batch_size,

@@ -74,6 +74,11 @@ def test_an_object_with_few_seeds_takes_no_verdict_from_the_others() -> None:
     assert found.verdict(10_000, 5) is ClaimAgreement.AGREES
 
 
+def test_numbers_that_only_stand_beside_have_a_line_and_no_verdict() -> None:
+    text = claims_part([arm("contact_rand", *FIVE, near_nu=0.5)])
+    assert "| d | `contact_rand` | panda | 1 | 5 | 10,000 | 0.5 |" in text
+
+
 def test_the_values_of_single_objects_stand_beside_the_number() -> None:
     other = [
         arm("contact_me_scs", *FIVE, object="ycb_bowl"),

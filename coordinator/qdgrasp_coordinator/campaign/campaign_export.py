@@ -55,6 +55,7 @@ from qdgrasp_protocol.text import counted
 SHARD_BYTES = 256 << 20  # A shard ends when it has so many bytes: hubs advise 100 to 500 MB
 PROGRESS, UNFINISHED = "progress.jsonl", "unfinished"
 DATA, MESHES = "data", "meshes"
+OURS = (CARD, INDEX_CSV, INDEX_PARQUET, DATA, MESHES)  # Names in a data set, of which one is in a part of it
 COPY, NAME = "copy", "name"
 SPLIT_NAMES = ("train", "validation", "test")
 DEFAULT_SPLIT = "train"
@@ -199,13 +200,15 @@ def export_campaign(
     whole = out.absolute()
     old, part = whole.with_name(f".{whole.name}.old"), whole.with_name(f"{whole.name}.part")
     with atomic_files.writing(part), atomic_files.making_parents(part):
-        if os.path.lexists(old) and not is_dataset(old):
+        if os.path.lexists(old) and not any(map(os.path.lexists, (old / name_ for name_ in OURS))):
             raise OutputError(old, "is no data set", "move it away, or name another OUT")
         if any(part.iterdir()) and not (part / PROGRESS).exists() and not (part / LOCK).exists():
             raise OutputError(part, "holds other files", "remove it, or name another OUT")
-        with hold_lock(part, is_removed=True):
+        with hold_lock(part):
             if is_dataset(old) and not os.path.lexists(whole):  # a killed command had moved it
                 old.rename(whole)
+                if not force:
+                    (part / LOCK).unlink()
                 OutFolder(out, force=force, is_kind=is_dataset).check()
             writer = DatasetWriter(part, folder, form, options, shard_bytes)
             runs = writer.begin(tell)

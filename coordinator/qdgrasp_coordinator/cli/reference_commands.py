@@ -22,7 +22,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_
 from qdgrasp_coordinator.metrics.richness import RichnessEstimate
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances, search_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances, run_digest
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.text import counted
@@ -49,7 +49,7 @@ def coverage(
     stand_in = is_stand_in(folder.spec.object, object_identity(scene.object), entries)
     with folder.journal() as journal:
         successes = journal.successes()
-        runs = {search_digest(run.spec, journal.scene) for run in provenances(folder, journal)}
+        runs = {run_digest(run.spec, journal, run.rows) for run in provenances(folder, journal)}
     built_from = entries.origin is not None and not runs.isdisjoint(entries.origin.runs)
     positions = successes["base_to_object"][:, :3]
     found = coverage_of(positions, survival(successes), entries, released_archive(scene))

@@ -181,7 +181,7 @@ class RunCounter:
     def count_block(self, block: Rows, spec: RunSpec) -> None:
         """Count the next rows of a journal, and record where each generation ends.
 
-        That of a program's own search ends where the next one begins.
+        That of a program's own search ends where the next one begins, or the run is over.
         """
         for number in np.unique(block["generation"]):
             rows = block[block["generation"] == number]
@@ -189,7 +189,7 @@ class RunCounter:
                 self.end_generation()
             self.count(rows)
             is_last = (rows["index"] == spec.population - 1) & (rows["trial"] == 0)
-            if is_last.any() and not spec.has_own_search:
+            if self.finished if spec.has_own_search else is_last.any():
                 self.end_generation()
 
     def count(self, rows: Rows) -> None:
@@ -284,7 +284,7 @@ class RunCounter:
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
         self._tracker.check()
-        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population and not spec.has_own_search
+        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
         if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)

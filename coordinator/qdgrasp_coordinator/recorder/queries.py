@@ -246,7 +246,7 @@ class ObjectIndex:
         """Return the objects from this number on, and how many runs are still being counted."""
         with self._lock:
             if time.monotonic() >= self._due:
-                self._listings, self._uncounted = self._list(time.monotonic() + LISTING_SECONDS)
+                self._listings, self._uncounted = self._list()
                 self._due = time.monotonic() + (0.0 if self._uncounted else LISTED_SECONDS)
             listings, uncounted = self._listings, self._uncounted
         behind = first + OBJECTS_PER_PAGE
@@ -254,10 +254,11 @@ class ObjectIndex:
             objects=listings[first:behind], next=behind if behind < len(listings) else 0, uncounted=uncounted
         )
 
-    def _list(self, until: float) -> tuple[list[ObjectListing], int]:
+    def _list(self) -> tuple[list[ObjectListing], int]:
         self._index.refresh()
         begun = {path.name: path for path in _run_paths(self._path)}
         specs, uncounted = self._specs(begun), 0
+        until = time.monotonic() + LISTING_SECONDS
         unfinished = [name for name in specs if name in begun and name not in self._finished]
         for name in sorted(unfinished, key=lambda name: name in self._totals):  # unknown ones first
             if time.monotonic() > until:

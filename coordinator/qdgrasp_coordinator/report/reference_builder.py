@@ -4,7 +4,6 @@ Huber et al. 2024, section IV. The sets remember what each run found: from how m
 follows an estimate of the cells that none did (metrics/richness.py).
 """
 
-import hashlib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.metrics.scores import survival
 from qdgrasp_coordinator.storage import atomic_files, job_folder
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances, search_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances, run_digest
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.text import quoted
@@ -95,10 +94,7 @@ def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet
             blocks = journal.kept(run.rows.start, run.rows.stop)
             reached, fitness = zip(none, *(_best_cells(successes(rows)) for rows in blocks), strict=True)
             distinct, best = best_per_cell(np.concatenate(reached), np.concatenate(fitness))
-            name = search_digest(run.spec, journal.scene)
-            if run.spec.has_own_search:  # the spec does not tell two of these apart: their finds do
-                name = hashlib.sha256(name.encode() + distinct.tobytes() + best.tobytes()).hexdigest()
-            its_own = replace(origin, runs=(name,))
+            its_own = replace(origin, runs=(run_digest(run.spec, journal, run.rows),))
             found = ReferenceSet(key, distinct, best, its_own, 1 + best[None])
             made = _joined(made, found, folder.path)
     return made

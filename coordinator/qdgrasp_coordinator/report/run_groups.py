@@ -19,7 +19,7 @@ from qdgrasp_coordinator.report.run_history import RunHistory, read_history
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest, search_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, run_digest, search_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_protocol.spec import Overlaps, RunSpec
@@ -141,9 +141,9 @@ def read_histories(folders: Iterable[RunFolder], targets: ReferenceLookup) -> It
         if (scene, run_object) not in known:
             known[scene, run_object] = targets.of(folder.scene(), run_object)
         search = search_digest(folder.spec, scene)
-        if folder.spec.has_own_search:  # the spec does not tell two of these apart
+        if folder.spec.has_own_search:
             with folder.journal() as journal:
-                search += journal_digest(journal)
+                search = run_digest(folder.spec, journal, range(journal.count))
         yield read_history(folder, known[scene, run_object], search)
 
 

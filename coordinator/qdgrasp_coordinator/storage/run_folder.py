@@ -20,6 +20,7 @@ from typing import NamedTuple
 import msgspec
 
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
+from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal import Journal
@@ -64,6 +65,19 @@ def search_digest(spec: RunSpec, scene: str) -> str:
         spec, gripper="", object="", about=None, evaluations=1, **dict.fromkeys(GOAL_KEYS)
     )
     return hashlib.sha256(f"{scene}\n{to_toml(endless)}".encode()).hexdigest()[:16]
+
+
+def run_digest(spec: RunSpec, journal: Journal, rows: range) -> str:
+    """Return `search_digest` of a run with these rows; it stays the same when the run is extended.
+
+    Searches of a program's own are told apart by their first success, which the spec does not say.
+    """
+    digest = search_digest(spec, journal.scene)
+    for block in journal.kept(rows.start, rows.stop) if spec.has_own_search else ():
+        if len(first := successes(block)[:1]):
+            found = (first[name].tobytes() for name in ("generation", "index", "base_to_object"))
+            return hashlib.sha256(b"".join((digest.encode(), *found))).hexdigest()[: len(digest)]
+    return digest
 
 
 SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs

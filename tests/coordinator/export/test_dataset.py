@@ -229,8 +229,9 @@ def test_a_data_set_that_a_killed_command_had_moved_is_put_back_and_then_kept(ca
     with pytest.raises(InputError, match="is there already"):
         export_campaign(campaign.path, out, "csv", GRASPS)
     assert (contents(out), sorted(path.name for path in tmp_path.iterdir())) == (before, ["campaign", "out"])
-    out.rename(moved)
-    (moved / "index.csv").unlink()  # it is no data set, and stays where it is
+    shutil.rmtree(out)
+    moved.mkdir()
+    (moved / "mine.txt").touch()
     with pytest.raises(OutputError, match=r"\.out\.old is no data set; move it away"):
         export_campaign(campaign.path, out, "csv", GRASPS)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".out.old", "campaign"]

@@ -171,8 +171,9 @@ def test_searches_of_ones_own_are_told_apart_by_their_finds(run: Runs) -> None:
     one, other, copy = (
         run({cell: Outcome.HELD}, evaluations=1, method="custom_contact") for cell in (A, B, A)
     )
-    names = [reference_set_of(each).origin.runs for each in (one, other, copy)]
-    assert names[0] == names[2] != names[1]
+    longer = run({A: Outcome.HELD, C: Outcome.HELD}, evaluations=2, method="custom_contact")
+    names = [reference_set_of(each).origin.runs for each in (one, other, copy, longer)]
+    assert names[0] == names[2] == names[3] != names[1]
     histories = list(read_histories([one, other, copy], ReferenceLookup(())))
     kept, copies = distinct_searches(histories)
     assert ([run.path for run in kept], [run.path for run in copies]) == ([one.path, other.path], [copy.path])

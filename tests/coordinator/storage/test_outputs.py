@@ -304,8 +304,8 @@ def test_a_folder_that_a_killed_process_was_replacing_is_put_back(tmp_path: Path
     assert there(tmp_path) == [".out.v2.1.part", "out", "out/two" if force else "out/one"]
 
 
-@pytest.mark.parametrize("stopped", ["folder", "part"])
-def test_a_folder_that_a_stopped_command_was_replacing_is_there(tmp_path, monkeypatch, stopped) -> None:
+@pytest.mark.parametrize("is_done", [False, True])
+def test_a_folder_that_a_stopped_command_was_replacing_is_there(tmp_path, monkeypatch, is_done) -> None:
     out = OutFolder(tmp_path / "folder", force=True, is_kind=lambda _: True)
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/one").touch()
@@ -313,17 +313,18 @@ def test_a_folder_that_a_stopped_command_was_replacing_is_there(tmp_path, monkey
 
     def stop(path: Path, target: Path) -> None:
         rename(path, target)
-        if path.name == "folder" or (stopped == "part" and path.suffix == ".part"):
+        if (path.parent.name == "new") is is_done:  # the old one is moved away, or the new one is there
             raise SystemExit(1)
 
     def replace() -> None:
         with out.writing() as made:
             made.mkdir()
+            (made / "two").touch()
             monkeypatch.setattr(Path, "rename", stop)
 
     with pytest.raises(SystemExit):
         replace()
-    assert there(tmp_path) == ["folder", "folder/one"]
+    assert there(tmp_path) == ["folder", "folder/two" if is_done else "folder/one"]
 
 
 def test_a_folder_of_that_name_that_another_process_makes_stays(tmp_path, monkeypatch) -> None:
