@@ -68,7 +68,7 @@ def search_digest(spec: RunSpec, scene: str) -> str:
 
 
 def run_digest(spec: RunSpec, journal: Journal, rows: range) -> str:
-    """Return `search_digest` of a run with these rows; it stays the same when the run is extended.
+    """Return `search_digest` of a run with these rows; it stays when the run is extended.
 
     Searches of a program's own are told apart by their first success, which the spec does not say.
     """
