@@ -271,7 +271,7 @@ def sigma_part(known: Iterable[Arm]) -> str:
     groups: dict[tuple[str, str, int], dict[float, Arm]] = {}
     for arm in known:
         if len(arm.values(COVERAGE.name)):
-            groups.setdefault((arm.key.object, arm.key.method, arm.key.budget), {})[_sigma(arm)] = arm
+            groups.setdefault((arm.key.object, arm.key.method, arm.key.budget), {})[sigma_of(arm)] = arm
     if not groups:
         return ""
     sigmas = sorted({sigma for group in groups.values() for sigma in group})
@@ -286,7 +286,8 @@ def sigma_part(known: Iterable[Arm]) -> str:
     )
 
 
-def _sigma(arm: Arm) -> float:
+def sigma_of(arm: Arm) -> float:
+    """The mutation's sigma of the runs of an arm."""
     return float(settings_of(arm.key).get("mutation_sigma", ANY.mutation_sigma))
 
 

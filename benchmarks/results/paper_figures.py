@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from benchmarks.results.comparison import ANY, COVERAGE, Arm, changed, settings_of
+from benchmarks.results.comparison import COVERAGE, Arm, changed
+from benchmarks.results.paper_claims import sigma_of
 from benchmarks.results.table import MILESTONES
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
@@ -90,11 +91,8 @@ def _curve_panel(
 
 
 def _over_sigma(arms: Sequence[Arm]) -> tuple[list[float], list[float]]:
-    by_sigma = {
-        float(settings_of(arm.key).get("mutation_sigma", ANY.mutation_sigma)): arm.values(COVERAGE.name)
-        for arm in arms
-    }
-    return sorted(by_sigma), [float(np.median(by_sigma[sigma])) for sigma in sorted(by_sigma)]
+    ordered = sorted(arms, key=sigma_of)
+    return [*map(sigma_of, ordered)], [float(np.median(arm.values(COVERAGE.name))) for arm in ordered]
 
 
 def draw(claimed: Sequence[Arm], sigma: Sequence[Arm]) -> FigureGrid | None:

@@ -113,7 +113,7 @@ class ReferenceOrigin:
     protocols: tuple[str, ...]
     """The evaluation protocols of its runs, sorted."""
     runs: tuple[str, ...] = ()
-    """`search_digest` of each of its runs, sorted; empty: an earlier version built it without them."""
+    """`run_digest` of each of its runs, sorted; empty: an earlier version built it without them."""
 
 
 @dataclass(frozen=True)

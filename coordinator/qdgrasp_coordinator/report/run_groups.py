@@ -33,7 +33,7 @@ SPEC_DEFAULTS = {
     field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in GROUP_KEYS
 }
 """Values of a spec where neither its method nor the user asks for others."""
-FLIGHT_KEYS = {"generations_in_flight", "in_flight"}
+FLIGHT_SETTINGS = {"generations_in_flight", "in_flight"}
 """Settings whose default differs between single runs and campaigns."""
 OWN_SEED = "of the run"
 """Stands for a surface seed that is the seed of the run."""
@@ -179,7 +179,7 @@ def default_groups(groups: Iterable[RunGroup]) -> dict[SceneName, dict[str, RunG
     def changed_settings(group: RunGroup) -> int:
         setting = _settings(group.runs[0].spec)
         usual = usual_settings(group.method)
-        return sum(setting[name] != usual[name] for name in usual.keys() - FLIGHT_KEYS)
+        return sum(setting[name] != usual[name] for name in usual.keys() - FLIGHT_SETTINGS)
 
     scenes: dict[SceneName, dict[str, RunGroup]] = {}
     for group in sorted(groups, key=changed_settings):

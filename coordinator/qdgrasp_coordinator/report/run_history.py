@@ -85,7 +85,7 @@ class RunHistory:
     """Eta of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
     search: str = ""
-    """`search_digest` of the run; empty: its scene is not here."""
+    """`run_digest` of the run; empty: its scene is not here."""
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Share of the reference set found after so many evaluations; NaN without one."""

@@ -27,7 +27,7 @@ from qdgrasp_coordinator.report.figure_grid import (
 from qdgrasp_coordinator.report.figures import CURVE_COLUMNS, PANEL_SIZES, legend_width, method_legend
 from qdgrasp_coordinator.report.run_groups import (
     COVERAGE,
-    FLIGHT_KEYS,
+    FLIGHT_SETTINGS,
     SPEC_UNITS,
     CurveMeasure,
     RunGroup,
@@ -98,7 +98,7 @@ class SettingSweep:
     def default(self) -> SettingValue | None:
         """The value that the method has unless a spec says otherwise; None: it is not among them."""
         usual = {usual_settings(self.group.method)[self.setting]}
-        if self.setting in FLIGHT_KEYS:
+        if self.setting in FLIGHT_SETTINGS:
             usual.add(getattr(registry.method(self.group.method), self.setting))
         return next((one for one in self.values if one.value in usual), None)
 
