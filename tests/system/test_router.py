@@ -89,7 +89,7 @@ def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, f
     process = routers.start(first)
     routers.start(second, "--connect", first)
     results: SimpleQueue[Any] = SimpleQueue()
-    seen: SimpleQueue[Any] = SimpleQueue()
+    is_alive: list[bool] = []  # As the coordinator is told of the worker's token
     with ExitStack() as stack:
 
         def session(role: Role, *endpoints: str) -> ZenohBus:
@@ -99,14 +99,18 @@ def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, f
         coordinator = session(Role.COORDINATOR, second, first)
         worker = session(Role.WORKER, first, second)
         stack.enter_context(coordinator.subscribe(KEYS.result(), results.put))
-        stack.enter_context(coordinator.watch(KEYS.worker_token(), lambda *seen_: seen.put(seen_)))
+        stack.enter_context(
+            coordinator.watch(KEYS.worker_token("w"), lambda _, alive: is_alive.append(alive))
+        )
         stack.enter_context(worker.token(KEYS.worker_token("w")))
-        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), True)
+        wait_for(lambda: is_alive == [True], "the token")
         arrives(worker, results)
         process.kill()
-        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), False)
-        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), True)
         arrives(worker, results)
+        # A worker that is back before the other router misses the first one was never away
+        wait_for(lambda: is_alive in ([True], [True, False, True]), "the token over the other router")
+        worker.close()
+        wait_for(lambda: not is_alive[-1], "the end of the token")
 
 
 def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
