@@ -54,19 +54,19 @@ its number of cells that hold, divided by the mean over all variants on that obj
 
 **Rule**: of the values of a constant, the one with the best mean score over the objects in use is taken,
 however small the difference is: so the choice depends on these objects as much as it can. A refitted set has
-all values that replace today's, together; how constants act on one another is not looked at. A constant
-without any effect would change in two of three cases. *Standard error*: of the difference of two variants,
-from the spread of seeds within a variant, pooled over all variants of an object; *beyond it*: the constants
-whose new value is better by more than that. A rule that asks for more than one standard error would change
-these alone.
+all values that replace today's, together; how constants act on one another is not looked at. By chance
+two of three constants change, as each has two rivals of today's. *Standard error*: of
+the difference of two variants, by the spread of seeds within a variant, pooled over all variants of an
+object; *beyond it*: the constants whose new value is better by more than that. A rule that asks for more
+than one standard error would change these alone.
 """
 COMPARISON = f"""Each set of constants runs with {len(HELD_OUT_SEEDS)} seeds. Numbers are in percent of the
 mean of today's constants on each object, so that each object weighs the same. *Difference*: mean of the
 refitted constants less mean of today's, with the 95 % interval of a bootstrap over the runs on these objects
 ([how](../analysis.md#claims-and-their-intervals)). *Today's interval*: that of the mean of today's constants,
-less 100 %. The verdict is *less* where the difference lies within today's interval; noisy runs make this
-easier.
-*Equivalent*: the whole interval of the difference is within {MARGIN:.0%}; noisy runs make this harder.
+less 100 %. *Less*: the difference is smaller than the uncertainty of today's own mean; noisy runs make this
+easier. *Equivalent*: the whole interval of the difference is within {MARGIN:.0%}; noisy runs make this
+harder.
 """
 
 

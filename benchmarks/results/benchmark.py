@@ -16,6 +16,7 @@ from benchmarks.results.comparison import (
     BOTH_CELLS,
     DEFAULT,
     ROBUST_CELLS,
+    ROBUST_NICHES,
     SCREENED,
     Arm,
     MethodComparison,
@@ -55,7 +56,7 @@ SUMMARY_COLUMNS = (
     "scenes", "method", "hands", "objects", "runs", "cells that hold", "niches that hold", "QD score",
     SCREENED.words, "cells that hold for 1,000 poses", "CPU s", "cells that hold a CPU s",
     "default over it, equal evaluations", "adjusted p",
-    "default over it, equal CPU", "its adjusted p",
+    "default over it, equal CPU", "its adjusted p", "default over it, niches",
 )  # fmt: skip
 LOSS_COLUMNS = (
     "hand",
@@ -120,6 +121,11 @@ class GroupComparison:
         upper: ScenesOfRuns = [ours for ours, _ in pairs]
         return ratio_interval(upper, [theirs for _, theirs in pairs])
 
+    @cached_property
+    def niches(self) -> ConfidenceInterval:
+        """That ratio of niches that hold, after as many evaluations."""
+        return over_scenes(ratio_interval, self.scenes, ROBUST_NICHES)
+
     @property
     def with_drawn_grasps(self) -> "GroupComparison":
         """It over the scenes where grasps of all runs of both were drawn and evaluated again."""
@@ -149,10 +155,10 @@ def compare_group(group: SceneGroup, known: Sequence[Arm]) -> list[GroupComparis
 BEST_OTHER = "best other of each scene"
 
 
-def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInterval, ConfidenceInterval]:
-    """Ratios to the method that is best on each scene: after equal evaluations, and after equal CPU.
+def against_best(group: SceneGroup, known: Sequence[Arm]) -> list[ConfidenceInterval]:
+    """Ratios to the method that is best on each scene: after equal evaluations, equal CPU, and of niches.
 
-    That method is chosen by the same runs, for each kind of work: it is better by chance, too.
+    That method is chosen by the same runs, for each ratio: it is better by chance, too.
     """
     scenes: dict[tuple[str, str, str], list[MethodComparison]] = {}
     for one in chain(*compare_methods(group.arms(known)).values()):
@@ -160,6 +166,7 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
     after = (
         [[one.pair(ROBUST_CELLS) for one in others] for others in scenes.values()],
         [[timed[1] for one in others if (timed := one.equal_cpu())] for others in scenes.values()],
+        [[one.pair(ROBUST_NICHES) for one in others] for others in scenes.values()],
     )
 
     def share(pair: tuple[NDArray[np.float64], NDArray[np.float64]]) -> float:
@@ -168,10 +175,7 @@ def against_best(group: SceneGroup, known: Sequence[Arm]) -> tuple[ConfidenceInt
         return ours / (ours + theirs) if ours + theirs else 1.0
 
     chosen = ([min(pairs, key=share) for pairs in some if pairs] for some in after)
-    evaluations, cpu = (
-        ratio_interval([ours for ours, _ in pairs], [theirs for _, theirs in pairs]) for pairs in chosen
-    )
-    return evaluations, cpu
+    return [ratio_interval([ours for ours, _ in pairs], [theirs for _, theirs in pairs]) for pairs in chosen]
 
 
 def benchmark_part(known: Sequence[Arm]) -> str:
@@ -249,11 +253,12 @@ def _summary(known: Sequence[Arm], found: Sequence[GroupComparison]) -> Iterator
         "a / b, so that each scene weighs the same, also one where a method has none; with its "
         f"{CONFIDENCE_LEVEL:.0%} interval, from {LEAST_SCENES} scenes on over scenes and runs, before over "
         "the runs on these scenes; *equal CPU*: on each scene after the most CPU seconds of "
-        f"{', '.join(map(str, CPU_MILESTONES.values()))} that all runs of both took. *Best other*: the "
-        "method against which the default has the least ratio on a scene, for each kind of work apart; it "
-        "is chosen by the same runs, and so better by chance too. *Adjusted p*: by the method of Holm for "
-        "all lines of this table, for each kind of work apart; intervals are not adjusted. Over 10 to 20 "
-        "scenes p-values are too small, by up to ten times ([how "
+        f"{', '.join(map(str, CPU_MILESTONES.values()))} that all runs of both took; "
+        "*niches*: that ratio of niches that hold, after equally many evaluations, where grasps of other "
+        "orientation in a cell count too. *Best other*: the method against which the default has the least "
+        "ratio on a scene, for each of the three ratios apart; it is chosen by the same runs, and so better "
+        "by chance too. *Adjusted p*: by the method of Holm for all lines of this table, for each kind of "
+        "work apart; intervals are not adjusted. Over 10 to 20 scenes p-values are too small, by up to ten times ([how "
         "far](../analysis.md#claims-and-their-intervals)), and ≤ stands before the least that the "
         "resamples can give: rather read the intervals. *New hands and objects* are those held-out scenes "
         "on which nothing was run before the benchmark.\n"
@@ -273,9 +278,9 @@ def _summary_lines(known: Sequence[Arm], found: Sequence[GroupComparison]) -> It
         here = [one for one in judged if one[0].group is group]
         ours = [arm for arm in group.arms(known) if arm.is_default]
         if here:
-            yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), *[""] * 4)
-            evaluations, cpu = map(ratio_words, against_best(group, known))
-            yield (group.words, BEST_OTHER, *_sums(ours)[:2], *[""] * 8, evaluations, "", cpu, "")
+            yield (group.words, f"**`{DEFAULT}`**", *_sums(ours), *[""] * 5)
+            evaluations, cpu, niches = map(ratio_words, against_best(group, known))
+            yield (group.words, BEST_OTHER, *_sums(ours)[:2], *[""] * 8, evaluations, "", cpu, "", niches)
         for comparison, *verdicts in here:
             ratios = (words for one in verdicts for words in (ratio_words(one.found), one.p_words))
             yield (
@@ -283,6 +288,7 @@ def _summary_lines(known: Sequence[Arm], found: Sequence[GroupComparison]) -> It
                 comparison.other_method,
                 *_sums([one.theirs for one in comparison.scenes]),
                 *ratios,
+                ratio_words(comparison.niches),
             )
 
 

@@ -133,6 +133,7 @@ class Figure:
 COVERAGE = Figure("coverage", "coverage, %", 100)
 CELLS = Figure("cells", "cells", digits=0)
 ROBUST_CELLS = Figure("robust_cells", "cells that hold", digits=0)
+ROBUST_NICHES = Figure("robust_niches", "niches that hold", digits=0)
 BESIDE = (
     Figure("mean_best", "mean best fitness", digits=2),
     Figure("orientations", "orientations", digits=2),
@@ -143,9 +144,7 @@ OF_TOUCH = (
     Figure("niches", "niches", digits=0),
 )
 """Further figures, which show if coverage comes with worse grasps."""
-OF_HOLD = (
-    Figure("robust_niches", "niches that hold", digits=0), Figure("qd_score", "QD score", digits=0), *BESIDE
-)  # fmt: skip
+OF_HOLD = (ROBUST_NICHES, Figure("qd_score", "QD score", digits=0), *BESIDE)
 """Further figures under `physical`."""
 SCREENED = Figure("screened", "poses screened")
 BOTH_CELLS = Figure("both_cells", "cells that hold in both", digits=0)

@@ -228,6 +228,7 @@ def test_ratios_over_scenes_and_their_intervals(groups: Groups, summary: Lines) 
             continue
         ours, theirs = both(groups[line["scenes"]], line["method"])
         check_ratio(line["default over it, equal evaluations"], scenes_of(ours, theirs, "robust_cells"))
+        check_ratio(line["default over it, niches"], scenes_of(ours, theirs, "robust_niches"))
         timed = [
             at
             for scene in ours.groupby(["gripper", "object"]).groups
@@ -245,16 +246,21 @@ def test_the_best_other_of_each_scene_is_the_one_that_the_readme_names(groups: G
         group, found = groups[line["scenes"]], []
         for scene in set(group[["gripper", "object"]].itertuples(index=False, name=None)):
             ours, *others = (found for _, found in at(group, scene).groupby("words"))
-            pairs = [scenes_of(ours, other, "robust_cells")[0] for other in others]
+            pairs, niches = (
+                [scenes_of(ours, other, figure)[0] for other in others]
+                for figure in ("robust_cells", "robust_niches")
+            )
             timed = [later[1] for other in others if (later := equal_cpu(ours, other, scene))]
-            found.append([min(some, key=lambda pair: ratio([pair])) for some in (pairs, timed)])
-        shown = [line[f"default over it, equal {work}"] for work in ("evaluations", "CPU")]
+            found.append([min(some, key=lambda pair: ratio([pair])) for some in (pairs, timed, niches)])
+        shown = [line[f"default over it, {words}"] for words in ("equal evaluations", "equal CPU", "niches")]
         for said, pairs in zip(shown, zip(*found, strict=True), strict=True):
             check_ratio(said, list(pairs))
         if line["scenes"] == "held out, two fingers":
-            ahead, later = (f"{float(said.split()[0]):.1f}" for said in shown)
-            assert f"{ahead} times as many distinct grasps that hold as the best other method" in readme
-            assert f"{later} times as many after as much CPU time" in readme
+            ahead, later, apart = (f"{float(said.split()[0]):.1f}" for said in shown)
+            scenes = f"so far {len(pairs)} with hands of two fingers"
+            assert f"{scenes}, it has found grasps that hold in {ahead} times as many cells" in readme
+            assert f"in {later} times as many after as much CPU time" in readme
+            assert f"With orientations told apart the first number is {apart} (" in readme
     assert lines
 
 

@@ -67,8 +67,9 @@ GRASPS = """
 Each run is one of the default method under `physical` in MuJoCo, with surface points of its own seed. Its
 grasps are ranked as `qdgrasp rerank` ranks them: candidates are the best of each cell, by fitness and then
 by margin, four times as many as are wanted; these are ordered by eta in sequential trials of `robust` with
-base `physical`, and of equal etas the greater margin comes first. Looked at are the *best-ranked* ones,
-*random held* ones of all others that hold, and random successes of all that are left.
+base `physical`, and of equal etas the greater margin comes first. The margin took the place of the
+penetration there after a first version of this study, on the Panda with mug and drill. Looked at are the
+*best-ranked* ones, *random held* ones of all others that hold, and random successes of all that are left.
 """
 DISTURBED = """
 The trials of the ranking displace and turn the object (3 mm and 3 degrees along and about each axis) and
