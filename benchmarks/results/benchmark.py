@@ -258,10 +258,10 @@ def _summary(known: Sequence[Arm], found: Sequence[GroupComparison]) -> Iterator
         "orientation in a cell count too. *Best other*: the method against which the default has the least "
         "ratio on a scene, for each of the three ratios apart; it is chosen by the same runs, and so better "
         "by chance too. *Adjusted p*: by the method of Holm for all lines of this table, for each kind of "
-        "work apart; intervals are not adjusted. Over 10 to 20 scenes p-values are too small, by up to ten times ([how "
-        "far](../analysis.md#claims-and-their-intervals)), and ≤ stands before the least that the "
-        "resamples can give: rather read the intervals. *New hands and objects* are those held-out scenes "
-        "on which nothing was run before the benchmark.\n"
+        "work apart; intervals are not adjusted. Over 10 to 20 scenes p-values are too small, by up to ten "
+        "times ([how far](../analysis.md#claims-and-their-intervals)), and ≤ stands before the least that "
+        "the resamples can give: rather read the intervals. *New hands and objects* are those held-out "
+        "scenes on which nothing was run before the benchmark.\n"
     )
 
 
