@@ -61,7 +61,7 @@ def test_a_unit_loads_the_certificates_of_its_role(unit: Path) -> None:
 def test_a_unit_is_stopped_politely_and_is_no_ones_door_into_the_system(unit: Path) -> None:
     settings = read(unit)
     assert settings["KillSignal"] == ["SIGTERM"]
-    assert settings["SuccessExitStatus"] == ["143"]
+    assert settings["SuccessExitStatus"] == ["130 143" if "coordinator" in unit.stem else "143"]
     assert settings["ProtectSystem"] == ["strict"]
     assert settings["NoNewPrivileges"] == ["yes"]
     assert settings.get("DynamicUser") == ["yes"] or settings["User"] != ["root"]
@@ -111,7 +111,7 @@ def test_a_worker_is_ended_by_its_unit_only_above_what_it_ends_itself() -> None:
 def test_every_variable_of_the_environment_file_is_used() -> None:
     named = set(re.findall(r"^#?(QDGRASP_\w+)=", SETTINGS.read_text(), re.M))
     used = {name for unit in UNITS for name in re.findall(r"\$\{?(\w+)", unit.read_text())}
-    assert named - used == {"QDGRASP_ASSET_PATH"}  # which the program reads itself
+    assert named - used == {"QDGRASP_ASSET_PATH", "QDGRASP_DATA"}  # which the program reads itself
     assert used <= named
 
 

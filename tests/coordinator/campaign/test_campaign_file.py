@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import tomli_w
 import trimesh
+from structlog.testing import capture_logs
 
 from qdgrasp_assets import ycb
 from qdgrasp_coordinator.campaign.campaign_file import (
@@ -20,6 +21,7 @@ from qdgrasp_coordinator.campaign.campaign_file import (
 )
 from qdgrasp_coordinator.campaign.campaign_folder import defaults_left_out
 from qdgrasp_coordinator.campaign.object_library import LibraryRules
+from qdgrasp_coordinator.cli.coordinator_process import runs_of_job
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_protocol.errors import (
@@ -304,6 +306,13 @@ class TestScans:
         assert {spec.object for spec in found.runs.values()} == {"ycb_mug", "bowl"}
         assert (found.scans, found.stand_ins) == (("mug",), ("bowl",))
         assert "no scan found of bowl" in found.words
+
+    def test_a_coordinator_by_itself_tells_of_stand_ins_too(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps({"prefer_scans": True, "cross": [CROSS]}))
+        with capture_logs() as logs:
+            runs_of_job(file, None)
+        assert [entry["objects"] for entry in logs if "stand-ins" in entry["event"]] == [("bowl",)]
 
     def test_stand_ins_stay_where_they_are_asked_for(self) -> None:
         assert "panda-mug-me_scs-s0" in names({"cross": [CROSS]})
