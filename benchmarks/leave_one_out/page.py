@@ -55,10 +55,10 @@ its number of cells that hold, divided by the mean over all variants on that obj
 **Rule**: of the values of a constant, the one with the best mean score over the objects in use is taken,
 however small the difference is: so the choice depends on these objects as much as it can. A refitted set has
 all values that replace today's, together; how constants act on one another is not looked at. By chance
-two of three constants change, as each has two rivals of today's. *Standard error*: of
-the difference of two variants, by the spread of seeds within a variant, pooled over all variants of an
-object; *beyond it*: the constants whose new value is better by more than that. A rule that asks for more
-than one standard error would change these alone.
+two of three constants change, as today's is one of three numbers that are compared. *Standard error*: of the
+difference of two variants, by the spread of seeds within a variant, pooled over all variants of an object;
+*beyond it*: the constants whose new value is better by more than that. A rule that asks for more than one
+standard error would change these alone.
 """
 COMPARISON = f"""Each set of constants runs with {len(HELD_OUT_SEEDS)} seeds. Numbers are in percent of the
 mean of today's constants on each object, so that each object weighs the same. *Difference*: mean of the

@@ -214,8 +214,8 @@ def _losses(found: Sequence[GroupComparison], known: Sequence[Arm]) -> Iterator[
         for kind in (False, True)
     )
     by_hand = Counter(hand for hand, *_ in (scene for scene in here if not asked[scene]))
-    order = sorted(by_hand, key=lambda hand: (-by_hand[hand], hand))
-    hands = ", ".join(f"{by_hand[hand]} of `{hand}`" for hand in order)
+    most_first = sorted(by_hand.items(), key=lambda pair: (-pair[1], pair[0]))
+    hands = ", ".join(f"{number} of `{hand}`" for hand, number in most_first)
     yield (
         f"{held_out} held-out scenes are in{f' ({hands})' if hands else ''}, the cheapest first, so that "
         f"they are no random sample of all; of tuning scenes {tuning}. Constants of the default were "

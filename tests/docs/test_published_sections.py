@@ -9,8 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from tests.docs.test_published_numbers import (
     RESULTS,
+    SWEPT,
+    TUNING,
     Runs,
     Values,
+    benchmark,
     bootstrap,
     counted_runs,
     for_touch,
@@ -27,6 +30,31 @@ from tests.docs.test_published_numbers import (
 from qdgrasp_coordinator.metrics.reference_coverage import read_references
 
 COVERAGE_MARKS = {"1,000": "1k", "2,000": "2k", "5,000": "5k", "10,000": "10k"}
+
+
+def test_the_sweep_is_the_median_over_seeds_and_the_best_setting_stands_out() -> None:
+    shown = lines_with(part("Settings of the baselines"), "share of the best")
+    if not shown:
+        pytest.skip("the sweep is not in yet")
+    swept = benchmark(read_runs())
+    swept = swept[
+        (swept["gripper"] == "panda") & swept["object"].isin(TUNING) & (swept["budget"] == SWEPT)
+    ].copy()
+    swept["population"] = swept["settings"].str.extract(r"population=(\d+)")[0].fillna("500")
+    sigma = swept["settings"].str.extract(r"mutation_sigma=(\S+)")[0].fillna("0.1")
+    swept["sigma"] = sigma.where(~swept["method"].str.endswith("cma_mae"), "")
+    medians = swept.groupby(["method", "population", "sigma", "object"])["robust_cells"].median().unstack()
+    shares = (medians / medians.max())[TUNING].mean(axis=1)
+    assert len(shown) == len(shares)
+    for line in shown:
+        setting = (line["method"].strip("`"), line["population"], line["sigma"])
+        assert [line[scene].split()[0] for scene in TUNING] == [
+            f"{medians.loc[setting, scene]:.0f}" for scene in TUNING
+        ]
+        is_best = shares[setting] == shares[setting[0]].max()
+        assert line["share of the best"] == (
+            f"**{shares[setting]:.0%}**" if is_best else f"{shares[setting]:.0%}"
+        )
 
 
 def test_coverage_is_the_median_over_seeds() -> None:
@@ -258,6 +286,15 @@ def test_the_page_on_the_papers_experiment_says_what_the_runs_say() -> None:
     assert f"still added {late:.0f} and {late_on_mug:.0f} % of that" in page
     assert (long.groupby("object").size() == 2).all()
     assert long["late"].min() > 0.15  # "no run is near" 10 %
+    is_like = (every["protocol"] == "paper") & (every["settings"] == "") & (every["overlaps"] == "count")
+    on_mug = every[is_like & (every["budget"] == 5000) & (every["object"] == "ycb_mug")]
+    on_mug = 100 * on_mug[on_mug["gripper"] == "panda"].groupby("method")["coverage"].mean()
+    contact, drawn, antipodal = on_mug[["contact_me_scs", "antipodal_rand", "antipodal_me_scs"]]
+    assert (
+        f"`contact_me_scs` covers {contact:.1f} % after 5000 evaluations, `antipodal_rand` {drawn:.1f} %"
+        in page
+    )
+    assert f"and `antipodal_me_scs` {antipodal:.1f} %" in page
     short = runs[(runs["gripper"] == "panda") & (runs["budget"] == 5000)]
     near = short[short["method"] == "contact_me_scs"].groupby("object")["near_nu"].mean()
     cube_and_drill = f"{100 * near['ycb_rubiks_cube']:.0f} and {100 * near['ycb_power_drill']:.0f} %"
